@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 
 from benchmarks.rows import Source
 from groundtruth import NeedleRun, Run, Rupture
-from needleforce.session import tip_motion
+from needleforce.tip_travel import tip_motion
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot

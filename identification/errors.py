@@ -15,7 +15,3 @@ class InvalidLogError(IdentificationError, ValueError):
 
 class InvalidSnapshotError(IdentificationError, ValueError):
     """A snapshot does not belong to the identifier it is restored into, or is damaged."""
-
-
-class NoRuptureError(IdentificationError, RuntimeError):
-    """A rupture is to be undone where the last update raised none."""

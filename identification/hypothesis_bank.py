@@ -116,11 +116,7 @@ def first_bank() -> Bank:
 
 
 class BankMemory:
-    """Room for a bank that changes in place.
-
-    There are two of it: pruning writes what it keeps into the other one, so that the bank before
-    the last pruning is there until the next.
-    """
+    """Room for a bank that changes in place; pruning writes what it keeps into a second one."""
 
     def __init__(self, bank: Bank) -> None:
         shapes = [(CAPACITY, *part.shape[1:]) for part in bank]
@@ -128,17 +124,12 @@ class BankMemory:
         self.store, self._other = Bank(*stores[0])[:], Bank(*stores[1])[:]
         for room, part in zip(self.store, bank, strict=True):
             room[: len(part)] = part
-        self.size = self._other_size = len(bank.log_weights)
+        self.size = len(bank.log_weights)
 
     @property
     def bank(self) -> Bank:
         """The hypotheses as they are now, not to be kept."""
         return Bank(*(part[: self.size] for part in self.store))
-
-    @property
-    def before(self) -> Bank:
-        """The hypotheses before the last pruning, not to be kept."""
-        return Bank(*(part[: self._other_size] for part in self._other))
 
     def spawn(self, place: Place, before: float, tissue_speed: float) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.
@@ -166,7 +157,7 @@ class BankMemory:
             source.take(rows, axis=0, out=target[: len(rows)], mode="clip")
         self._other[2][: len(rows)] = log_weights
         self.store, self._other = self._other, self.store
-        self.size, self._other_size = len(rows), self.size
+        self.size = len(rows)
 
 
 def _events(

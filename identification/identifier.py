@@ -8,7 +8,7 @@ import numpy as np
 
 from identification import sample_filter as samples
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
-from identification.errors import InvalidConfigError, InvalidSnapshotError, NoRuptureError
+from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
 from identification.published_identifier import PublishedMethod, PublishedState
 from identification.switching_identifier import SwitchingMethod, SwitchingState
@@ -20,7 +20,7 @@ _METHODS: dict[type, Any] = {MultilayerConfig: SwitchingMethod, PublishedConfig:
 """By the type of their settings. A method gets checked samples only: ``update`` uses one, and
 returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of a sample at zero
 depth, speed and force; ``state``, an immutable tree, is all that it remembers, ``restore`` goes on
-from one, bit for bit; ``before`` is that before the last update that raised a rupture."""
+from one, bit for bit."""
 _EVENTS = -len(Events._fields)
 _NO_EVENTS = Events()[:]
 
@@ -67,7 +67,6 @@ class Identifier:
         self._method = _METHODS[type(self._config)](self._config)
         self._samples = working_copy(np.zeros(samples.SAMPLE_MEMORY))
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
-        self._before: Snapshot | None = None
 
     def update(
         self,
@@ -102,7 +101,7 @@ class Identifier:
         ):
             raw = (depth_m, speed, force_N, dt_s)
             return self._update_raw(raw, is_measured, time_s, force_std_N)
-        before, last, method = self._samples.copy(), self._last, self._method
+        method = self._method
         number, elapsed_s, clock_s, place_m, motion = samples.take_sample(
             depth_m, speed, force_N, dt_s, is_measured, self._samples, self._limits
         )
@@ -116,21 +115,10 @@ class Identifier:
         found = method.update((time_s, elapsed_s, *motion, force_N, std))
         estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
-            self._before = Snapshot(self._config, np.array(before), method.before, last)
             shift_m = float(self._samples[samples.SHIFT])
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
             estimate = self._last = _new(Estimate, (*estimate[:_EVENTS], *events))
         return estimate
-
-    def undo_rupture(self) -> None:
-        """Take back the last update, which raised a rupture: as if its sample had never come.
-
-        Raises:
-            NoRuptureError: The last update raised none.
-        """
-        if self._before is None or self._last.rupture is None:
-            raise NoRuptureError("the last update raised no rupture: there is none to undo")
-        self._resume(self._before)
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
@@ -154,7 +142,7 @@ class Identifier:
     def _resume(self, snapshot: Snapshot) -> None:
         self._method.restore(snapshot.state)
         self._samples = working_copy(snapshot.samples)
-        self._last, self._before = snapshot.last, None
+        self._last = snapshot.last
 
     def _update_raw(
         self, values: tuple[Any, ...], is_measured: bool, time_s: object, force_std_N: float

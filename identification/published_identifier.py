@@ -73,7 +73,6 @@ class PublishedMethod:
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
-        self.before = state
         self._keep(state)
 
     @property
@@ -98,9 +97,8 @@ class PublishedMethod:
         before, self._memory = self.state, memory
         state = published_step(self.state, sample, self._config)
         self._keep(state)
-        rupture = None
-        if state.ruptured is not None and before.ruptured is None:
-            self.before, rupture = before, state.ruptured.rupture
+        ruptured = state.ruptured if before.ruptured is None else None
+        rupture = None if ruptured is None else ruptured.rupture
         outputs = published_outputs(depth_m, speed_m_s, force_N, self._memory, self._coefficients)
         layer = None if state.layers is before.layers else state.layers[-1]
         return (state.rupture_state, *outputs, rupture, layer, None)

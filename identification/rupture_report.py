@@ -86,7 +86,8 @@ class Evaluation(NamedTuple):
 def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     limits = float(known), _CLEAR_SIGMAS * noise, law.LAYER
-    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, limits, _OF_COUNT))
+    force = bank.records[:, law.RUPTURE_FORCE] - bank.means[:, law.OFFSET]
+    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, force, limits, _OF_COUNT))
 
 
 @compiled
@@ -94,16 +95,21 @@ def _counted(
     log_weights: Vector,
     facts: Matrix,
     means: Matrix,
+    force: Vector,
     limits: tuple[float, float, float],
     places: tuple[int, int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
-    """An `Evaluation`, for the ruptures known, the least force released, and what a layer is."""
+    """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
+
+    A rupture releases no more than the force there was.
+    """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
+    fallen = np.minimum(fallen, force)
     ruptures = facts[:, number]
     is_more = ruptures > known
     pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1

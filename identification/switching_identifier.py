@@ -124,7 +124,6 @@ class SwitchingMethod:
 
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
-        self.before = state
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
         self._take(state)
 
@@ -148,20 +147,16 @@ class SwitchingMethod:
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         state, dt_s, motion, force_N = self._state, sample[1], sample[2:6], sample[6]
-        before = self._memory.copy() if self._is_due else self._memory
         is_full, outputs = samples.update_switching(
             motion, force_N, dt_s, self._memory, self._answer, self._left
         )
         if not (is_full or self._is_due):
             return (state.rupture_state, *outputs, None, None, None)
-        whole = self._bank.bank.copied() if is_full and state.stage == _SPAWN else None
         self._state = state._replace(events=Events())
         while self._state.stage != _NOTHING:
             self._work(sample)
             if not is_full:  # else blocks are of one or two samples
                 break
-        if self._state.events.rupture is not None:
-            self._keep_before(state, before, whole)
         if is_full:
             self._absorb(sample)
         self._take(self._state, state)
@@ -173,12 +168,6 @@ class SwitchingMethod:
             depth_m, speed_m_s, force_N, self._memory, self._answer, self._left
         )
         return (self._state.rupture_state, *outputs, *self._state.events)
-
-    def _keep_before(self, state: SwitchingState, memory: Any, bank: Bank | None) -> None:
-        """Keep what was before this sample, which raised a rupture."""
-        if bank is None:
-            bank = (self._bank.bank if state.stage == _REPORT else self._bank.before).copied()
-        self.before = state._replace(bank=bank, memory=np.array(memory))
 
     def _work(self, sample: Sample) -> None:
         if self._state.stage == _SPAWN:

@@ -5,7 +5,7 @@ import numbers
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
@@ -18,8 +18,8 @@ from identification import (
     SampleStatus,
 )
 from identification import Snapshot as IdentifierSnapshot
-from needleforce.jit import Matrix, Vector, compiled
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
+from needleforce.tip_travel import Travel, TravelZero, travel_step
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
@@ -49,60 +49,6 @@ class SnapshotMismatchError(InsertionError, ValueError):
 
 class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
-
-
-class Travel(NamedTuple):
-    """Travel of the tip along the needle, and its rate."""
-
-    depth_m: float  # along the needle's direction at the zero, growing inwards
-    speed_m_s: float  # along the needle's present direction
-
-
-class TravelZero(NamedTuple):
-    """Where depth is counted from."""
-
-    start_in_base_m: NDArray[np.float64]  # the tip's place, shape (3,)
-    axis_in_base: NDArray[np.float64]  # the needle's direction, shape (3,)
-
-
-@compiled
-def tip_motion(
-    axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
-) -> tuple[float, float]:
-    """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
-    along_m = axis[0] * pose[0, 3] + axis[1] * pose[1, 3] + axis[2] * pose[2, 3]
-    return float(along_m), float(axial_jacobian.dot(dq))
-
-
-@compiled
-def travel_step(
-    tip: tuple[Vector, Matrix, Vector, Vector],
-    start_m: float,
-    last: tuple[float, float, float, float],
-    dt_s: float,
-    lags_s: tuple[float, float],
-) -> tuple[float, float, float, float]:
-    """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
-
-    A needle that a hand drives changes its speed within the observer's lag: the force of a moment
-    ago, beside the speed of now, would look like friction that comes and goes.
-
-    Args:
-        tip: What `tip_motion` takes.
-        start_m: Place at depth zero.
-        last: What the step before returned.
-        dt_s: Time since then.
-        lags_s: Of the speed's own low-pass, 0 for none, and of the force.
-    """
-    along, speed = tip_motion(*tip)
-    depth, (speed_lag_s, force_lag_s) = along - start_m, lags_s
-    _, last_speed, late_depth, late_speed = last
-    if speed_lag_s > 0.0:
-        speed = last_speed - math.expm1(-dt_s / speed_lag_s) * (speed - last_speed)
-    if force_lag_s <= 0.0:
-        return depth, speed, depth, speed
-    kept = math.exp(-dt_s / force_lag_s)
-    return depth, speed, depth + kept * (late_depth - depth), speed + kept * (late_speed - speed)
 
 
 # What a session returns in every tick, and what it remembers.
@@ -177,6 +123,7 @@ _TAKEN_BACK_S = 0.25
 """A push on the arm grows for so long before it is known as one."""
 # Looking up a name of an enumeration takes as long as a call, so it is done once.
 _OK, _REJECTED = Status.OK, Status.REJECTED
+_NO_EVENTS = None, None, None
 _USED = tuple(status for status in SampleStatus if status.is_used)
 
 
@@ -318,7 +265,7 @@ class InsertionSession:
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
-        self._keep_checkpoint()
+        self._keep_checkpoint(has_events=True)  # nothing before it
         self._plan.begin(*self._zero)
 
     def reset(self) -> None:
@@ -418,11 +365,7 @@ class InsertionSession:
         tip, lags_s = (axis, tool.pose, tool.axial_jacobian, dq), (self._speed_lag_s, lag_s)
         self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
-            if wrench.warnings & SensorWarning.MODEL_MISMATCH and not self._unused_s:
-                self._go_back()
-            else:
-                self._unused_s += elapsed_s
-            return self._idle(wrench)
+            return self._skip(wrench, elapsed_s)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         found = self._identifier.update(
@@ -432,33 +375,36 @@ class InsertionSession:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & SensorWarning.MODEL_MISMATCH:
-                self._go_back()
-                return self._idle(wrench)
+                return self._skip(wrench, elapsed_s)
         self._identification = found
-        if (found.rupture, found.identified_layer, found.retracted) != (None, None, None):
-            self._keep_checkpoint()  # what has been reported is not reported again
-        elif self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
-            self._earlier = self._earlier[1], Checkpoint(self._time_s, self._identifier.snapshot())
+        self._keep_checkpoint(has_events=_events(found) != _NO_EVENTS)
         self._plan.follow(found, travel[2])
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
-    def _keep_checkpoint(self) -> None:
-        now = Checkpoint(self._time_s, self._identifier.snapshot())
-        self._earlier = now, now
+    def _keep_checkpoint(self, *, has_events: bool) -> None:
+        """Now and then, and with events: what has been reported is not reported again."""
+        if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
+            now = Checkpoint(self._time_s, self._identifier.snapshot())
+            self._earlier = now if has_events else self._earlier[1], now
 
-    def _go_back(self) -> None:
-        """Take from the identification what a push has put into it before it was known as one."""
-        before = self._earlier[0]
-        self._identifier.restore(before.identifier)
-        self._identification = before.identifier.last
-        self._unused_s = self._time_s - before.time_s
-        self._earlier = before, before
+    def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
+        """A valid tick that the identification does not get.
+
+        The first with a push on the arm also takes back what that has done before it was known.
+        """
+        self._unused_s += elapsed_s
+        if self._unused_s == elapsed_s and wrench.warnings & SensorWarning.MODEL_MISMATCH:
+            before = self._earlier[0]
+            self._identifier.restore(before.identifier)
+            self._identification = before.identifier.last
+            self._unused_s, self._earlier = self._time_s - before.time_s, (before, before)
+        return self._idle(wrench)
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
         last = self._identification
-        if (last.rupture, last.identified_layer, last.retracted) != (None, None, None):
+        if _events(last) != _NO_EVENTS:
             last = self._identification = _without_events(last)
         at = (False, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))
@@ -469,6 +415,10 @@ def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
         raise SettingError(
             f"{name} is a {type(value).__name__}, expected a {kind.__name__}; {hint}"
         )
+
+
+def _events(estimate: Estimate) -> tuple[object, object, object]:
+    return estimate.rupture, estimate.identified_layer, estimate.retracted
 
 
 def _without_events(estimate: Estimate) -> Estimate:

@@ -1,13 +1,12 @@
 """Snapshots resume bit for bit; memory stays bounded however long the insertion."""
 
-import math
 import pickle
 
 import numpy as np
 import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
-from identification.errors import InvalidSnapshotError, NoRuptureError
+from identification.errors import InvalidSnapshotError
 from identification.estimate import RuptureState
 from identification.published_identifier import PublishedState
 from needleforce import read_snapshot, write_snapshot
@@ -125,32 +124,3 @@ def test_a_damaged_state_is_refused_and_changes_nothing(in_tissue, config, place
     with pytest.raises(InvalidSnapshotError, match=names[0]):
         identifier.restore(whole._replace(state=value))
     assert pickle.dumps(identifier.snapshot()) == before
-
-
-@both_methods
-def test_an_undone_rupture_has_never_been(config):
-    identifier, ruptures = Identifier(config), []
-    for k in range(8000):
-        place = 2.5e-6 * k - 2e-3
-        pull = max(place, 0.0) * (60.0 if place < 0.01 else 20.0)
-        before = identifier.snapshot()
-        found = identifier.update(place, 2.5e-3, pull + 2e-3 * math.sin(1e3 * k), 1e-3)
-        if found.rupture is None:
-            continue
-        ruptures.append(found.rupture)
-        identifier.undo_rupture()
-        twin = Identifier(config)
-        twin.restore(before)
-        assert identifier.snapshot().last == before.last
-        sample = (place, 2.5e-3, pull, 1e-3)
-        assert identifier.update(*sample) == twin.update(*sample)
-    assert ruptures
-
-
-@both_methods
-def test_without_a_rupture_there_is_none_to_undo(config):
-    identifier = Identifier(config)
-    for _ in range(3):
-        identifier.update(0.0, 0.0, 0.0, 1e-3)
-        with pytest.raises(NoRuptureError, match="no rupture"):
-            identifier.undo_rupture()
