@@ -19,7 +19,7 @@ from identification import (
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
-from needleforce.tip_travel import Travel, TravelZero, travel_step
+from needleforce.tip_travel import TravelZero, travel_step
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
 from residual.bias_model import Tare
@@ -100,8 +100,7 @@ class SessionSnapshot(NamedTuple):
     sensor: SensorState
     identifier: IdentifierSnapshot
     zero: TravelZero
-    travel: Travel  # the last
-    lagging: Travel  # the same as late as the force
+    travel: tuple[float, float, float, float]  # see `travel_step`
     speed_lag_s: float  # setting of the session
     unused_s: float  # time of valid samples that were not used for identification
     time_s: float  # see `SessionEstimate`
@@ -280,8 +279,7 @@ class InsertionSession:
             self._sensor.snapshot(),
             self._identifier.snapshot(),
             self._zero,
-            Travel(*self._travel[:2]),
-            Travel(*self._travel[2:]),
+            self._travel,
             self._speed_lag_s,
             self._unused_s,
             self._time_s,
@@ -317,9 +315,7 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        (depth_m, speed_m_s), (late_m, late_m_s) = snapshot.travel, snapshot.lagging
-        self._travel = depth_m, speed_m_s, late_m, late_m_s
-        self._unused_s = snapshot.unused_s
+        self._travel, self._unused_s = snapshot.travel, snapshot.unused_s
         self._time_s, self._earlier = snapshot.time_s, snapshot.earlier
         self._identification = _without_events(snapshot.identifier.last)
         self._plan.resume(snapshot.plan, plan_state)
@@ -331,7 +327,7 @@ class InsertionSession:
             for part in (*(each.identifier for each in snapshot.earlier), snapshot.identifier):
                 twin.restore(part)
             for _ in range(3):
-                twin.update(*snapshot.travel, 0.0, 1e-3)
+                twin.update(*snapshot.travel[:2], 0.0, 1e-3)
             sizes = [np.shape(part) for part in snapshot.zero]
             if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
                 raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")

@@ -9,13 +9,6 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled
 
 
-class Travel(NamedTuple):
-    """Travel of the tip along the needle, and its rate."""
-
-    depth_m: float  # along the needle's direction at the zero, growing inwards
-    speed_m_s: float  # along the needle's present direction
-
-
 class TravelZero(NamedTuple):
     """Where depth is counted from."""
 
@@ -41,6 +34,8 @@ def travel_step(
     lags_s: tuple[float, float],
 ) -> tuple[float, float, float, float]:
     """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
+
+    Depth grows inwards along the needle's direction at the zero; speed is along its present one.
 
     A needle that a hand drives changes its speed within the observer's lag: the force of a moment
     ago, beside the speed of now, would look like friction that comes and goes.
