@@ -6,12 +6,11 @@ from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.config import SensorConfig
-from residual.errors import TareError
+from residual.errors import Array, TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
 from residual.joint_states import follow_joints
@@ -19,7 +18,6 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-Array = NDArray[np.float64]
 MOST_TORQUES = 1000
 """As many samples are kept between two renewals at most; then their sum is."""
 MOST_BLOCKS = 400

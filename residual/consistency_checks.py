@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
-from residual.errors import VelocityError
+from residual.errors import Array, VelocityError
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 TRAVEL_S = 1.0
 """Travel fades with this time constant: shorter makes slow strokes short, longer adds up bias."""

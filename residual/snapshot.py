@@ -11,10 +11,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from residual.errors import SnapshotError
+from residual.errors import Array, SnapshotError
 from urdf import Robot
 
-Array = NDArray[np.float64]
 Tree = TypeVar("Tree")
 GROWING = "recorder.sums"
 """End of the place of the array whose first dimension counts what was gathered so far."""

@@ -5,13 +5,13 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
 from residual.consistency_checks import ConsistencyMonitor, MonitorState
-from residual.errors import SampleError, SnapshotError, SuspectSampleError, TareError
+from residual.errors import Array, SampleError, SnapshotError, SuspectSampleError, TareError
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
@@ -43,11 +43,11 @@ class SensorState(NamedTuple):
     lag_s: float  # Of the stream that the last sample came by [s]
     offset: BiasState  # Of the offset removal
     # Of the residual's error, as last renewed [Nm^2], shape (n, n)
-    torque_covariance: NDArray[np.float64]
-    weighed_at: NDArray[np.float64]  # Where the joints were weighed last [rad], shape (n,)
+    torque_covariance: Array
+    weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
     # Force followed for the uncertainty that the lag adds [N], shape (3,)
-    followed_N: NDArray[np.float64]
+    followed_N: Array
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
     last: WrenchEstimate | None  # Last estimate; None before the first
@@ -94,7 +94,7 @@ class VirtualForceSensor:
         return self._offset.memory.tared
 
     @property
-    def velocity_rad_s(self) -> NDArray[np.float64]:
+    def velocity_rad_s(self) -> Array:
         """Joint velocity of the last sample used, given or estimated [rad/s], shape (n,)."""
         return self._offset.memory.dq
 
@@ -104,7 +104,7 @@ class VirtualForceSensor:
         return self._wrench.kinematics
 
     @property
-    def residual_std_Nm(self) -> NDArray[np.float64]:
+    def residual_std_Nm(self) -> Array:
         """Standard deviation of `WrenchEstimate.residual` per joint [Nm], shape (n,).
 
         Noise, what the tare left unknown here, drift since, and the torque of motion, which is

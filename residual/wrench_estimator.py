@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import ConfigurationError, SampleError
+from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
 from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-Array = NDArray[np.float64]
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 EXPECTED_TORQUE_NM = 10.0
