@@ -6,9 +6,7 @@ show, with room on both sides, so that nothing can be tuned to a dozen curves.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -171,9 +169,7 @@ def _organs_and_air() -> list[Scenario]:
     ]
 
 
-SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
-    {item.id: item for item in (*_gels_and_stacks(), *_organs_and_air())}
-)
+SCENARIOS = {item.id: item for item in (*_gels_and_stacks(), *_organs_and_air())}
 """Every catalogued scenario under its permanent name."""
 
 RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law

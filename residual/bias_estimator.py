@@ -50,11 +50,6 @@ class TareRecorder:
         """Nothing recorded yet."""
         return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing has been recorded."""
-        return not (len(self.sums) or self.open[0].any())
-
     def add(self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float) -> None:
         """Add position [rad], joint states and residual [Nm] a time after the last ones."""
         one = np.ones_like(q)
@@ -160,7 +155,8 @@ class BiasEstimator:
     @property
     def is_fresh(self) -> bool:
         """Whether neither tare nor recorded motion is of any use now."""
-        return not self.memory.tared and self.memory.recorder.is_empty
+        recorder = self.memory.recorder
+        return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.

@@ -74,11 +74,12 @@ def _is_real(value: object) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.timedelta64)
 
 
-def read_joint_vector(name: str, value: object, joints: int) -> Array:
+def check_joint_vector(name: str, value: object, joints: int) -> Array:
     """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
 
     Raises:
-        SampleError: If the shape is wrong, or these are no real numbers; they may be any others.
+        SampleError: If the shape is wrong, or these are no real numbers, finite and not beyond
+            `MOST_PLAUSIBLE`.
     """
     try:
         array = _real(value)
@@ -88,12 +89,6 @@ def read_joint_vector(name: str, value: object, joints: int) -> Array:
         raise SampleError(
             f"{name} has shape {array.shape}, expected ({joints},): one number per joint"
         )
-    return array
-
-
-def check_joint_vector(name: str, value: object, joints: int) -> Array:
-    """As `read_joint_vector`; also refuses what is not finite or beyond `MOST_PLAUSIBLE`."""
-    array = read_joint_vector(name, value, joints)
     # Almost every sample ends here: one number shows that all are finite and small.
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
         return array
