@@ -226,7 +226,7 @@ class VirtualForceSensor:
                 lag_s=self.lag_s,
                 offset=self._offset.memory,
                 torque_covariance=self._wrench.torque_covariance,
-                weighed_at=self._wrench.weighed_at,
+                weighed_at=self._wrench.gain.rows[0],
                 monitor=self._monitor.state,
                 followed_N=self._followed_N,
                 follows=self._follows,
