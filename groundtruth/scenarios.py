@@ -89,11 +89,6 @@ class Scenario:
         """Fresh, uncut tissue."""
         return Tissue(self.layers)
 
-    @property
-    def thickness_m(self) -> float:
-        """All layers together."""
-        return sum(layer.thickness_m for layer in self.layers)
-
 
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer

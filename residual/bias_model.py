@@ -231,8 +231,7 @@ class BiasModel:
     def prior_tare(self) -> Tare:
         """What is known before any free motion was seen: no offset, the prior's covariance."""
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
-        walk_Nm2_per_s = self.walk_Nm2_per_s()
-        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, walk_Nm2_per_s)
+        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, self.walk_Nm2_per_s())
 
     def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
         """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""

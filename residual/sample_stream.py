@@ -39,11 +39,9 @@ class TorqueSample(NamedTuple):
 class StreamState:
     """All that a stream remembers."""
 
-    # Of the velocity estimator; None where the robot sends velocities
-    velocity: VelocityState | None
+    velocity: VelocityState | None  # Of the velocity estimator; None where velocities are measured
     guard: GuardState | None  # Of the fault detector; None where there is none
-    # Of the momentum observer; None in a stream of external torques
-    observer: MomentumState | None
+    observer: MomentumState | None  # Of the momentum observer; None for external torques
     probe: NoiseProbe | None  # Of the noise to smooth; None once it is known, and without smoothing
     age_s: float = 0.0  # Time since the filters started [s]
     missed_s: float = 0.0  # Time that the observer has not seen yet [s]

@@ -212,6 +212,7 @@ class WrenchEstimator:
     Attributes:
         kinematics: Pose and Jacobian of the tool.
         gain: Of the last `weigh`.
+        torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -233,7 +234,7 @@ class WrenchEstimator:
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:size]) ** -2.0
-        self._covariance = self._inverse = np.eye(robot.nv)
+        self.torque_covariance = self._inverse = np.eye(robot.nv)
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
@@ -245,9 +246,10 @@ class WrenchEstimator:
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
         """
-        if covariance_Nm2.shape != self._covariance.shape:
+        shape = self.torque_covariance.shape
+        if covariance_Nm2.shape != shape:
             raise ConfigurationError(
-                f"covariance has shape {covariance_Nm2.shape}, expected {self._covariance.shape}"
+                f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
         asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
         # Written so that a NaN is refused too.
@@ -257,12 +259,7 @@ class WrenchEstimator:
         least, inverse = inverse_of(covariance)
         if not least > 0.0:
             raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self._covariance, self._inverse = covariance, inverse
-
-    @property
-    def torque_covariance(self) -> Array:
-        """What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n), a copy."""
-        return self._covariance.copy()
+        self.torque_covariance, self._inverse = covariance, inverse
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -292,7 +289,7 @@ class WrenchEstimator:
         rows, inverse = directions.dot(jacobian), self._inverse
         precision = inverse if self._weighted else np.eye(self._joints)
         gain, covariance, conditioning, removed = weighted_inverse(
-            rows, self._covariance, precision, self._damping
+            rows, self.torque_covariance, precision, self._damping
         )
         variances = (covariance[0, 0], UNSEEN_STD**2)
         if len(directions) > 1:

@@ -60,10 +60,6 @@ class Channel:
         return next(iter(self.units))
 
 
-_TAU_EXT = (
-    "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
-    "external_joint_torque external_joint_torques"
-)
 _JOINTS = (
     ("q", "q_rad", _ANGLE, "q position pos joint_position joint_positions actual_q",
      "joint positions"),
@@ -72,7 +68,9 @@ _JOINTS = (
      "joint velocities"),
     ("tau", "tau_Nm", _TORQUE, "tau tau_j effort torque joint_torque joint_torques",
      "measured joint torques"),
-    ("tau_ext", "tau_ext_Nm", _TORQUE, _TAU_EXT,
+    ("tau_ext", "tau_ext_Nm", _TORQUE,
+     "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
+     "external_joint_torque external_joint_torques",
      "external joint torques as the robot estimates them"),
 )  # fmt: skip
 _SINGLE = (
