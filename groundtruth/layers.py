@@ -242,12 +242,7 @@ class Interface:
 
         A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of `release_m`.
         """
-        travelled = deepest_m - self.onset_m
-        if travelled <= 0.0:
-            return 0.0
-        if travelled >= self.release_m:
-            return 1.0
-        rest = 1.0 - travelled / self.release_m
+        rest = 1.0 - min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
         return 1.0 - rest * rest
 
 

@@ -16,11 +16,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, compiled
-from residual.errors import ConfigurationError
+from residual.errors import Array, ConfigurationError
 from residual.input_validation import known_limits
 from urdf import Robot
 
-Array = NDArray[np.float64]
 TareKind = Literal["constant", "model"]
 """``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of a small
 error of every link's mass and first moments, of the sensors' hysteresis and of their drift."""

@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residual.config import SensorConfig
-from residual.errors import SampleError
+from residual.errors import Array, SampleError
 from residual.fault_detection import FaultDetector, GuardState
 from residual.input_validation import ROUNDING_S, check_rows, read_rows
 from residual.momentum_observer import MomentumObserver, MomentumState
@@ -17,7 +17,6 @@ from residual.tool_kinematics import ToolKinematics
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
-Array = NDArray[np.float64]
 COARSE = 2.0
 """Times the white noise of positions: steps of an encoder last longer than a sample."""
 SETTLING_LAGS = 5.0

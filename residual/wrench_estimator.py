@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import ConfigurationError, SampleError
+from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
 from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-Array = NDArray[np.float64]
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 EXPECTED_TORQUE_NM = 10.0
@@ -39,7 +38,9 @@ class WrenchGain(NamedTuple):
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
-    weakest_m: float  # See `WrenchEstimator.smallest_singular_value`
+    # How much the joints feel of a newton in the direction they feel least, of those that the mode
+    # asks for [m]; in the full mode a newton metre counts as a newton
+    weakest_m: float
     unexplained: Array  # Makes `WrenchEstimator.mismatch_squared` of joint torque, shape (n, n)
 
 
@@ -208,6 +209,10 @@ class WrenchEstimator:
         config: Of it ``mode``, ``weighting`` (``none`` has no damping either),
             ``expected_force_N``, ``frame``, ``axes``, ``insertion_axis`` and ``tool_offset_m``.
 
+    Attributes:
+        kinematics: Pose and Jacobian of the tool.
+        gain: Of the last `weigh`.
+
     Raises:
         urdf.UrdfError: For an unknown frame.
     """
@@ -292,7 +297,7 @@ class WrenchEstimator:
         variances = (covariance[0, 0], UNSEEN_STD**2)
         if len(directions) > 1:
             variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
-        self._gain = WrenchGain(
+        self.gain = WrenchGain(
             np.vstack((q, directions[:, :size].T.dot(gain))),
             np.append(axis, variances),
             (covariance, conditioning, removed),
@@ -315,13 +320,13 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        rows, axis, reported, _, _ = self._gain
+        rows, axis, reported, _, _ = self.gain
         size = len(rows) - 1
         found = np.empty(size + self._joints)
         scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
-            rows, axis, reported, _, _ = self._gain
+            rows, axis, reported, _, _ = self.gain
             scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
@@ -330,19 +335,6 @@ class WrenchEstimator:
         torque = _NOTHING if size == 3 else found[3:6]
         return *scalars, found[:3], torque, *reported, found[size:]
 
-    @property
-    def weighed_at(self) -> Array:
-        """Configuration of the last `weigh` [rad], shape (n,): with it `weigh` gives the same."""
-        return self._gain.rows[0]
-
-    def smallest_singular_value(self) -> float:
-        """How much the joints feel of a newton in the direction they feel least [m].
-
-        Of the directions that the mode asks for (in the full mode a newton metre counts as a
-        newton), where the joints were weighed last.
-        """
-        return self._gain.weakest_m
-
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
@@ -350,4 +342,4 @@ class WrenchEstimator:
         holds, 0 where the mode has as many unknowns as there are joints. The residual is that
         without offset.
         """
-        return max(float(residual.dot(self._gain.unexplained).dot(residual)), 0.0)
+        return max(float(residual.dot(self.gain.unexplained).dot(residual)), 0.0)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
 from math import pi
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -90,15 +89,11 @@ _SINGLE = (
 )  # fmt: skip
 _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
 
-CHANNELS: Mapping[str, Channel] = MappingProxyType(
-    {
-        name: Channel(
-            name, key, MappingProxyType(units), rows is _JOINTS, tuple(spellings.split()), meaning
-        )
-        for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
-        for name, key, units, spellings, meaning in rows
-    }
-)
+CHANNELS = {
+    name: Channel(name, key, units, rows is _JOINTS, tuple(spellings.split()), meaning)
+    for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
+    for name, key, units, spellings, meaning in rows
+}
 """Every channel by the name that mappings use."""
 
 
