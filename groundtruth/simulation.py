@@ -161,10 +161,9 @@ def _sense(
 
 
 def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
-    of_tissue = {item.name for item in fields(TissueTruth)}
     found: dict[str, Any] = {"t_s": time[kept]}
     for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        value = getattr(tissue if name in of_tissue else trace, name)
+        value = getattr(tissue if hasattr(tissue, name) else trace, name)
         found[name] = value[kept] if isinstance(value, np.ndarray) else value
     return Truth(**found)
 
