@@ -35,7 +35,7 @@ _LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
-_RISE_S = 60.0
+_RISE_S = 8.0
 """Means of a moving needle lie off a line by its motion as well: their least scatter counts, and
 what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
 _LEAST_BIAS = 1.5
