@@ -122,12 +122,6 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
             )
 
 
-def motion_along(path: InsertionPath, travel_m: Array, speed_m_s: Array) -> JointMotion:
-    """Follow a path q(s) with travel s and its rate at each tick: q(s(t)) and dq/ds ds/dt."""
-    slope = path.spline(travel_m, nu=1)
-    return JointMotion(q_rad=path.spline(travel_m), dq_rad_s=slope * speed_m_s[:, None])
-
-
 def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     """Move all joints at once about a posture in free air, by slow sines from rest to rest.
 
@@ -164,7 +158,7 @@ def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
 
 
 def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
-    """Sample a scenario's motion at the controller's ticks.
+    """Sample a scenario's motion at the controller's ticks: q(s(t)) and dq/ds ds/dt, travel s.
 
     A scenario without layers keeps its tare stroke; a motion of all joints then takes the place
     of the insertion.
@@ -172,11 +166,11 @@ def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
     motion = scenario.motion
     end_s = motion.duration_s if scenario.layers else motion.tare_end_s
     time = np.arange(round(end_s / TICK_s) + 1, dtype=np.float64) * TICK_s
-    along = motion_along(path, motion.position_m(time) - motion.start_m, motion.speed_m_s(time))
-    if scenario.layers:
-        return along
-    free = joint_excitation(along.q_rad[-1], FREE_MOTION_s)
-    return JointMotion(
-        q_rad=np.concatenate([along.q_rad, free.q_rad[1:]]),
-        dq_rad_s=np.concatenate([along.dq_rad_s, free.dq_rad_s[1:]]),
-    )
+    travel_m = motion.position_m(time) - motion.start_m
+    q_rad = path.spline(travel_m)
+    dq_rad_s = path.spline(travel_m, nu=1) * motion.speed_m_s(time)[:, None]
+    if not scenario.layers:
+        free = joint_excitation(q_rad[-1], FREE_MOTION_s)
+        q_rad = np.concatenate([q_rad, free.q_rad[1:]])
+        dq_rad_s = np.concatenate([dq_rad_s, free.dq_rad_s[1:]])
+    return JointMotion(q_rad=q_rad, dq_rad_s=dq_rad_s)

@@ -4,12 +4,11 @@ And the checks of numbers that raise them.
 """
 
 import math
-from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 class GroundTruthError(Exception):

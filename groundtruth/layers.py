@@ -232,8 +232,6 @@ class Interface:
     def held(self, deepest_m: float) -> float:
         """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""
         held = 1.0 - self.released(deepest_m)
-        if self.kept_fraction == 0.0:
-            return held
         kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
         return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
 
@@ -242,12 +240,7 @@ class Interface:
 
         A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of `release_m`.
         """
-        travelled = deepest_m - self.onset_m
-        if travelled <= 0.0:
-            return 0.0
-        if travelled >= self.release_m:
-            return 1.0
-        rest = 1.0 - travelled / self.release_m
+        rest = 1.0 - min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
         return 1.0 - rest * rest
 
 

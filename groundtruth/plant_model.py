@@ -10,9 +10,8 @@ joint's effort limit, 176 to 38 Nm.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from groundtruth.errors import PlantModelError
+from groundtruth.errors import Array, PlantModelError
 from groundtruth.force_noise import MINI45
 
 TICK_s = 1e-3  # period of controller and sensors
@@ -133,7 +132,7 @@ class PlantModel:
 
 def drawn_factors(
     plant_model: PlantModel, shape: tuple[int, ...], rng: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Array:
     """Factors on stated sizes, equal chance per octave within the plant model's `size_spread`."""
     if plant_model.size_spread == 1.0:  # keeps what is drawn afterwards
         return np.ones(shape)

@@ -16,12 +16,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pinocchio as pin
 import scipy.linalg
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
 from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
-from groundtruth.errors import PlantError
+from groundtruth.errors import Array, PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m
 from groundtruth.scenarios import Scenario
@@ -38,7 +38,6 @@ from groundtruth.tissue import Tissue, TissueForce
 from groundtruth.tissue_truth import TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
-Array = NDArray[np.float64]
 Servo = Literal["stiff", "impedance"]
 
 JOINT_STIFFNESS_Nm = 2000.0

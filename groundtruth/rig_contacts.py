@@ -14,16 +14,15 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from groundtruth.errors import PlantError, require_non_negative, require_positive
+from groundtruth.errors import Array, PlantError, require_non_negative, require_positive
 
 try:
     import mujoco
 except ModuleNotFoundError:  # The laws do not need it.
     mujoco = None
 
-Array = NDArray[np.float64]
 Vector3 = tuple[float, float, float]
 NO_FORCE: Vector3 = (0.0, 0.0, 0.0)
 

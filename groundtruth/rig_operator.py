@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from groundtruth.errors import PlantError, require_non_negative, require_positive
+from groundtruth.errors import Array, PlantError, require_non_negative, require_positive
 from groundtruth.plant_model import TICK_s
-
-Array = NDArray[np.float64]
 
 
 class MasterSample(NamedTuple):

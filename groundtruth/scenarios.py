@@ -6,9 +6,8 @@ show, with room on both sides, so that nothing can be tuned to a dozen curves.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -90,11 +89,6 @@ class Scenario:
         """Fresh, uncut tissue."""
         return Tissue(self.layers)
 
-    @property
-    def thickness_m(self) -> float:
-        """All layers together."""
-        return sum(layer.thickness_m for layer in self.layers)
-
 
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
@@ -129,51 +123,40 @@ def _sinusoidal(name: str, title: str, layers: tuple[Layer, ...], stroke_m: floa
     )
 
 
-def _gels_and_stacks() -> list[Scenario]:
-    found: list[Scenario] = []
+def _catalogue() -> Iterator[Scenario]:
     for percent in (25, 50, 70):
         name, title, layers = f"gel-{percent}", f"one {percent} % isinglass gel", (gel(percent),)
-        found.append(_constant(name, title, layers, TABLE_I_SPEED_M_S))
-        found.append(_sinusoidal(name, title, layers, GEL_STROKE_M))
+        yield _constant(name, title, layers, TABLE_I_SPEED_M_S)
+        yield _sinusoidal(name, title, layers, GEL_STROKE_M)
     bare = (gel(25), gel(50), gel(70))
     gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
     glove = "three gels, latex glove around the middle one"
-    return [
-        *found,
-        # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
-        _constant("stack", "three gels", bare, TABLE_I_SPEED_M_S),
-        _sinusoidal("stack", "three gels", bare, STACK_STROKE_M),
-        _constant("stack-glove", glove, gloved, GLOVE_SPEED_M_S),
-        _sinusoidal("stack-glove", glove, gloved, STACK_STROKE_M),
-    ]
-
-
-def _organs_and_air() -> list[Scenario]:
-    return [
-        _constant("liver", "bovine liver, capsule first", (BOVINE_LIVER,), TABLE_I_SPEED_M_S),
-        Scenario(
-            id="abdomen-sinusoidal",
-            title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-            layers=ABDOMEN,
-            motion=sinusoidal_motion(
-                stroke_m=ABDOMEN_STROKE_M,
-                frequency_hz=ABDOMEN_FREQUENCY_HZ,
-                standoff_m=ABDOMEN_STANDOFF_M,
-            ),
+    # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
+    yield _constant("stack", "three gels", bare, TABLE_I_SPEED_M_S)
+    yield _sinusoidal("stack", "three gels", bare, STACK_STROKE_M)
+    yield _constant("stack-glove", glove, gloved, GLOVE_SPEED_M_S)
+    yield _sinusoidal("stack-glove", glove, gloved, STACK_STROKE_M)
+    yield _constant("liver", "bovine liver, capsule first", (BOVINE_LIVER,), TABLE_I_SPEED_M_S)
+    yield Scenario(
+        id="abdomen-sinusoidal",
+        title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
+        layers=ABDOMEN,
+        motion=sinusoidal_motion(
+            stroke_m=ABDOMEN_STROKE_M,
+            frequency_hz=ABDOMEN_FREQUENCY_HZ,
+            standoff_m=ABDOMEN_STANDOFF_M,
         ),
-        Scenario(
-            id="free-motion",
-            title="no tissue",
-            layers=(),
-            # A sinusoid of 0.05 Hz that turns 20 mm above the surface.
-            motion=protocol(20e-3 + 120e-3, [("cosine", 10.0, 120e-3)]),
-        ),
-    ]
+    )
+    yield Scenario(
+        id="free-motion",
+        title="no tissue",
+        layers=(),
+        # A sinusoid of 0.05 Hz that turns 20 mm above the surface.
+        motion=protocol(20e-3 + 120e-3, [("cosine", 10.0, 120e-3)]),
+    )
 
 
-SCENARIOS: Mapping[str, Scenario] = MappingProxyType(
-    {item.id: item for item in (*_gels_and_stacks(), *_organs_and_air())}
-)
+SCENARIOS = {item.id: item for item in _catalogue()}
 """Every catalogued scenario under its permanent name."""
 
 RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law

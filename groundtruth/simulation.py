@@ -20,12 +20,12 @@ from groundtruth.force_noise import MINI45, ForceNoise
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.tissue_truth import TissueTruth, collect_truth, freeze
+from groundtruth.tissue_truth import ReadOnlyArrays, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Signals:
+class Signals(ReadOnlyArrays):
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
     A row of torques is held from its sample to the next tick (torque alignment ``hold``); at rest
@@ -38,10 +38,6 @@ class Signals:
     dq_rad_s: Array | None  # None where the interface reports none
     tau_Nm: Array  # of the joints, on the link side
     ft_wrench: Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        freeze(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -165,17 +161,16 @@ def _sense(
 
 
 def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
-    of_tissue = {item.name for item in fields(TissueTruth)}
     found: dict[str, Any] = {"t_s": time[kept]}
     for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        value = getattr(tissue if name in of_tissue else trace, name)
+        value = getattr(tissue if hasattr(tissue, name) else trace, name)
         found[name] = value[kept] if isinstance(value, np.ndarray) else value
     return Truth(**found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NeedleRun:
-    """Signals and truth of one needle-only insertion; arrays are read-only, shape (n,)."""
+class NeedleRun(ReadOnlyArrays):
+    """Signals and truth of one needle-only insertion; arrays of shape (n,)."""
 
     scenario: Scenario
     seed: int  # of the sensor noise
@@ -185,10 +180,6 @@ class NeedleRun:
     force_N: Array  # reading of the sensor, zeroed at the end of the tare stroke
     tare_end_s: float  # contact has not happened before; all that a user knows of it
     truth: TissueTruth
-
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        freeze(self)
 
 
 def insert_needle(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,18 @@ from numpy.typing import NDArray
 from groundtruth.errors import Array
 from groundtruth.layers import Interface
 from groundtruth.tissue import Tissue, TissueForce
+
+
+class ReadOnlyArrays:
+    """A frozen dataclass whose arrays are read-only."""
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        for item in fields(cast(Any, self)):
+            value = getattr(self, item.name)
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,8 +45,8 @@ class Rupture:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class TissueTruth:
-    """The ground truth of the tissue at n samples, see `TissueForce`; arrays are read-only."""
+class TissueTruth(ReadOnlyArrays):
+    """The ground truth of the tissue at n samples, see `TissueForce`."""
 
     axial_N: Array  # shape (n,), positive when tissue pushes back, as the next two
     tip_N: Array
@@ -45,22 +57,10 @@ class TissueTruth:
     contact_s: float  # the tip first touches the undeformed surface; nan if it never does
     withdrawn_s: float  # it leaves that surface in withdrawal; nan if it does not
 
-    def __post_init__(self) -> None:
-        """Make the arrays read-only."""
-        freeze(self)
-
     @property
     def rupture_s(self) -> Array:
         """Onset of each rupture, shape (number of ruptures,)."""
         return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
-
-
-def freeze(result: Any) -> None:
-    """Make the arrays of a frozen dataclass read-only."""
-    for item in fields(result):
-        value = getattr(result, item.name)
-        if isinstance(value, np.ndarray):
-            value.setflags(write=False)
 
 
 def collect_truth(

@@ -5,9 +5,7 @@ in proportion to the embedded length, no texture, and half of its force in frict
 assumes the same. A variation changes one of these in every layer, and nothing else.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -66,33 +64,31 @@ class TissueVariation:
 
 # "Liver": 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett": needles in
 # tissue ex vivo (Barnett, Lee, Moore 2015): 61 % of the force tears, 18 spreads, 21 is friction.
-VARIATIONS: Mapping[str, TissueVariation] = MappingProxyType(
-    {
-        # Liver: 15 to 19 mN within 3 mm.
-        "texture-15mN": TissueVariation(texture_N=15e-3),
-        "texture-20mN": TissueVariation(texture_N=20e-3),
-        # Liver: falls of the force take 0.5 to 2 mm.
-        "release-1mm": TissueVariation(release_m=1e-3),
-        "release-2mm": TissueVariation(release_m=2e-3),
-        # Chosen: a channel that gives way the more the deeper the tip.
-        "concave": TissueVariation(tip_exponent=0.5),
-        # Okamura, Simone, O'Leary 2004: second-order spring of bovine liver.
-        "quadratic": TissueVariation(tip_exponent=2.0),
-        # Barnett: 61 of 61 + 18 % of the tip force are cutting.
-        "plateau": TissueVariation(cutting_fraction=0.77),
-        # Liver: 2.5 falls inside one organ. That force stays, and how much, is chosen.
-        "kept-30": TissueVariation(kept_fraction=0.3),
-        "kept-60": TissueVariation(kept_fraction=0.6),
-        # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm: friction
-        # with length^0.7, where the insertion force grows with the length.
-        "length-0.6": TissueVariation(length_exponent=0.6),
-        # Table I: from 2.3 to 3 mm/s the gels' friction rises by 7 to 12 %: speed^0.25 to ^0.43.
-        "speed-0.3": TissueVariation(speed_exponent=0.3),
-        # Barnett: 21 %. Liver: 65 to 95 %.
-        "friction-20": TissueVariation(friction_fraction=0.2),
-        "friction-75": TissueVariation(friction_fraction=0.75),
-    }
-)
+VARIATIONS = {
+    # Liver: 15 to 19 mN within 3 mm.
+    "texture-15mN": TissueVariation(texture_N=15e-3),
+    "texture-20mN": TissueVariation(texture_N=20e-3),
+    # Liver: falls of the force take 0.5 to 2 mm.
+    "release-1mm": TissueVariation(release_m=1e-3),
+    "release-2mm": TissueVariation(release_m=2e-3),
+    # Chosen: a channel that gives way the more the deeper the tip.
+    "concave": TissueVariation(tip_exponent=0.5),
+    # Okamura, Simone, O'Leary 2004: second-order spring of bovine liver.
+    "quadratic": TissueVariation(tip_exponent=2.0),
+    # Barnett: 61 of 61 + 18 % of the tip force are cutting.
+    "plateau": TissueVariation(cutting_fraction=0.77),
+    # Liver: 2.5 falls inside one organ. That force stays, and how much, is chosen.
+    "kept-30": TissueVariation(kept_fraction=0.3),
+    "kept-60": TissueVariation(kept_fraction=0.6),
+    # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm: friction
+    # with length^0.7, where the insertion force grows with the length.
+    "length-0.6": TissueVariation(length_exponent=0.6),
+    # Table I: from 2.3 to 3 mm/s the gels' friction rises by 7 to 12 %: speed^0.25 to ^0.43.
+    "speed-0.3": TissueVariation(speed_exponent=0.3),
+    # Barnett: 21 %. Liver: 65 to 95 %.
+    "friction-20": TissueVariation(friction_fraction=0.2),
+    "friction-75": TissueVariation(friction_fraction=0.75),
+}
 """One change at a time, by name."""
 
 

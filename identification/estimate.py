@@ -181,8 +181,8 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
     return layers[-1].layer if layers else 0
 
 
-Sample = tuple[float, float, float, float, float, float, float, float]
+Sample = tuple[float, float, float, float, float, float, float, float, float]
 """A checked sample as a method gets it; every number is finite: time on the caller's clock, see
 `Identifier.update`; interval since the previous sample that was used, positive; depth, jumps
 removed; its rate; standard deviations of the noise of both; axial force; the standard deviation of
-its slow error."""
+its slow error; the depth before it was filtered."""

@@ -112,7 +112,7 @@ class Identifier:
         if not method.takes_filtered_travel:
             motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
         std = float(force_std_N) if 0.0 <= force_std_N < math.inf else 0.0
-        found = method.update((time_s, elapsed_s, *motion, force_N, std))
+        found = method.update((time_s, elapsed_s, *motion, force_N, std, place_m))
         estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
         if found[_EVENTS:] != _NO_EVENTS:
             shift_m = float(self._samples[samples.SHIFT])

@@ -87,7 +87,7 @@ class PublishedMethod:
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
-        _, dt_s, depth_m, speed_m_s, _, _, force_N, _ = sample
+        _, dt_s, depth_m, speed_m_s, _, _, force_N, *_ = sample
         is_all, memory, outputs = update_published(
             depth_m, speed_m_s, force_N, dt_s, self._memory, self._coefficients
         )

@@ -117,7 +117,9 @@ def _counted(
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 
-def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
+def may_be_braking(
+    bank: Bank, evaluation: Evaluation, place: Place, at: tuple[float, float, float]
+) -> bool:
     """Whether a needle that slows down could make the fall of the force as well.
 
     The speed is known late, and friction falls with it at once: a fall that is small beside the
@@ -126,11 +128,11 @@ def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place) -> bool:
     record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
-    if place.time_s < record[law.RUPTURE_S] + _SPEED_LAG_S:
-        return fall < _EARLY_FALL * force
-    speed, since_s = place.speed, place.time_s - float(record[law.RUPTURE_S])
-    if since_s < _RECENT_S:
-        speed = min(speed, (place.depth - float(record[law.RUPTURE_MM])) / since_s)
+    speed, since_s = place.speed, at[0] - float(record[law.RUPTURE_S])
+    if since_s < _SPEED_LAG_S and fall < _EARLY_FALL * force:
+        return True
+    if since_s < _RECENT_S:  # a filtered depth is as late as its speed
+        speed = min(speed, (_MM * at[2] - float(record[law.RUPTURE_MM])) / max(since_s, 1e-3))
     slowed = 1.0 - speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
     most = (_SLOWED_FAR if fall > _LARGE_FALL * force else _SLOWED) * slowed * force
     return slowed > _LEAST_SLOWED and fall < most

@@ -38,6 +38,8 @@ _HELD_DRIFT = 0.05
 """Relative change of cutting force, per square root of a mm."""
 _RESUMED_MM = 0.6
 """Travel over which friction is as it was before a rest: twice that of presliding."""
+_SETTLED = 0.1
+"""Of a rest or reversal is left in the friction when that counts as back."""
 _GAP_S = 0.25
 """A longer block is a gap: what it says is not used."""
 _USUAL_S, _USUAL_MM = 10.0, 3.0
@@ -142,7 +144,7 @@ class SwitchingMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
@@ -175,7 +177,7 @@ class SwitchingMethod:
         else:
             if self._state.stage == _PRUNE:
                 self._bank.prune(self._state.place)
-            at = (sample[0], sample[2])
+            at = (sample[0], sample[2], sample[8])
             self._state = report(self._state, self._bank, at, self._config)
 
     def _absorb(self, sample: Sample) -> None:
@@ -299,11 +301,14 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
 
 
 def report(
-    state: SwitchingState, memory: BankMemory, at: tuple[float, float], config: MultilayerConfig
+    state: SwitchingState,
+    memory: BankMemory,
+    at: tuple[float, float, float],
+    config: MultilayerConfig,
 ) -> SwitchingState:
     """Raise or take back an alarm, report the layer left, answer for the next samples.
 
-    `at` is the time and the depth of the sample.
+    `at` is the time and the depth of the sample, and the depth before it was filtered.
     """
     bank, place = memory.bank, state.place
     evaluation = reports.count_ruptures(bank, state.ruptures, place.noise)
@@ -312,10 +317,12 @@ def report(
         now = RuptureState.FORCE_DROP_MEASURING
     state = state._replace(stage=_NOTHING, rupture_state=now)
     is_likely = evaluation.more > config.alarm_probability
-    # A needle that does not advance ruptures nothing: what fell before is said when it goes on.
-    is_advancing = state.course.resumed < 1.0
-    if is_likely and is_advancing and not reports.may_be_braking(bank, evaluation, place):
-        state = _raise_alarm(state, bank, at, evaluation)
+    if (
+        is_likely
+        and _is_settled(state.course, bank, evaluation.pick, place)
+        and not reports.may_be_braking(bank, evaluation, place, at)
+    ):
+        state = _raise_alarm(state, bank, at[:2], evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
         state = _take_back(state, state.alarm, evaluation)
     elif state.alarm is not None:
@@ -323,6 +330,17 @@ def report(
     speed = 0.0 if state.alarm is None else _MM * state.alarm.speed_m_s
     ruptures = layers_traversed(state.layers) + state.is_open
     return state._replace(answer=reports.answer_at(memory, place, ruptures, speed))
+
+
+def _is_settled(course: Course, bank: Bank, pick: int, place: Place) -> bool:
+    """Whether the needle advances, and if the rupture was before a stop, far enough since.
+
+    A needle that does not advance ruptures nothing, and one that stopped lets the force fall: once
+    friction is back the force itself says what fell.
+    """
+    since_mm = place.depth - float(bank.records[pick, law.RUPTURE_MM])
+    resumed_mm = -_RESUMED_MM * math.log(max(course.resumed, 1e-9))
+    return resumed_mm > 0.0 and (since_mm < resumed_mm or course.resumed < _SETTLED)
 
 
 def _raise_alarm(

@@ -8,13 +8,7 @@ measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` an
 
 from residual.bias_model import BiasPrior
 from residual.config import DEFAULT, PUBLISHED, SensorConfig
-from residual.errors import (
-    ConfigurationError,
-    ResidualError,
-    SampleError,
-    SnapshotError,
-    TareError,
-)
+from residual.errors import ConfigurationError, ResidualError, SampleError, SnapshotError, TareError
 from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.momentum_observer import (
     FrictionModel,

@@ -6,12 +6,11 @@ from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.config import SensorConfig
-from residual.errors import TareError
+from residual.errors import Array, TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
 from residual.joint_states import follow_joints
@@ -19,7 +18,6 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-Array = NDArray[np.float64]
 MOST_TORQUES = 1000
 """As many samples are kept between two renewals at most; then their sum is."""
 MOST_BLOCKS = 400
@@ -51,11 +49,6 @@ class TareRecorder:
     def of_size(cls, joints: int, states: int) -> Self:
         """Nothing recorded yet."""
         return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing has been recorded."""
-        return not (len(self.sums) or self.open[0].any())
 
     def add(self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float) -> None:
         """Add position [rad], joint states and residual [Nm] a time after the last ones."""
@@ -162,7 +155,8 @@ class BiasEstimator:
     @property
     def is_fresh(self) -> bool:
         """Whether neither tare nor recorded motion is of any use now."""
-        return not self.memory.tared and self.memory.recorder.is_empty
+        recorder = self.memory.recorder
+        return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.

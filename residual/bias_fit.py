@@ -9,11 +9,10 @@ air it is so like friction that either would take half of the other.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from residual.bias_model import BiasModel, Tare, TareBlocks
+from residual.errors import Array
 
-Array = NDArray[np.float64]
 LEARNT = ("links", "friction", "drift")
 """Groups of columns whose size is learnt, and the random walk; offset and ripple are seen
 directly."""

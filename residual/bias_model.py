@@ -16,11 +16,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, compiled
-from residual.errors import ConfigurationError
+from residual.errors import Array, ConfigurationError
 from residual.input_validation import known_limits
 from urdf import Robot
 
-Array = NDArray[np.float64]
 TareKind = Literal["constant", "model"]
 """``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of a small
 error of every link's mass and first moments, of the sensors' hysteresis and of their drift."""
@@ -232,8 +231,7 @@ class BiasModel:
     def prior_tare(self) -> Tare:
         """What is known before any free motion was seen: no offset, the prior's covariance."""
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
-        walk_Nm2_per_s = self.walk_Nm2_per_s()
-        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, walk_Nm2_per_s)
+        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, self.walk_Nm2_per_s())
 
     def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
         """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""

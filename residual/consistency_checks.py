@@ -14,12 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
-from residual.errors import VelocityError
+from residual.errors import Array, VelocityError
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 TRAVEL_S = 1.0
 """Travel fades with this time constant: shorter makes slow strokes short, longer adds up bias."""
@@ -93,8 +91,7 @@ class VelocityMatch(NamedTuple):
     beyond: Array
     # Sums of products of dq's travel, q's, and the change of q's, two and two; shape (n, 3, 3)
     moments: Array
-    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s], shape (n,
-    # n)
+    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s]; (n, n)
     squares: Array
     products: Array  # Row i, column j: product of that travel with dq's of joint i, shape (n, n)
 
@@ -271,7 +268,7 @@ class ConsistencyMonitor:
         at_limit = tuple(np.flatnonzero(outside).tolist()) if outside.any() else ()
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
-        if self._wrench.smallest_singular_value() < LEAST_SINGULAR_VALUE:
+        if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
         widening, last = self.state.widening, self.state.mismatch_squared
         now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0

@@ -2,8 +2,13 @@
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 if TYPE_CHECKING:
     from residual.estimate import SensorWarning
+
+Array = NDArray[np.float64]
 
 
 class ResidualError(Exception):

@@ -107,18 +107,9 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
     unknown = np.diag(np.full(components, UNSEEN_STD**2))
     for array in (nothing, residual, removed, unknown):
         array.setflags(write=False)
-    return WrenchEstimate(
-        0.0,
-        UNSEEN_STD,
-        0.0,
-        UNSEEN_STD,
-        nothing,
-        nothing,
-        unknown,
-        MOST_CONDITIONING,
-        removed,
-        residual,
-    )
+    axial = lateral = 0.0, UNSEEN_STD
+    vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, residual
+    return WrenchEstimate(*axial, *lateral, *vectors)
 
 
 INITIALIZING = "the filters have just started"

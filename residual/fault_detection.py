@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
-from residual.errors import SuspectSampleError
+from residual.errors import Array, SuspectSampleError
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
@@ -26,7 +26,6 @@ from residual.stuck_signals import (
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-Array = NDArray[np.float64]
 SIGMAS = 12.0
 """A jump within this many standard deviations of the signal's noise is noise."""
 TORQUE_RATIO = 0.02

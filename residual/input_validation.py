@@ -9,9 +9,8 @@ import sys
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from residual.errors import ConfigurationError, SampleError
+from residual.errors import Array, ConfigurationError, SampleError
 
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
@@ -75,11 +74,12 @@ def _is_real(value: object) -> bool:
     return isinstance(value, numbers.Real) and not isinstance(value, bool | np.timedelta64)
 
 
-def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
+def check_joint_vector(name: str, value: object, joints: int) -> Array:
     """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
 
     Raises:
-        SampleError: If the shape is wrong, or these are no real numbers; they may be any others.
+        SampleError: If the shape is wrong, or these are no real numbers, finite and not beyond
+            `MOST_PLAUSIBLE`.
     """
     try:
         array = _real(value)
@@ -89,12 +89,6 @@ def read_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float
         raise SampleError(
             f"{name} has shape {array.shape}, expected ({joints},): one number per joint"
         )
-    return array
-
-
-def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.float64]:
-    """As `read_joint_vector`; also refuses what is not finite or beyond `MOST_PLAUSIBLE`."""
-    array = read_joint_vector(name, value, joints)
     # Almost every sample ends here: one number shows that all are finite and small.
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
         return array
@@ -108,7 +102,7 @@ def check_joint_vector(name: str, value: object, joints: int) -> NDArray[np.floa
     return array
 
 
-def _real(value: Any) -> NDArray[np.float64]:
+def _real(value: Any) -> Array:
     """As floats; a TypeError for text, truth values, dates, and complex or masked numbers."""
     array = np.asanyarray(value)
     if array.dtype is FLOAT64 and type(array) is np.ndarray:
@@ -136,9 +130,7 @@ def all_fit(values: tuple[object, ...], joints: int) -> bool:
     return True
 
 
-def read_rows(
-    names: tuple[str, ...], values: tuple[object, ...], joints: int
-) -> NDArray[np.float64]:
+def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -> Array:
     """Read k named signals into a read-only copy of shape (k, joints), of any numbers.
 
     Raises:
@@ -153,7 +145,7 @@ def read_rows(
     return rows
 
 
-def check_rows(names: tuple[str, ...], rows: NDArray[np.float64]) -> None:
+def check_rows(names: tuple[str, ...], rows: Array) -> None:
     """Refuse, as `check_joint_vector` does, numbers in what `read_rows` has read."""
     # One number stands for all; `hypot` does not overflow, and a NaN fails.
     if not math.hypot(*rows.ravel().tolist()) < MOST_PLAUSIBLE:
@@ -189,7 +181,7 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
         raise ConfigurationError(f"{name} is {shown(value)}, expected one of {list(choices)}")
 
 
-def vector_of_three(name: str, value: object) -> NDArray[np.float64]:
+def vector_of_three(name: str, value: object) -> Array:
     """A setting of three finite numbers, shape (3,)."""
     try:
         given = _real(value)
@@ -242,7 +234,7 @@ LEAST_LIMIT = 1e-6
 """No motor is weaker [Nm, N]; what is expected in fractions of it would vanish."""
 
 
-def known_limits(limits: NDArray[np.float64], instead: float) -> NDArray[np.float64]:
+def known_limits(limits: Array, instead: float) -> Array:
     """Effort limits of a description, shape (n,), with another number where it gives none.
 
     Files write 0, Pinocchio infinity or the largest float for "unknown".

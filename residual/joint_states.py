@@ -7,11 +7,10 @@ sensor: its friction reads as an external torque against the motion, and it stay
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
+from residual.errors import Array
 
-Array = NDArray[np.float64]
 TORQUE_LAG_S, POSITION_LAG_S = 0.05, 0.01
 """Lags of the torque and the position that are followed [s]. The residual is 14 ms late: states
 that are much later than it turn round too late in each stroke, and hysteresis and friction are

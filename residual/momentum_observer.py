@@ -11,10 +11,10 @@ from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
-from residual.errors import ConfigurationError
+from residual.errors import Array, ConfigurationError
 from residual.input_validation import (
     MOST_PLAUSIBLE,
     all_fit,
@@ -27,7 +27,6 @@ from residual.input_validation import (
 )
 from urdf import Robot
 
-Array = NDArray[np.float64]
 Alignment = Literal["hold", "trapezoid"]
 """How torque fills a tick: ``hold``, the torque of the earlier sample acts until the next one
 (a commanded torque); ``trapezoid``, the mean of both samples (a sampled sensor)."""
@@ -135,7 +134,7 @@ _MOST_EXPONENT = 700.0
 class FrictionModel(Protocol):
     """Anything that gives the friction torque of every joint at a velocity."""
 
-    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+    def torque(self, dq: Array) -> Array:
         """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
         ...
 
@@ -176,9 +175,9 @@ class JointFriction:
             coefficient is negative, or the reversal speed is not positive.
     """
 
-    viscous_Nms: NDArray[np.float64]
-    coulomb_Nm: NDArray[np.float64]
-    offset_Nm: NDArray[np.float64]
+    viscous_Nms: Array
+    coulomb_Nm: Array
+    offset_Nm: Array
     reversal_speed_rad_s: float = 0.01
 
     def __post_init__(self) -> None:
@@ -187,7 +186,7 @@ class JointFriction:
             raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
         check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
 
-    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+    def torque(self, dq: Array) -> Array:
         """Friction torque opposing the motion [Nm], shape (n,)."""
         smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
         return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
@@ -209,20 +208,20 @@ class SigmoidFriction:
         ConfigurationError: If lengths differ or a number is not finite.
     """
 
-    amplitude_Nm: NDArray[np.float64]
-    slope_s_rad: NDArray[np.float64]
-    shift_rad_s: NDArray[np.float64]
-    _level_at_rest: NDArray[np.float64] = field(init=False, repr=False)
+    amplitude_Nm: Array
+    slope_s_rad: Array
+    shift_rad_s: Array
+    _level_at_rest: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
         object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
 
-    def torque(self, dq: NDArray[np.float64]) -> NDArray[np.float64]:
+    def torque(self, dq: Array) -> Array:
         """Friction torque opposing the motion [Nm], shape (n,)."""
         return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
 
-    def _sigmoid(self, speed: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _sigmoid(self, speed: Array) -> Array:
         """The sigmoid, 0 to 1."""
         exponent = -self.slope_s_rad * speed
         return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))

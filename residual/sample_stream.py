@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residual.config import SensorConfig
-from residual.errors import SampleError
+from residual.errors import Array, SampleError
 from residual.fault_detection import FaultDetector, GuardState
 from residual.input_validation import ROUNDING_S, check_rows, read_rows
 from residual.momentum_observer import MomentumObserver, MomentumState
@@ -17,7 +17,6 @@ from residual.tool_kinematics import ToolKinematics
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
-Array = NDArray[np.float64]
 COARSE = 2.0
 """Times the white noise of positions: steps of an encoder last longer than a sample."""
 SETTLING_LAGS = 5.0
@@ -40,11 +39,9 @@ class TorqueSample(NamedTuple):
 class StreamState:
     """All that a stream remembers."""
 
-    # Of the velocity estimator; None where the robot sends velocities
-    velocity: VelocityState | None
+    velocity: VelocityState | None  # Of the velocity estimator; None where velocities are measured
     guard: GuardState | None  # Of the fault detector; None where there is none
-    # Of the momentum observer; None in a stream of external torques
-    observer: MomentumState | None
+    observer: MomentumState | None  # Of the momentum observer; None for external torques
     probe: NoiseProbe | None  # Of the noise to smooth; None once it is known, and without smoothing
     age_s: float = 0.0  # Time since the filters started [s]
     missed_s: float = 0.0  # Time that the observer has not seen yet [s]

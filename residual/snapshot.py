@@ -1,21 +1,20 @@
-"""What a snapshot needs: copies of state trees, their form, and to which sensor they belong."""
+"""What a snapshot needs: the form of state trees, and to which sensor they belong."""
 
 import hashlib
 import math
 from collections.abc import Iterator
+from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from types import UnionType
-from typing import Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from residual.errors import SnapshotError
+from residual.errors import Array, SnapshotError
 from urdf import Robot
 
-Array = NDArray[np.float64]
-Tree = TypeVar("Tree")
 GROWING = "recorder.sums"
 """End of the place of the array whose first dimension counts what was gathered so far."""
 LIKE = {
@@ -32,17 +31,6 @@ def _names(node: object) -> tuple[str, ...]:
     if is_dataclass(node):
         return tuple(field.name for field in fields(node))
     return getattr(type(node), "_fields", ())
-
-
-def copied(tree: Tree) -> Tree:
-    """A copy of a tree of named tuples and data classes; its arrays are its own, to be written."""
-    node: Any = tree
-    if isinstance(node, np.ndarray):
-        # The order of numbers in memory decides the order of sums, and that their last bit.
-        return node.copy(order="K")  # type: ignore[return-value]
-    if names := _names(node):
-        return type(node)(**{name: copied(getattr(node, name)) for name in names})
-    return tree
 
 
 ENDLESS = "alone.limit_s"
@@ -161,7 +149,7 @@ def try_out(twin: Any, state: Any) -> None:
         still = np.zeros(len(state.weighed_at))
         _run(twin, state, still, still, still)
         check_form(state, twin.snapshot())
-        twin._take(copied(state))
+        twin._take(deepcopy(state))
         _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2])
     except Exception as error:  # whatever a damaged state makes of its parts
         raise SnapshotError(f"the snapshot is damaged: {error}") from error

@@ -14,9 +14,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
-Array = NDArray[np.float64]
 ORDER = 3
 """Of the differences: a smooth motion has almost none over three ticks."""
 LEAST_S, LEAST_REPEATS = 0.02, 8

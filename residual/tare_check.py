@@ -8,12 +8,11 @@ from scipy.optimize import linear_sum_assignment
 
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, TareBlocks
-from residual.errors import TareError
+from residual.errors import Array, TareError
 
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
 
-Array = NDArray[np.float64]
 SIGMAS = 5.0
 """A force must exceed this many standard deviations to count as contact."""
 INTERVALS = 24

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from residual.errors import ConfigurationError
+from residual.errors import Array, ConfigurationError
 from residual.input_validation import vector_of_three
 from urdf import Robot
 
@@ -53,7 +53,7 @@ class ToolKinematics:
         self.jacobian = np.zeros((6, robot.nv))
         self.pose = np.eye(4)
 
-    def update(self, q: NDArray[np.float64], computed: pin.Data | None = None) -> None:
+    def update(self, q: Array, computed: pin.Data | None = None) -> None:
         """Move to a configuration [rad], shape (n,).
 
         ``computed`` is a workspace in which joint placements and Jacobians of q stand already.
@@ -74,7 +74,7 @@ class ToolKinematics:
         self.jacobian, self.pose = jacobian, pose
 
     @property
-    def axial_jacobian(self) -> NDArray[np.float64]:
+    def axial_jacobian(self) -> Array:
         """Row of the Jacobian along the insertion axis [m], shape (n,).
 
         Times dq it is the speed of the needle, minus it the joint torque per newton of resistance.
@@ -84,22 +84,22 @@ class ToolKinematics:
         return self.axis_in_tool.dot(self.jacobian[:3])
 
     @property
-    def axis_in_base(self) -> NDArray[np.float64]:
+    def axis_in_base(self) -> Array:
         """Insertion direction in base axes, shape (3,)."""
         return self.rotation_tool_to_base.dot(self.axis_in_tool)
 
     @property
-    def rotation_tool_to_base(self) -> NDArray[np.float64]:
+    def rotation_tool_to_base(self) -> Array:
         """Axes of the frame in base axes, shape (3, 3)."""
         return self.pose[:3, :3]
 
     @property
-    def place_in_base_m(self) -> NDArray[np.float64]:
+    def place_in_base_m(self) -> Array:
         """Where the tip is, shape (3,)."""
         return self.pose[:3, 3]
 
 
-def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
+def unit_axis(axis: ArrayLike) -> Array:
     """An insertion axis of length one, shape (3,); refused unless finite and not all zero."""
     given = vector_of_three("insertion_axis", axis)
     if not given.any():
@@ -108,7 +108,7 @@ def unit_axis(axis: ArrayLike) -> NDArray[np.float64]:
     return given / np.linalg.norm(given)
 
 
-def check_offset(offset_m: ArrayLike) -> NDArray[np.float64]:
+def check_offset(offset_m: ArrayLike) -> Array:
     """Refuse a tip offset [m] that is not three numbers, or longer than any tool."""
     given = vector_of_three("tool_offset_m", offset_m)
     if np.abs(given).max() > MOST_OFFSET_M:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from residual.errors import Array
 from residual.input_validation import (
     ROUNDING_S,
     check_bandwidth,
@@ -23,7 +24,6 @@ from residual.input_validation import (
 )
 from residual.momentum_observer import Alignment
 
-Array = NDArray[np.float64]
 ROWS = 4
 """Rows of a step: output of the first lag, of the second, input at the start and at the end."""
 _NAMES = ("q", "tau")

@@ -1,17 +1,18 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
 from residual.consistency_checks import ConsistencyMonitor, MonitorState
-from residual.errors import SampleError, SnapshotError, SuspectSampleError, TareError
+from residual.errors import Array, SampleError, SnapshotError, SuspectSampleError, TareError
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
@@ -24,7 +25,7 @@ from residual.estimate import (
 )
 from residual.input_validation import SampleClock
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
-from residual.snapshot import copied, robot_digest, settings_text, try_out
+from residual.snapshot import robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
@@ -42,12 +43,10 @@ class SensorState(NamedTuple):
     is_external: bool  # Whether it is one of the robot's own external torques
     lag_s: float  # Of the stream that the last sample came by [s]
     offset: BiasState  # Of the offset removal
-    # Of the residual's error, as last renewed [Nm^2], shape (n, n)
-    torque_covariance: NDArray[np.float64]
-    weighed_at: NDArray[np.float64]  # Where the joints were weighed last [rad], shape (n,)
+    torque_covariance: Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
+    weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
-    # Force followed for the uncertainty that the lag adds [N], shape (3,)
-    followed_N: NDArray[np.float64]
+    followed_N: Array  # Force followed for the uncertainty that the lag adds [N], shape (3,)
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
     last: WrenchEstimate | None  # Last estimate; None before the first
@@ -94,7 +93,7 @@ class VirtualForceSensor:
         return self._offset.memory.tared
 
     @property
-    def velocity_rad_s(self) -> NDArray[np.float64]:
+    def velocity_rad_s(self) -> Array:
         """Joint velocity of the last sample used, given or estimated [rad/s], shape (n,)."""
         return self._offset.memory.dq
 
@@ -104,7 +103,7 @@ class VirtualForceSensor:
         return self._wrench.kinematics
 
     @property
-    def residual_std_Nm(self) -> NDArray[np.float64]:
+    def residual_std_Nm(self) -> Array:
         """Standard deviation of `WrenchEstimate.residual` per joint [Nm], shape (n,).
 
         Noise, what the tare left unknown here, drift since, and the torque of motion, which is
@@ -218,24 +217,25 @@ class VirtualForceSensor:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
         self._offset.sum_torques()
         stream = self._stream
-        state = SensorState(
-            robot=self._digest,
-            config=settings_text(self._config, self._robot.nv),
-            stream=None if stream is None else stream.memory,
-            is_external=stream is not None and stream.is_external,
-            lag_s=self.lag_s,
-            offset=self._offset.memory,
-            torque_covariance=self._wrench.torque_covariance,
-            weighed_at=self._wrench.weighed_at,
-            monitor=self._monitor.state,
-            followed_N=self._followed_N,
-            follows=self._follows,
-            unchecked_s=self._unchecked_s,
-            last=self._last,
-            missed_s=self._clock.missed_s,
-            rejected=self.rejected,
+        return deepcopy(
+            SensorState(
+                robot=self._digest,
+                config=settings_text(self._config, self._robot.nv),
+                stream=None if stream is None else stream.memory,
+                is_external=stream is not None and stream.is_external,
+                lag_s=self.lag_s,
+                offset=self._offset.memory,
+                torque_covariance=self._wrench.torque_covariance,
+                weighed_at=self._wrench.gain.rows[0],
+                monitor=self._monitor.state,
+                followed_N=self._followed_N,
+                follows=self._follows,
+                unchecked_s=self._unchecked_s,
+                last=self._last,
+                missed_s=self._clock.missed_s,
+                rejected=self.rejected,
+            )
         )
-        return copied(state)
 
     def restore(self, state: SensorState) -> None:
         """Go on, bit for bit, from where `snapshot` was taken.
@@ -257,7 +257,7 @@ class VirtualForceSensor:
                 f"the snapshot is of other settings: {state.config}, this sensor has {config}"
             )
         try_out(type(self)(self._robot, self._config), state)
-        self._take(copied(state))
+        self._take(deepcopy(state))
 
     def _take(self, state: SensorState) -> None:
         self.reset()
@@ -285,12 +285,7 @@ class VirtualForceSensor:
         )
 
     def _absorb(
-        self,
-        is_external: bool,
-        q: ArrayLike,
-        dq: ArrayLike | None,
-        torque: ArrayLike,
-        dt_s: float,
+        self, is_external: bool, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> WrenchEstimate:
         """One sample of either kind, or why it was rejected."""
         stream = self._stream

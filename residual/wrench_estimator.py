@@ -8,13 +8,12 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import ConfigurationError, SampleError
+from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
 from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-Array = NDArray[np.float64]
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}
 """Unknowns of every mode."""
 EXPECTED_TORQUE_NM = 10.0
@@ -39,7 +38,9 @@ class WrenchGain(NamedTuple):
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
-    weakest_m: float  # See `WrenchEstimator.smallest_singular_value`
+    # How much the joints feel of a newton in the direction they feel least, of those that the mode
+    # asks for [m]; in the full mode a newton metre counts as a newton
+    weakest_m: float
     unexplained: Array  # Makes `WrenchEstimator.mismatch_squared` of joint torque, shape (n, n)
 
 
@@ -208,6 +209,11 @@ class WrenchEstimator:
         config: Of it ``mode``, ``weighting`` (``none`` has no damping either),
             ``expected_force_N``, ``frame``, ``axes``, ``insertion_axis`` and ``tool_offset_m``.
 
+    Attributes:
+        kinematics: Pose and Jacobian of the tool.
+        gain: Of the last `weigh`.
+        torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
+
     Raises:
         urdf.UrdfError: For an unknown frame.
     """
@@ -228,7 +234,7 @@ class WrenchEstimator:
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:size]) ** -2.0
-        self._covariance = self._inverse = np.eye(robot.nv)
+        self.torque_covariance = self._inverse = np.eye(robot.nv)
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
@@ -240,9 +246,10 @@ class WrenchEstimator:
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
         """
-        if covariance_Nm2.shape != self._covariance.shape:
+        shape = self.torque_covariance.shape
+        if covariance_Nm2.shape != shape:
             raise ConfigurationError(
-                f"covariance has shape {covariance_Nm2.shape}, expected {self._covariance.shape}"
+                f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
         asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
         # Written so that a NaN is refused too.
@@ -252,12 +259,7 @@ class WrenchEstimator:
         least, inverse = inverse_of(covariance)
         if not least > 0.0:
             raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self._covariance, self._inverse = covariance, inverse
-
-    @property
-    def torque_covariance(self) -> Array:
-        """What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n), a copy."""
-        return self._covariance.copy()
+        self.torque_covariance, self._inverse = covariance, inverse
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -287,12 +289,12 @@ class WrenchEstimator:
         rows, inverse = directions.dot(jacobian), self._inverse
         precision = inverse if self._weighted else np.eye(self._joints)
         gain, covariance, conditioning, removed = weighted_inverse(
-            rows, self._covariance, precision, self._damping
+            rows, self.torque_covariance, precision, self._damping
         )
         variances = (covariance[0, 0], UNSEEN_STD**2)
         if len(directions) > 1:
             variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
-        self._gain = WrenchGain(
+        self.gain = WrenchGain(
             np.vstack((q, directions[:, :size].T.dot(gain))),
             np.append(axis, variances),
             (covariance, conditioning, removed),
@@ -315,13 +317,13 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        rows, axis, reported, _, _ = self._gain
+        rows, axis, reported, _, _ = self.gain
         size = len(rows) - 1
         found = np.empty(size + self._joints)
         scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
-            rows, axis, reported, _, _ = self._gain
+            rows, axis, reported, _, _ = self.gain
             scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
@@ -330,19 +332,6 @@ class WrenchEstimator:
         torque = _NOTHING if size == 3 else found[3:6]
         return *scalars, found[:3], torque, *reported, found[size:]
 
-    @property
-    def weighed_at(self) -> Array:
-        """Configuration of the last `weigh` [rad], shape (n,): with it `weigh` gives the same."""
-        return self._gain.rows[0]
-
-    def smallest_singular_value(self) -> float:
-        """How much the joints feel of a newton in the direction they feel least [m].
-
-        Of the directions that the mode asks for (in the full mode a newton metre counts as a
-        newton), where the joints were weighed last.
-        """
-        return self._gain.weakest_m
-
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
@@ -350,4 +339,4 @@ class WrenchEstimator:
         holds, 0 where the mode has as many unknowns as there are joints. The residual is that
         without offset.
         """
-        return max(float(residual.dot(self._gain.unexplained).dot(residual)), 0.0)
+        return max(float(residual.dot(self.gain.unexplained).dot(residual)), 0.0)

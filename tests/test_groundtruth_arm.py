@@ -11,7 +11,6 @@ from groundtruth.arm_motion import (
     LWR_POSTURE_rad,
     insertion_path,
     joint_excitation,
-    motion_along,
     needle_down,
     scenario_motion,
     scenario_path,
@@ -115,10 +114,9 @@ def test_a_line_that_the_arm_cannot_follow_is_refused():
 
 
 def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_rest_to_rest():
-    time = np.arange(2001) * TICK_s
-    path = insertion_path(ROBOT, START, (0.0, 0.06))
-    travel, speed = 0.03 * (1 - np.cos(np.pi * time)), 0.03 * np.pi * np.sin(np.pi * time)
-    for motion in (motion_along(path, travel, speed), joint_excitation(START, 12.0)):
+    gel = SCENARIOS["gel-25-constant"]
+    insertion = scenario_motion(scenario_path(ROBOT, gel), gel)
+    for motion in (insertion, joint_excitation(START, 12.0)):
         numeric = (motion.q_rad[2:] - motion.q_rad[:-2]) / (2.0 * TICK_s)
         np.testing.assert_allclose(motion.dq_rad_s[1:-1], numeric, atol=2e-6)
     motion = joint_excitation(START, 20.0)

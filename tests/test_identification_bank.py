@@ -160,7 +160,7 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
     ("since_s", "speed", "fall_N", "braking"),
     [
         (0.05, 2.3, 0.05, True),  # the speed may be late
-        (0.05, 2.3, 0.20, False),  # too much for any brake in this time
+        (0.05, 2.3, 0.20, False),  # too much for a speed that has not fallen
         (0.15, 2.3, 0.05, False),  # the needle has not slowed down
         (0.15, 1.9, 0.20, True),  # by 17 %: friction falls as far
         (0.15, 2.2, 0.20, False),  # by 4 %: it does not
@@ -174,8 +174,9 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, 
     bank.records[0, [RUPTURE_S, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 2.3, 1.0
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    assert may_be_braking(bank, evaluation, place) == braking
+    at = (10.0 + since_s, 0.050, 0.050)
+    assert may_be_braking(bank, evaluation, place, at) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
         bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
-        assert may_be_braking(bank, evaluation, place) == (since_s > 0.1)
+        assert may_be_braking(bank, evaluation, place, at)

@@ -1,5 +1,7 @@
 """The momentum residual: its exact step and the observer around it."""
 
+from copy import deepcopy
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,7 +17,6 @@ from residual import (
     VelocityEstimator,
 )
 from residual.momentum_observer import ROWS, set_step_weights
-from residual.snapshot import copied
 from residual.velocity_estimator import lag_pair_coefficients
 
 numbers = st.floats(-100.0, 100.0)
@@ -140,7 +141,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     one.smooth_momentum(np.full(7, 1e-3), q[0])
     for k in range(50):
         one.update(q[k], dq[k], tau[k], 1e-3)
-    other.restore(copied(one.memory))
+    other.restore(deepcopy(one.memory))
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
     handed_out = one.update(*sample)

@@ -1,11 +1,9 @@
 """Errors of the robot package, and the checks of array arguments that raise them."""
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Array: TypeAlias = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 
 class UrdfError(Exception):

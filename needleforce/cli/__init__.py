@@ -1,7 +1,8 @@
 """The command `needleforce`: a robot's joint signals to forces, forces to layers.
 
-Here stand the commands; `options` has what they take, `live_commands` those that watch an arm or
-show a scene. Whatever computes is imported when a command is run, so that `--help` answers at once.
+Here stand the commands of the chain, in `live_commands` those of the packages around it: an arm, a
+scene, demonstrations; `options` has what they take. Whatever computes is imported when a command is
+run, so that `--help` answers at once.
 
 Reading order: `options`, `terminal` (errors, signals, printing), `log` (a command's log, files and
 page), `robot` (the robot from options and TOML files), `force_replay` and `force`, `identify`,
@@ -11,7 +12,7 @@ page), `robot` (the robot from options and TOML files), `force_replay` and `forc
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter, UnusedCliTokensError
 
@@ -133,39 +134,3 @@ def report_command(
     if has_channels(log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")):
         return force.run(log, output, robot, sensor, columns, options)
     return identify.run(log, output, options, columns)
-
-
-@app.command(name="demo")
-def demo_command(
-    kind: Annotated[
-        Literal["guidance", "teleop", "autonomous", "rcm", "abdomen"],
-        Parameter(name="KIND", group=cli.LOG),
-    ],
-    /,
-    *,
-    report: Annotated[Path | None, Parameter(metavar="DIR", group=cli.OUTPUT)] = None,
-    figure: Annotated[Path | None, Parameter(metavar="FILE", group=cli.OUTPUT)] = None,
-    data: Annotated[
-        Path | None,
-        Parameter(
-            metavar="DIR",
-            group=cli.LOG,
-            help="Of abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
-        ),
-    ] = None,
-    seed: Annotated[int, Parameter(metavar="N", group=cli.LOG, help="Of abdomen.")] = 0,
-) -> int:
-    """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
-
-    Prints a table, and writes a page into DIR; --figure writes the first picture alone. Simulation
-    only: not a medical device.
-
-    needleforce demo teleop --report demo
-    """
-    if kind == "abdomen":
-        from needleforce.cli import demo_abdomen_page
-
-        return demo_abdomen_page.run(report, figure, data, seed)
-    from needleforce.cli.demo import run
-
-    return run(kind, report, figure)

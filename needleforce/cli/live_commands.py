@@ -1,8 +1,8 @@
-"""The commands `record`, `live` and `view`, and their options."""
+"""The commands `record`, `live`, `view` and `demo`, and their options."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -120,3 +120,39 @@ def live_command(
     from needleforce.cli.live import watch_arm
 
     return watch_arm(arm, options, watch, robot)
+
+
+@app.command(name="demo")
+def demo_command(
+    kind: Annotated[
+        Literal["guidance", "teleop", "autonomous", "rcm", "abdomen"],
+        Parameter(name="KIND", group=LOG),
+    ],
+    /,
+    *,
+    report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
+    figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+    data: Annotated[
+        Path | None,
+        Parameter(
+            metavar="DIR",
+            group=LOG,
+            help="Of abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
+        ),
+    ] = None,
+    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="Of abdomen.")] = 0,
+) -> int:
+    """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
+
+    Prints a table, and writes a page into DIR; --figure writes the first picture alone. Simulation
+    only: not a medical device.
+
+    needleforce demo teleop --report demo
+    """
+    if kind == "abdomen":
+        from needleforce.cli import demo_abdomen_page
+
+        return demo_abdomen_page.run(report, figure, data, seed)
+    from needleforce.cli.demo import run
+
+    return run(kind, report, figure)

@@ -1,5 +1,6 @@
 """ROS 2 bags as tables: topics are columns, the messages of one topic are the rows."""
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -102,7 +103,7 @@ class Topic:
             name: len(self.joints) if name in self.named else self.columns[name] or 1
             for name in columns
         }
-        self._faults: dict[str, int] = {}
+        self._faults: Counter[str] = Counter()
         self.new_ns: list[int] = []
         self._new: dict[str, list[Any]] = {name: [] for name in columns}
         self.stamps_ns: NDArray[np.int64] = np.empty(0, dtype=np.int64)
@@ -114,18 +115,18 @@ class Topic:
         try:
             content = self._decoded(message)
         except FormatError:
-            self._note("messages that do not fit their type, left out")
+            self._faults["messages that do not fit their type, left out"] += 1
             return
         names = content.names
         if names and names != self.joints:
             missing = set(self.joints) - set(names)
             if self.joints and len(missing) == len(self.joints):
-                self._note("messages without any of the joints, left out")
+                self._faults["messages without any of the joints, left out"] += 1
                 return
             if missing:
-                self._note("messages that lack joints")
+                self._faults["messages that lack joints"] += 1
         if content.stamp_ns == 0 and message.log_ns:
-            self._note("messages without a source time stamp; the recorder's was taken")
+            self._faults["messages without a source time stamp; the recorder's was taken"] += 1
         self.new_ns.append(content.stamp_ns or message.log_ns)
         for name, rows in self._new.items():
             rows.append(self._row(name, content))
@@ -134,7 +135,7 @@ class Topic:
         """Return the numbers of one column of a message; what does not fit is NaN."""
         width, value = self._widths[name], content.values.get(name)
         if value is None or (name in self.named) != (name in content.named):
-            self._note(f"messages without values of {name}, or not one for each joint")
+            self._faults[f"messages without values of {name}, or not one for each joint"] += 1
         elif name in self.named:
             if self.joints == content.names:
                 return value
@@ -143,7 +144,7 @@ class Topic:
         elif (size_of(value) or 1) == width:
             return value if isinstance(value, tuple | np.ndarray) else (value,)
         else:
-            self._note(f"messages with another number of values of {name}")
+            self._faults[f"messages with another number of values of {name}"] += 1
         return np.full(width, np.nan)
 
     def collect(self) -> None:
@@ -166,9 +167,6 @@ class Topic:
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""
         return [f"{self.name}: {what}: {count}" for what, count in self._faults.items()]
-
-    def _note(self, what: str) -> None:
-        self._faults[what] = self._faults.get(what, 0) + 1
 
 
 class Bag:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
 from math import pi
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -61,10 +60,6 @@ class Channel:
         return next(iter(self.units))
 
 
-_TAU_EXT = (
-    "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
-    "external_joint_torque external_joint_torques"
-)
 _JOINTS = (
     ("q", "q_rad", _ANGLE, "q position pos joint_position joint_positions actual_q",
      "joint positions"),
@@ -73,7 +68,9 @@ _JOINTS = (
      "joint velocities"),
     ("tau", "tau_Nm", _TORQUE, "tau tau_j effort torque joint_torque joint_torques",
      "measured joint torques"),
-    ("tau_ext", "tau_ext_Nm", _TORQUE, _TAU_EXT,
+    ("tau_ext", "tau_ext_Nm", _TORQUE,
+     "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque external_torques "
+     "external_joint_torque external_joint_torques",
      "external joint torques as the robot estimates them"),
 )  # fmt: skip
 _SINGLE = (
@@ -90,15 +87,11 @@ _SINGLE = (
 )  # fmt: skip
 _TIME_ROW = ("time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp")
 
-CHANNELS: Mapping[str, Channel] = MappingProxyType(
-    {
-        name: Channel(
-            name, key, MappingProxyType(units), rows is _JOINTS, tuple(spellings.split()), meaning
-        )
-        for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
-        for name, key, units, spellings, meaning in rows
-    }
-)
+CHANNELS = {
+    name: Channel(name, key, units, rows is _JOINTS, tuple(spellings.split()), meaning)
+    for rows in ((_TIME_ROW,), _JOINTS, _SINGLE)
+    for name, key, units, spellings, meaning in rows
+}
 """Every channel by the name that mappings use."""
 
 

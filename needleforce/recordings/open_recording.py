@@ -139,23 +139,18 @@ def stream_tables(
         # It is not read in the order of its bytes.
         with TemporaryDirectory() as folder:
             copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"
-            _copy(blocks, copy, name, max_bytes)
-            whole = replace(options, follow=False)
+            whole, size = replace(options, follow=False), 0
+            with file_errors(copy, "write"), copy.open("wb") as file:
+                for block in blocks:
+                    size += len(block)
+                    require_size(size, max_bytes, f"{name}: what comes through it")
+                    file.write(block)
             try:
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:
                 raise type(error)(str(error).replace(str(copy), name)) from error
         return
     yield from csv_tables(blocks, name, options, max_bytes)
-
-
-def _copy(blocks: Iterable[bytes], path: Path, name: str, max_bytes: int) -> None:
-    size = 0
-    with file_errors(path, "write"), path.open("wb") as file:
-        for block in blocks:
-            size += len(block)
-            require_size(size, max_bytes, f"{name}: what comes through it")
-            file.write(block)
 
 
 def _binary_tables(
