@@ -201,7 +201,7 @@ def _parents(
     release, length, kind, is_held = places
     kinds = 2.0 * facts[:, kind] + facts[:, is_held]
     may = depth > facts[:, release] + np.maximum(facts[:, length], 0.3)
-    may &= log_weights > log_weights.max() - 25.0
+    may &= log_weights > log_weights.max() - _LIKELY
     rows = [np.flatnonzero(may & (kinds == one)) for one in range(6)]
     found = [mine[np.argmax(log_weights[mine])] for mine in rows if len(mine) > 0]
     best = np.array(found, dtype=np.int64)

@@ -137,9 +137,10 @@ class Identifier:
             )
         check_state(snapshot.state, _METHODS[type(self._config)](self._config).state)
         check_state(snapshot.samples, np.zeros(samples.SAMPLE_MEMORY), "samples")
-        self._resume(snapshot)
+        self.resume(snapshot)
 
-    def _resume(self, snapshot: Snapshot) -> None:
+    def resume(self, snapshot: Snapshot) -> None:
+        """As `restore`, of a snapshot of its own: unchecked, thus never an error and quick."""
         self._method.restore(snapshot.state)
         self._samples = working_copy(snapshot.samples)
         self._last = snapshot.last

@@ -67,7 +67,7 @@ _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 
 # of such means being filled: its length, the number of its samples, the sums of both.
 OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
 _FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
-_LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
+LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
 SAMPLE_MEMORY = 45
 # Of a noise: variance of single samples, on how many values that rests; the last value, the one
 # before, and the time between them, 0 while there are none.
@@ -120,7 +120,8 @@ def _check_motion(
     change = depth - m[_RAW_DEPTH] if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / sign_memory_s)
-    is_jump = abs(surprise) > jump_m + abs(speed) * dt
+    # A needle that has stopped in a gap has moved in it as well.
+    is_jump = abs(surprise) > jump_m + max(abs(speed), abs(m[_SPEED])) * dt
     by_depth, by_speed = keep * m[_BY_DEPTH], keep * m[_BY_SPEED]
     if is_jump:
         m[SHIFT] += surprise
@@ -251,7 +252,7 @@ def _learn_smooth_noise(
     variance, last = memory[at + _VARIANCE], memory[least] * math.exp(dt_s / _RISE_S)
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
         return
-    is_mean = memory[at + _SEEN] * dt_s >= 0.9 * _MEMORY_S  # of few blocks the least is too small
+    is_mean = memory[at + _SEEN] >= _FIRST  # of few blocks the least is too small
     memory[least] = min(_LEAST_BIAS * variance, last) if is_mean else variance
 
 
@@ -268,10 +269,10 @@ def _fill_block(
     if m[_FILLED] < _BLOCK_S:
         return
     depth, speed, length_s = m[_DEPTH_SUM] / m[_SAMPLES], m[_SPEED_SUM] / m[_SAMPLES], m[_FILLED]
-    _learn_smooth_noise(m, _OF_DEPTHS, _LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
+    _learn_smooth_noise(m, _OF_DEPTHS, LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
     if is_measured:
         _learn_smooth_noise(m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE)
-    for k in range(_FILLED, _LEAST_DEPTHS):
+    for k in range(_FILLED, LEAST_DEPTHS):
         m[k] = 0.0
 
 
@@ -282,7 +283,7 @@ def filter_travel(
     """Use one checked sample; time steps may differ, the filter is exact for each."""
     m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
-    noise = max(_noise(m, OF_DEPTH, _LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
+    noise = max(_noise(m, OF_DEPTH, LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
         for k in range(_DEPTH, OF_DEPTH):
             m[k] = 0.0

@@ -392,7 +392,7 @@ class InsertionSession:
         self._unused_s += elapsed_s
         if self._unused_s == elapsed_s and wrench.warnings & SensorWarning.MODEL_MISMATCH:
             before = self._earlier[0]
-            self._identifier.restore(before.identifier)
+            self._identifier.resume(before.identifier)  # checks take longer than a tick
             self._identification = before.identifier.last
             self._unused_s, self._earlier = self._time_s - before.time_s, (before, before)
         return self._idle(wrench)

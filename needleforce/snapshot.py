@@ -29,7 +29,7 @@ SNAPSHOT_FORMAT = "needleforce-snapshot"
 SNAPSHOT_VERSION = 9
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 MOST_BYTES = 64 << 20
-"""A snapshot has some 100 kB; a device or a wrong file is not read to its end."""
+"""A snapshot has a megabyte or two; a device or a wrong file is not read to its end."""
 LARGEST = 1e30
 """No number of a snapshot comes near it; its square can still be calculated with."""
 
@@ -108,7 +108,7 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
         raise SnapshotFileError(
-            f"{path} is no snapshot: it has more than {MOST_BYTES >> 20} MB, a snapshot less than 1"
+            f"{path} is no snapshot: it has more than {MOST_BYTES >> 20} MB, a snapshot one or two"
         )
     try:
         envelope = msgspec.msgpack.decode(content, type=_Envelope)

@@ -174,6 +174,13 @@ def test_a_jump_of_depth_is_removed_for_good():
     assert depth_m == pytest.approx(2e-6)
 
 
+def test_travel_before_a_stop_within_a_gap_is_no_jump():
+    rows = [(8e-6 * k, 8e-3, 0.0, 1e-3) for k in range(500)]
+    seen, _, depth_m = check_rows([*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)])
+    assert seen[-2:] == [SampleStatus.TIME_GAP, SampleStatus.OK]
+    assert depth_m == pytest.approx(8e-3)
+
+
 def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
     """2.5 s of it are a gap, not one sample of a millisecond."""
     rows = [(2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)]

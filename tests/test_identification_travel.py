@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
-from identification.sample_filter import OF_DEPTH, SAMPLE_MEMORY, filter_travel
+from identification.sample_filter import LEAST_DEPTHS, OF_DEPTH, SAMPLE_MEMORY, filter_travel
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
@@ -100,6 +100,20 @@ def test_smooth_noise_of_a_coarse_encoder_is_learned_too(step_m):
     off_m_s = (found[:, 1] - speed_m_s)[steady]
     assert np.std(off_m_s) < 0.25 * np.std((rate_m_s - speed_m_s)[steady])
     assert 0.3 < np.std(off_m_s) / found[steady, 3].mean() < 3.0
+
+
+@pytest.mark.parametrize("lost_s", [0.0, 0.01, 0.3])
+@pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
+def test_a_swing_is_no_noise_though_samples_are_late_or_lost(rate_hz, lost_s):
+    rng, memory, least = np.random.default_rng(4), np.zeros(SAMPLE_MEMORY), []
+    t_s = 0.0
+    for k in range(int(14.0 * rate_hz)):
+        dt_s = (lost_s if k % int(2.0 * rate_hz) == 0 else 0.0) + rng.uniform(0.8, 1.2) / rate_hz
+        t_s += dt_s
+        swing_m = 2e-4 * math.sin(2.0 * math.pi * 6.0 * t_s) if k > 8.0 * rate_hz else 0.0
+        filter_travel(swing_m + 2e-6 * float(rng.standard_normal()), 0.0, dt_s, False, memory)
+        least.append(memory[LEAST_DEPTHS])
+    assert max(least[int(3.0 * rate_hz) :]) < 2.0 * 4e-12 / (0.016 * rate_hz)
 
 
 def test_after_a_gap_it_starts_anew():
