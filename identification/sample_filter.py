@@ -38,8 +38,6 @@ _ENOUGH_BLOCKS = 12.0
 _RISE_S = 8.0
 """Means of a moving needle lie off a line by its motion as well: their least scatter counts, and
 what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
-_LEAST_BIAS = 1.5
-"""Mean over the usual least of such means."""
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
 _MOST_SURPRISE = 5.0
@@ -253,7 +251,7 @@ def _learn_smooth_noise(
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
         return
     is_mean = memory[at + _SEEN] >= _FIRST  # of few blocks the least is too small
-    memory[least] = min(_LEAST_BIAS * variance, last) if is_mean else variance
+    memory[least] = min(variance, last) if is_mean else variance
 
 
 @compiled
