@@ -25,7 +25,7 @@ from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
 from needleforce.control.controller import Controller
-from needleforce.control.priority_solver import Solver, hierarchical
+from needleforce.control.priority_solver import Limits, Solver, hierarchical
 from needleforce.control.tasks import (
     DecoupledMotion,
     Fixture,
@@ -34,7 +34,6 @@ from needleforce.control.tasks import (
     Task,
     TipVelocity,
 )
-from needleforce.control.velocity_box import Limits
 
 Array = NDArray[np.float64]
 SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}

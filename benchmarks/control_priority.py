@@ -21,7 +21,14 @@ from benchmarks.control_study import Figure
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import Controller
-from needleforce.control.priority_solver import Solver, Stack, hierarchical
+from needleforce.control.priority_solver import (
+    Limits,
+    LONGEST_STEP_s,
+    Solver,
+    Stack,
+    hierarchical,
+    joint_bounds,
+)
 from needleforce.control.tasks import (
     AxialSpeed,
     DecoupledMotion,
@@ -30,9 +37,8 @@ from needleforce.control.tasks import (
     RemoteCentre,
     Task,
     TipVelocity,
+    ToolState,
 )
-from needleforce.control.tool_state import ToolState
-from needleforce.control.velocity_box import Limits, LONGEST_STEP_s, joint_bounds
 from urdf import NeedleTool, Robot, load_lwr
 
 Array = NDArray[np.float64]

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from groundtruth.rig_arm import ArmSample
 from needleforce import InsertionSession
 from needleforce.control.errors import SettingError
-from needleforce.control.event_log import read_events, write_mcap
 from needleforce.control.manager import (
     EVENTS,
     MOVING,
@@ -20,8 +19,10 @@ from needleforce.control.manager import (
     TABLE,
     Manager,
     State,
+    read_events,
     replay,
     transition,
+    write_mcap,
 )
 from needleforce.control.monitors import Beside, SafetyLimits
 from residual import SensorWarning, Status, TareError

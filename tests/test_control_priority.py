@@ -17,7 +17,7 @@ from needleforce.control import (
     SettingError,
     TipVelocity,
 )
-from needleforce.control.tool_state import ToolState
+from needleforce.control.tasks import ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())

@@ -168,7 +168,7 @@ def test_shown_force_lies_between_zero_and_the_measured_one(axial, tip):
 @given(st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-1.0, 1.0)), max_size=100))
 def test_a_free_device_never_gets_out_what_was_not_put_in(steps):
     """Whatever force is wanted and however the handle is hit between the samples."""
-    port, position_m, mass_kg = HandPort(device_mass_kg=0.25), 0.0, 0.25
+    port, position_m, mass_kg = HandPort(), 0.0, 0.25
     for wanted_N, speed_m_s in steps:
         force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, DT)
         position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
@@ -217,7 +217,7 @@ def test_line_keeps_the_order_and_the_newest_counts():
     ("make", "said"),
     [
         (lambda: Teleoperation(motion_scale=0.05), "motion_scale is 0.05, expected 0.1 to 1"),
-        (lambda: Teleoperation(force_scale=-1.0), "force_scale -1.0"),
+        (lambda: Teleoperation(force_scale=-1.0), "force_scale is -1.0"),
         (lambda: Teleoperation(axis=(0.0, 0.0, 0.0)), "three numbers that are not all zero"),
         (lambda: Teleoperation(shown="all"), "expected 'tip', 'enhanced' or 'raw'"),
     ],

@@ -7,52 +7,35 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tool_state`, `tasks`, `velocity_box`,
-`priority_solver`, `controller` (one tick), `manager`, `passivity`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `priority_solver`, `controller` (one tick),
+`manager`, `passivity`, `teleoperation`.
 """
 
-from needleforce.control.controller import Controller
-from needleforce.control.errors import ControlError, SettingError
-from needleforce.control.event_log import read_events, write_mcap
-from needleforce.control.guidance import Guidance
-from needleforce.control.insertion_profile import InsertionPlan, InsertionProfile, depth_of
-from needleforce.control.manager import Manager, Situation, State, replay
-from needleforce.control.monitors import Beside, SafetyLimits
-from needleforce.control.tasks import (
-    AxialSpeed,
-    DecoupledMotion,
-    Fixture,
-    Posture,
-    RemoteCentre,
-    Task,
-    TipVelocity,
+from needleforce.control.controller import Controller as Controller
+from needleforce.control.errors import ControlError as ControlError, SettingError as SettingError
+from needleforce.control.guidance import Guidance as Guidance
+from needleforce.control.insertion_profile import (
+    InsertionPlan as InsertionPlan,
+    InsertionProfile as InsertionProfile,
+    depth_of as depth_of,
 )
-from needleforce.control.teleoperation import Teleoperation
-from needleforce.control.velocity_box import Limits
-
-__all__ = [
-    "AxialSpeed",
-    "Beside",
-    "ControlError",
-    "Controller",
-    "DecoupledMotion",
-    "Fixture",
-    "Guidance",
-    "InsertionPlan",
-    "InsertionProfile",
-    "Limits",
-    "Manager",
-    "Posture",
-    "RemoteCentre",
-    "SafetyLimits",
-    "SettingError",
-    "Situation",
-    "State",
-    "Task",
-    "Teleoperation",
-    "TipVelocity",
-    "depth_of",
-    "read_events",
-    "replay",
-    "write_mcap",
-]
+from needleforce.control.manager import (
+    Manager as Manager,
+    Situation as Situation,
+    State as State,
+    read_events as read_events,
+    replay as replay,
+    write_mcap as write_mcap,
+)
+from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
+from needleforce.control.priority_solver import Limits as Limits
+from needleforce.control.tasks import (
+    AxialSpeed as AxialSpeed,
+    DecoupledMotion as DecoupledMotion,
+    Fixture as Fixture,
+    Posture as Posture,
+    RemoteCentre as RemoteCentre,
+    Task as Task,
+    TipVelocity as TipVelocity,
+)
+from needleforce.control.teleoperation import Teleoperation as Teleoperation

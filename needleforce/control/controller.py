@@ -9,16 +9,17 @@ import numpy as np
 
 from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.ports import ArmSample, Array
-from needleforce.control.priority_solver import Solver, Stack, hierarchical
-from needleforce.control.tasks import JointVelocity, Task
-from needleforce.control.tool_state import ToolState
-from needleforce.control.velocity_box import (
+from needleforce.control.priority_solver import (
     ACCELERATION,
     Limits,
     LONGEST_STEP_s,
     SLACK_rad_s,
+    Solver,
+    Stack,
+    hierarchical,
     joint_bounds,
 )
+from needleforce.control.tasks import JointVelocity, Task, ToolState
 from urdf import Robot
 
 

@@ -1,8 +1,7 @@
 """Errors of `needleforce.control`: one base; each of the others is also a standard exception."""
 
 import math
-from collections.abc import Container
-from dataclasses import fields
+from collections.abc import Container, Mapping
 
 
 class ControlError(Exception):
@@ -13,11 +12,10 @@ class SettingError(ControlError, ValueError):
     """A setting that cannot work: the message names it, what came and what is valid."""
 
 
-def require_positive(settings: object, or_zero: Container[str] = ()) -> None:
-    """Refuse a dataclass with a number that is not finite and positive; None is left alone."""
-    for field in fields(settings):  # type: ignore[arg-type]
-        value = getattr(settings, field.name)
-        if value is None or (value == 0.0 and field.name in or_zero):
+def require_positive(settings: Mapping[str, object], or_zero: Container[str] = ()) -> None:
+    """Refuse a number that is not finite and positive; None is left alone."""
+    for name, value in settings.items():
+        if value is None or (value == 0.0 and name in or_zero):
             continue
         if not (isinstance(value, int | float) and 0.0 < value < math.inf):
-            raise SettingError(f"{field.name} is {value!r}, expected a positive number")
+            raise SettingError(f"{name} is {value!r}, expected a positive number")

@@ -22,6 +22,8 @@ from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
+LAG_s, LEAST, SIGMAS = 0.02, 2e-3, 4.0
+"""T, f and s."""
 LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
 """Per rad, for the seven joints of an LWR: of motion that swings. A hand
 of stiffness k with an arm that moves by A per force is stable while k A stays below what the lags
@@ -46,33 +48,20 @@ class Guidance:
     Args:
         robot: The arm; its torque limits set the dead zone.
         damping_Nms_per_rad: D of every joint, shape (n,); those of an LWR where None.
-        lag_s: T.
-        deadband_fraction: f.
-        deadband_sigmas: s.
 
     Raises:
-        SettingError: A number is not positive, or the robot is no LWR and has no damping.
+        SettingError: A damping is not positive, or the robot is no LWR and has none.
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        damping_Nms_per_rad: ArrayLike | None = None,
-        *,
-        lag_s: float = 0.02,
-        deadband_fraction: float = 2e-3,
-        deadband_sigmas: float = 4.0,
-    ) -> None:
+    def __init__(self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None) -> None:
         given = LWR_DAMPING_Nms if damping_Nms_per_rad is None else damping_Nms_per_rad
         self._damping = np.array(given, dtype=np.float64)
-        settings = (lag_s, deadband_fraction, deadband_sigmas, *self._damping.flat)
-        if self._damping.shape != (robot.nv,) or not all(0.0 < s < math.inf for s in settings):
+        is_positive = np.isfinite(self._damping).all() and (self._damping > 0.0).all()
+        if self._damping.shape != (robot.nv,) or not is_positive:
             raise SettingError(
-                f"damping is {given!r}, lag and dead zone are {settings[:3]}; expected positive "
-                f"numbers, of the damping one for each of {robot.nv} joints"
+                f"damping is {given!r}, expected a positive number for each of {robot.nv} joints"
             )
-        self._least_Nm = deadband_fraction * robot.effort_limit_Nm
-        self._lag_s, self._sigmas = lag_s, deadband_sigmas
+        self._least_Nm = LEAST * robot.effort_limit_Nm
         self.reset()
 
     def reset(self) -> None:
@@ -95,11 +84,11 @@ class Guidance:
         # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
         # sigma as the residual grows. What counts is sigma without a hand.
         self._sigma_Nm = np.fmin(self._sigma_Nm, sigma_Nm)
-        zone = self._least_Nm + self._sigmas * self._sigma_Nm
+        zone = self._least_Nm + SIGMAS * self._sigma_Nm
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         if not 0.0 < dt_s < math.inf:
             return JointVelocity(self._velocity)
-        kept = math.exp(-dt_s / self._lag_s)
+        kept = math.exp(-dt_s / LAG_s)
         if is_valid and np.isfinite(beyond).all():
             self._beyond_Nm, self._rejected_s = beyond, 0.0
         else:

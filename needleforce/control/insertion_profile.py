@@ -6,7 +6,7 @@ rest at once, and the controller brakes with all that the limits of the arm allo
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -65,7 +65,7 @@ class InsertionPlan:
 
     def __post_init__(self) -> None:
         """Check every number."""
-        require_positive(self, or_zero=("approach_m", "dwell_s"))
+        require_positive(asdict(self), or_zero=("approach_m", "dwell_s"))
 
 
 def depth_of(

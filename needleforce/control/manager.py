@@ -1,17 +1,18 @@
 """The system manager: what may move when, and why something was stopped or refused.
 
 One table of rules is the whole machine; `transition` applies it and is all that a replay needs.
-The manager reads the arm's samples, runs the session and the monitors, and logs every event.
+The manager reads the arm's samples, runs the session and the monitors, and logs every event, as a
+JSON line at once and as MCAP afterwards.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
+
 from needleforce.control.errors import SettingError
-from needleforce.control.event_log import LoggedEvent, append_event
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from residual.errors import TareError
@@ -75,17 +76,14 @@ TABLE = (
 
 EVENTS = tuple(dict.fromkeys(rule.event for rule in TABLE))
 
-
-REFUSALS: Mapping[str, str] = MappingProxyType(
-    {
-        "limit": "no force limit is set: give the manager SafetyLimits",
-        "heartbeat": "the program in charge shows no sign of life: call heartbeat() in every cycle",
-        "tared": "the force sensor is not tared: request a tare in free air",
-        "outside": "the needle is in tissue: withdraw it first",
-        "device": "no haptic device answers: connect it and read it in every cycle",
-        "healthy": "the fault persists: see the last reason",
-    }
-)
+REFUSALS = {
+    "limit": "no force limit is set: give the manager SafetyLimits",
+    "heartbeat": "the program in charge shows no sign of life: call heartbeat() in every cycle",
+    "tared": "the force sensor is not tared: request a tare in free air",
+    "outside": "the needle is in tissue: withdraw it first",
+    "device": "no haptic device answers: connect it and read it in every cycle",
+    "healthy": "the fault persists: see the last reason",
+}
 """The facts that guards look at, and why an event is refused where one does not hold."""
 
 
@@ -104,6 +102,76 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
             return state if rule.target == "same" else State(rule.target), ""
     sources = " ".join(rule.sources for rule in TABLE if rule.event == event)
     return state, f"{event} is not possible in {state}, only in {', '.join(sources.split())}"
+
+
+class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}):
+    """One event, a refused one included."""
+
+    seq: int  # counts from 0
+    t_s: float  # on the manager's clock
+    origin: str  # state before it; "from" in the file
+    event: str
+    target: str  # state after it; "to" in the file
+    refused: str  # why it was refused; empty if it was not
+    data: dict[str, Any]  # what came with it, and the facts it met
+
+
+MCAP_TOPIC = "/needleforce/events"
+_ENCODER = msgspec.json.Encoder(enc_hook=str)
+
+
+def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
+    """Write events as JSON messages of an MCAP file, on the manager's clock; it replaces another.
+
+    Raises:
+        SettingError: The extra ``recordings`` is not installed.
+        OSError: The file cannot be written.
+    """
+    mcap = _mcap()
+    writer = mcap.writer.Writer(str(path))
+    writer.start(library="needleforce")
+    schema = msgspec.json.encode(msgspec.json.schema(LoggedEvent))
+    schema_id = writer.register_schema("LoggedEvent", "jsonschema", schema)
+    channel_id = writer.register_channel(MCAP_TOPIC, "json", schema_id)
+    for event in events:
+        time_ns = round(1e9 * event.t_s)
+        writer.add_message(channel_id, time_ns, _ENCODER.encode(event), time_ns, event.seq)
+    writer.finish()
+
+
+def _mcap() -> Any:
+    try:
+        import mcap.reader
+        import mcap.writer
+    except ImportError:
+        raise SettingError("MCAP needs: pip install 'needleforce[recordings]'") from None
+    return mcap
+
+
+def read_events(path: str | Path) -> list[LoggedEvent]:
+    """Read a log back, of JSON lines or, where its name ends in ``.mcap``, of MCAP.
+
+    Raises:
+        SettingError: A line is no event, or the numbers of the events do not follow each other;
+            they start anew where another session was appended.
+        OSError: The file cannot be read.
+    """
+    if Path(path).suffix == ".mcap":
+        with Path(path).open("rb") as file:
+            messages = _mcap().reader.make_reader(file).iter_messages(topics=[MCAP_TOPIC])
+            lines = [message.data for _, _, message in messages]
+    else:
+        lines = Path(path).read_bytes().splitlines()
+    events: list[LoggedEvent] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            event = msgspec.json.decode(line, type=LoggedEvent)
+        except msgspec.DecodeError as error:
+            raise SettingError(f"{path}, line {number} is no event: {line[:80]!r}") from error
+        if event.seq not in (0, events[-1].seq + 1 if events else 0):
+            raise SettingError(f"{path}, line {number}: event {event.seq} is out of order")
+        events.append(event)
+    return events
 
 
 def replay(events: Iterable[LoggedEvent]) -> list[State]:
@@ -134,12 +202,14 @@ _ENTRY_MARGIN_M = 1e-3
 """So far above the place of the first contact the needle counts as outside."""
 _LONGEST_STEP_S = 0.1
 """A longer time step is a clock that was set, not time that passed here."""
+_HEARTBEAT_S = 0.1
+"""Longest time between two heartbeats."""
 
 
 class Manager:
     """Schedules the modes of the arm, watches them, and logs why.
 
-    Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for `heartbeat_s` is
+    Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s is
     stopped. At the end of the state ``tare``, with the arm at rest, `update` takes a few tenths
     of a second.
 
@@ -148,7 +218,6 @@ class Manager:
         limits: What stops a motion; without them nothing moves.
         log: File for the events, one JSON object per line, appended to; None to keep them in
             `events` only.
-        heartbeat_s: Longest time between two heartbeats [s].
 
     Attributes:
         events: Events so far, refusals included.
@@ -160,15 +229,13 @@ class Manager:
         limits: SafetyLimits | None = None,
         *,
         log: str | Path | None = None,
-        heartbeat_s: float = 0.1,
     ) -> None:
         self.session = session
-        self._limits, self._heartbeat_s = limits, heartbeat_s
+        self._limits, self._log = limits, log
         self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
         self.events: list[LoggedEvent] = []
-        self._log = log
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
-        self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -heartbeat_s
+        self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
         self._entry_m: float | None = None
         self._estimate: SessionEstimate | None = None
 
@@ -190,7 +257,7 @@ class Manager:
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._is_led:
-            self._apply("stop", {"reason": f"no heartbeat for {self._heartbeat_s:g} s"})
+            self._apply("stop", {"reason": f"no heartbeat for {_HEARTBEAT_S:g} s"})
         return Situation(
             self._state, self._time_s - self._entered_s, self._time_s, self._reason, estimate
         )
@@ -224,7 +291,8 @@ class Manager:
         row = LoggedEvent(seq, self._time_s, before, event, self._state, refused, data)
         self.events.append(row)
         if self._log is not None:
-            append_event(row, self._log)
+            with Path(self._log).open("ab") as file:  # at once, so that a crash loses none
+                file.write(_ENCODER.encode(row) + b"\n")
         if self._state is not before:
             self._entered_s = self._time_s
             self._monitors.enter(self._estimate)
@@ -245,4 +313,4 @@ class Manager:
 
     @property
     def _is_led(self) -> bool:
-        return self._time_s - self._beat_s < self._heartbeat_s
+        return self._time_s - self._beat_s < _HEARTBEAT_S

@@ -5,7 +5,7 @@ have come to rest. A stiff contact is then noticed while its force is still smal
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -46,7 +46,7 @@ class SafetyLimits:
 
     def __post_init__(self) -> None:
         """Check every limit."""
-        require_positive(self)
+        require_positive(asdict(self))
 
 
 class Beside(NamedTuple):

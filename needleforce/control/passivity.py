@@ -1,7 +1,7 @@
 """Passivity in the time domain: energy through a port is observed, and what may leave is limited.
 
 A port carries a force f that resists a motion x. With a force held between the samples its energy
-is known exactly, whatever moves it, since
+is known exactly, whatever moves it:
 
     ΔE_k = f_{k-1} (x_k - x_{k-1})          > 0 enters the network, < 0 leaves it
 
@@ -16,6 +16,12 @@ never gets more energy out than it has put in.
 """
 
 import math
+
+HANDLE_kg, MOST_DAMPING_Ns_m = 0.25, 150.0
+"""Mass of the device's handle as a hand feels it, and largest damping shown at it."""
+HAND_J, HAND_W = 1e-3, 2e-3
+"""What the hand may get early: one that yields to a spring need not wait for the news that the
+spring has relaxed."""
 
 
 class Port:
@@ -77,24 +83,10 @@ class HandPort(Port):
 
     A hand that pushes the same way may still take a little more; damping then takes it back.
     Cutting comes first, since a damper needs speed and a sampled device cannot show much damping.
-
-    Args:
-        device_mass_kg: Mass of the handle as a hand feels it.
-        allowance_J: See `Port`: a hand that yields to a spring need not wait for the news that the
-            spring has relaxed.
-        allowance_W: The same, per second.
-        most_damping_Ns_m: Largest damping.
     """
 
-    def __init__(
-        self,
-        device_mass_kg: float = 0.25,
-        allowance_J: float = 1e-3,
-        allowance_W: float = 2e-3,
-        most_damping_Ns_m: float = 150.0,
-    ) -> None:
-        super().__init__(allowance_J, allowance_W)
-        self._mass_kg, self._most_damping_Ns_m = device_mass_kg, most_damping_Ns_m
+    def __init__(self) -> None:
+        super().__init__(HAND_J, HAND_W)
         self._force_N = self._damping_N = self._damped_J = 0.0
         self._position_m: float | None = None
 
@@ -114,15 +106,14 @@ class HandPort(Port):
         owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
         force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / self._mass_kg)
-        most_N = self._mass_kg / dt_s * (against_m_s + root_m_s)
+        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg)
+        most_N = HANDLE_kg / dt_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
         self._damping_N = 0.0
         missing_J = -min(owed_J, self.net_J)
         if missing_J > 0.0:
-            most_J = self._most_damping_Ns_m * speed_m_s * speed_m_s * dt_s
-            part = passive_part(most_J, missing_J)
-            self._damping_N = part * self._most_damping_Ns_m * speed_m_s
+            most_J = MOST_DAMPING_Ns_m * speed_m_s * speed_m_s * dt_s
+            self._damping_N = passive_part(most_J, missing_J) * MOST_DAMPING_Ns_m * speed_m_s
         self._force_N, self._position_m = force_N + self._damping_N, position_m
         return self._force_N
 

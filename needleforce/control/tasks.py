@@ -11,6 +11,7 @@ below about 0.6. A stack is a list of tasks, the first wins.
 """
 
 import math
+from typing import Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -18,26 +19,66 @@ from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
-from needleforce.control.tool_state import ToolState
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+from urdf import Robot
 
 GAIN_PER_S = 30.0
 """K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
 rounded to an encoder's steps they make the command rough."""
+_BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
-class Task:
-    """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s.
+class ToolState:
+    """Pose and Jacobian of the needle's tip, which all tasks of a tick read.
+
+    Args:
+        robot: The arm; the z axis of its tool frame is the needle, growing inwards.
 
     Attributes:
-        size: Number of rows m.
+        q_rad: Joint positions of the last `update`, shape (n,).
+        jacobian: Velocity of the tip (rows 0 to 2) and angular velocity (3 to 5) per joint
+            velocity, both in base axes, shape (6, n).
+        pose: Of the tip in the base, homogeneous, shape (4, 4).
     """
 
-    size = 0
+    def __init__(self, robot: Robot) -> None:
+        self._model, self._data = robot.model, robot.create_data()
+        self._frame_id = robot.tool_frame_id
+        self.update(pin.neutral(robot.model))
+
+    def update(self, q_rad: Array) -> None:
+        """Move to a configuration, shape (n,)."""
+        model, data, frame = self._model, self._data, self._frame_id
+        jacobian = pin.computeFrameJacobian(model, data, q_rad, frame, _BASE_AXES)
+        # Of a single joint it comes as a vector.
+        self.jacobian: Array = jacobian if jacobian.ndim == 2 else jacobian[:, None]
+        self.pose: Array = pin.updateFramePlacement(model, data, frame).homogeneous
+        self.q_rad = q_rad
+
+    @property
+    def tip_m(self) -> Array:
+        """Where the tip is, shape (3,), a copy."""
+        return self.pose[:3, 3].copy()
+
+    @property
+    def rotation(self) -> Array:
+        """Axes of the tool in base axes, shape (3, 3), a copy."""
+        return np.ascontiguousarray(self.pose[:3, :3])
+
+    @property
+    def axis(self) -> Array:
+        """Direction of insertion in base axes, of length one, shape (3,), a copy."""
+        return self.pose[:3, 2].copy()
+
+
+class Task(Protocol):
+    """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s."""
+
+    size: int
+    """Number of rows m."""
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """Write J into ``rows``, shape (m, n), and v into ``rates``, shape (m,)."""
-        raise NotImplementedError
 
 
 def vector(value: ArrayLike, size: int, name: str) -> Array:
@@ -64,7 +105,7 @@ def rotation_error(goal: Matrix, pose: Matrix) -> tuple[float, float, float]:
     return scale * x, scale * y, scale * z
 
 
-class TipTask(Task):
+class TipTask:
     """Components of the tip's velocity and angular velocity, see the module.
 
     Attributes:
@@ -182,7 +223,7 @@ class DecoupledMotion(TipTask):
         self.rotation = np.ascontiguousarray(pin.exp3(dt_s * angular) @ self.rotation)
 
 
-class RemoteCentre(Task):
+class RemoteCentre:
     """The needle's axis passes through a fixed point, the entry; two rows.
 
         e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
@@ -222,7 +263,7 @@ def _remote_centre(
     rates[:] = gain_per_s * (across @ arm)
 
 
-class AxialSpeed(Task):
+class AxialSpeed:
     """Speed of the tip along the needle, positive inwards, one row: a^T J_v dq = w."""
 
     size = 1
@@ -236,7 +277,7 @@ class AxialSpeed(Task):
         rates[0] = self.speed_m_s
 
 
-class JointVelocity(Task):
+class JointVelocity:
     """A velocity of every joint [rad/s], n rows; cheapest as the last of a stack."""
 
     def __init__(self, velocity_rad_s: ArrayLike) -> None:

@@ -12,12 +12,12 @@ and delayed friction is what makes a delayed loop swing.
 """
 
 import math
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.passivity import HandPort, NeedlePort
 from needleforce.control.ports import Array, MasterSample
 from residual.estimate import Status
@@ -30,7 +30,9 @@ Packet = TypeVar("Packet")
 
 _CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
 _SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
-_STEADY_S = 0.3  # what lasts longer is steady motion, which is not damped
+# A delayed spring drives a hand, and a hand springs forward when a membrane ruptures: motion of the
+# handle is damped, but not what lasts longer than so many seconds.
+_DAMPING_Ns_m, _STEADY_S = 15.0, 0.3
 _FADE_S = 0.05  # a force that is not known any more fades
 # Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
 # back has the opposite sign: neither the loop nor the identification stands that. So the shown
@@ -86,12 +88,10 @@ class DeviceSide:
     Args:
         axis: Direction of the handle that drives the needle inwards, shape (3,), unit length.
         motion_scale: Needle travel per travel of the handle.
-        damping_Ns_m: Damping of what is quicker than a steady advance: a delayed spring drives a
-            hand, and a hand springs forward when a membrane ruptures.
     """
 
-    def __init__(self, axis: Array, motion_scale: float, damping_Ns_m: float) -> None:
-        self._axis, self._scale, self._damping_Ns_m = axis, motion_scale, damping_Ns_m
+    def __init__(self, axis: Array, motion_scale: float) -> None:
+        self._axis, self._scale = axis, motion_scale
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
         self._packet = HandPacket(0.0, 0.0, 0.0)
@@ -117,7 +117,7 @@ class DeviceSide:
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
         wanted_N, incoming_J = news or (0.0, 0.0)
         wanted_N *= self._coupled
-        wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
+        wanted_N += _DAMPING_Ns_m * (self._rate_m_s - self._steady_m_s)
         force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
         travel_m, rate_m_s = self._packet.travel_m, 0.0
         if is_coupled:
@@ -186,7 +186,6 @@ class Teleoperation:
             ``raw``, as measured.
         speed_limit_m_s: Largest speed of the needle.
         lines: From the device to the needle, and back; None for no delay.
-        damping_Ns_m: Of quick motion of the handle, see `DeviceSide`.
 
     Attributes:
         shown_N: The force that is to be felt, before scale, delay and passivity.
@@ -205,7 +204,6 @@ class Teleoperation:
         shown: Shown = "tip",
         speed_limit_m_s: float = 0.02,
         lines: tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
-        damping_Ns_m: float = 15.0,
     ) -> None:
         direction = np.asarray(axis, dtype=np.float64)
         length = float(np.linalg.norm(direction))
@@ -213,16 +211,12 @@ class Teleoperation:
             raise SettingError(f"axis is {axis!r}, expected three numbers that are not all zero")
         if not 0.1 <= motion_scale <= 1.0:
             raise SettingError(f"motion_scale is {motion_scale!r}, expected 0.1 to 1")
-        if not (0.0 < force_scale < math.inf and 0.0 < speed_limit_m_s < math.inf):
-            raise SettingError(
-                f"force_scale {force_scale!r} and speed_limit_m_s {speed_limit_m_s!r} must be "
-                "positive and finite"
-            )
-        if shown not in ("tip", "enhanced", "raw"):
+        require_positive({"force_scale": force_scale, "speed_limit_m_s": speed_limit_m_s})
+        if shown not in get_args(Shown):
             raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
         self._shown: Shown = shown
         self._axis, self._lines = direction / length, lines
-        self.device = DeviceSide(self._axis, motion_scale, damping_Ns_m)
+        self.device = DeviceSide(self._axis, motion_scale)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = self._ruptured_s = 0.0
@@ -252,11 +246,11 @@ class Teleoperation:
         if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
             sample = None
         force_N, sent = self.device.update(sample, self._from_needle, dt_s)
-        arrived = sent if self._lines is None else self._lines[0].exchange(sent, dt_s)
+        lines = self._lines
+        arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
         speed_m_s, answer = self.needle.update(
             arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
-        lines = self._lines
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         return TeleopCommand(speed_m_s, -force_N * self._axis)
 
