@@ -179,7 +179,8 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         rows = rows / scale[:, None]
         rates = np.concatenate((stack.rates, stack.wish)) / scale
         first = 0
-        for end in (*stack.ends, len(rows)):
+        for size in (*(part.size for _, part in stack.levels), velocity.size):
+            end = first + size
             level = Rows(rows[first:end], rates[first:end])
             above = rows[:first]
             fixed = [] if first == 0 else [Rows(*_independent(above, above @ velocity))]

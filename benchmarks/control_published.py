@@ -4,8 +4,6 @@ It has the damped inverses of the authors' code and knows no limits. A projector
 inverses is none, so near singular postures lower tasks undo higher ones.
 """
 
-import itertools
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,15 +20,15 @@ def published(stack: Stack) -> tuple[Array, bool]:
 
     The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below 1e-10.
     """
-    rows, rates, wish = stack.rows, stack.rates, stack.wish
+    wish = stack.wish
     velocity, projector = np.zeros_like(wish), np.eye(wish.size)
-    for first, end in itertools.pairwise((0, *stack.ends)):
-        free = rows[first:end] @ projector
+    for rows, rates in stack.levels:
+        free = rows @ projector
         square = free @ free.T
         if np.linalg.det(square) <= 1e-10:
             square = square + 0.5 * np.eye(len(square))
         inverse = free.T @ np.linalg.inv(square)
-        velocity = velocity + inverse @ (rates[first:end] - rows[first:end] @ velocity)
+        velocity = velocity + inverse @ (rates - rows @ velocity)
         projector = projector - inverse @ free
     velocity = velocity + projector @ (wish - velocity)
     if not np.isfinite(velocity).all():

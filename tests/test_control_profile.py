@@ -24,7 +24,7 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, **how):
         force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(max(k - 3000, 0) / 20.0, 1.0)
         noisy_N = force_N + 0.005 * rng.standard_normal()
         seen = found(alarm_N=alarm_N if k == 3030 else None, **how)
-        ruptures.update(seen, noisy_N, (5e-6 * k, DT, steady))
+        ruptures.update(seen, noisy_N, 5e-6 * k, DT, is_steady=steady)
     return ruptures.count
 
 

@@ -21,7 +21,7 @@ LIMITS = {
     "product": (18_930, 98),
     "benchmarks": (6_500, 30),
     "tests": (12_880, 72),
-    "control": (2_250, 15),
+    "control": (2_130, 12),
     "anatomy": (1_402, 8),
     "scene": (715, 6),
     "devices": (1_340, 8),

@@ -26,14 +26,10 @@ from urdf import Robot
 class CommandStatus(StrEnum):
     """How a command came about."""
 
-    OK = "ok"
-    """The tasks in order of priority, no limit in the way."""
-    SATURATED = "saturated"
-    """The same, with at least one joint at a limit."""
-    BRAKING = "braking"
-    """No task: as slow as the limits allow."""
-    SKIPPED = "skipped"
-    """The sample or a task was no good, see `Command.reason`: braking without looking at them."""
+    OK = "ok"  # the tasks in order of priority, no limit in the way
+    SATURATED = "saturated"  # the same, with at least one joint at a limit
+    BRAKING = "braking"  # no task: as slow as the limits allow
+    SKIPPED = "skipped"  # sample or task no good, see `Command.reason`: braking without them
 
 
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick

@@ -25,10 +25,8 @@ from urdf import Robot
 LAG_s, LEAST, SIGMAS = 0.02, 2e-3, 4.0
 """T, f and s."""
 LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
-"""Per rad, for the seven joints of an LWR: of motion that swings. A hand
-of stiffness k with an arm that moves by A per force is stable while k A stays below what the lags
-of observer, low-pass and servo allow together, some 40 / s: with half of this damping it runs
-away from a hand of 2000 N/m."""
+"""D per rad, for the seven joints of an LWR: with half of it the arm runs away from a hand of
+2000 N/m."""
 LIGHT, STEADY_s, SHARP = 0.4, 0.12, 16.0
 """c_0, the time of the means and their power: the lower or the smaller, the lighter a leading hand,
 and the more a stiff one swings as it leads: with 0.1 and 6 a hub at 100 mm/s takes 3 N instead of

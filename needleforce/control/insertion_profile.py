@@ -100,12 +100,10 @@ class RuptureCount:
         self._force_N = self._slow_N = self._peak_N = self._rise_N = 0.0
         self._variance_N2 = _FIRST_NOISE_N**2
 
-    def update(self, found: Estimate, axial_N: float, travel: tuple[float, float, bool]) -> bool:
-        """Whether one more layer has been left.
-
-        Travel is depth [m], time since the last call [s], and whether the speed is steady.
-        """
-        depth_m, dt_s, is_steady = travel
+    def update(
+        self, found: Estimate, axial_N: float, depth_m: float, dt_s: float, *, is_steady: bool
+    ) -> bool:
+        """Whether one more layer has been left; steady is the speed that is commanded."""
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
         self._slow_N -= math.expm1(-dt_s / _SLOW_S) * (self._force_N - self._slow_N)
         off_N, weight = self._force_N - self._slow_N, min(dt_s / _LEARN_S, 1.0)
@@ -141,26 +139,19 @@ class Step(NamedTuple):
 class InsertionProfile:
     """Runs a plan once; call `update` after every `Manager.update`.
 
-    A soft arm is stretched by the force on its needle: what is commanded lies ahead of the tip. If
-    the command only came to rest, the tip would follow while the force falls, after a rupture by
-    several tenths of a millimetre. So a rupture takes the command back to where the tip is, as fast
-    as the arm's limits allow; then the tip is held there.
+    What is commanded lies ahead of the tip of a soft arm, which would follow when the force falls.
+    So a rupture takes the command back to where the tip is; then the tip is held there.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
-        self._program = ["tare", "insert"]
-        if plan.approach_m > 0.0:
-            self._program.insert(0, "approach")
+        self._program = [*(["approach"] if plan.approach_m > 0.0 else []), "tare", "insert"]
         self._speed_m_s = self._from_m = self._last_s = self._asked_m = 0.0
         self._held_m: float | None = None  # where an insertion has ended
         self._is_slack = False
 
     def update(
-        self,
-        now: "Situation",
-        identification: Estimate | None = None,
-        axial_N: float | None = None,
+        self, now: "Situation", identification: Estimate | None = None, axial_N: float | None = None
     ) -> Step:
         """Speed and event that follow from what is known now.
 
@@ -204,7 +195,7 @@ class InsertionProfile:
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
         is_steady = self._speed_m_s == self._plan.speed_m_s
-        is_left = self._ruptures.update(found, axial_N, (depth_m, dt_s, is_steady))
+        is_left = self._ruptures.update(found, axial_N, depth_m, dt_s, is_steady=is_steady)
         if is_left and self._ruptures.count == self._plan.layer:
             return Step(self._hold(depth_m), "rupture")
         step = self._travel(self._plan.depth_m - depth_m, dt_s)
@@ -229,8 +220,7 @@ class InsertionProfile:
         wish = min(self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m)
         wish = math.copysign(wish, left_m)
         low, high = self._speed_m_s - most * dt_s, self._speed_m_s + most * dt_s
-        self._speed_m_s = min(max(wish, low), high)
-        return Step(self._speed_m_s)
+        return Step(min(max(wish, low), high))
 
     def _stroke(self, now: "Situation", legs_m: tuple[float, ...]) -> Step:
         """Speed on quintic strokes from rest to rest, one after another."""

@@ -27,13 +27,10 @@ spring has relaxed."""
 class Port:
     """Energy through one port since it was made.
 
-    Force and motion that meet with a delay never balance exactly, so a line that is held to the
-    last microjoule stops and goes. A fixed allowance covers single events; a power, which hand and
-    tissue dissipate in any case, what adds up over a long insertion.
-
     Args:
-        allowance_J: What may leave beyond what has entered at the other side.
-        allowance_W: The same, per second.
+        allowance_J: What may leave beyond what has entered at the other side: force and motion that
+            meet with a delay never balance exactly.
+        allowance_W: The same, per second; hand and tissue dissipate as much in any case.
 
     Attributes:
         in_J: What has entered the network here.

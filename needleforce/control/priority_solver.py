@@ -120,7 +120,7 @@ class Stack:
         rates: v of them, shape (m,).
         wish: w, shape (n,); zero without one.
         bounds: l and u, shape (2, n), for its user to fill in.
-        ends: Index behind the last row of each task.
+        levels: Rows and rates of each task, views of the above.
     """
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
@@ -128,17 +128,14 @@ class Stack:
         if isinstance(last, JointVelocity) and last.size != joints:
             raise SettingError(f"a task of {last.size} joints, the robot has {joints}")
         sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)]
-        self.ends = tuple(itertools.accumulate(sizes))
         self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
         self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
-        self._parts = [
-            (self.rows[first:end], self.rates[first:end])
-            for first, end in itertools.pairwise((0, *self.ends))
-        ]
+        ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
+        self.levels = [(self.rows[first:end], self.rates[first:end]) for first, end in ends]
 
     def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
         """Take rows and rates of tasks of the same sizes."""
-        for task, (rows, rates) in zip(tasks, self._parts, strict=False):
+        for task, (rows, rates) in zip(tasks, self.levels, strict=False):
             task.write(tool, rows, rates)
         last = tasks[-1] if tasks else None
         if isinstance(last, JointVelocity):
@@ -172,13 +169,6 @@ def dot(one: Vector, other: Vector) -> float:
     return total
 
 
-@compiled
-def add_scaled(vector: WrittenVector, factor: float, other: Vector) -> None:
-    """Add a multiple of a vector to another."""
-    for k in range(vector.size):
-        vector[k] += factor * other[k]
-
-
 @compiled_or(_all_met)
 def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector) -> bool:
     """Change a velocity as little as meets all rows; whether it is then within bounds.
@@ -192,14 +182,17 @@ def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
         new = basis[i]
         new[:] = rows[i]
         for j in range(2 * i):
-            add_scaled(new, -dot(new, basis[j % i]), basis[j % i])
+            part = dot(new, basis[j % i])
+            for k in range(joints):
+                new[k] -= part * basis[j % i, k]
         size = math.sqrt(dot(new, new))
         if size < _REGULAR:
             is_met = False
             break
         new /= size
-        left = rates[i] - dot(rows[i], velocity)
-        add_scaled(velocity, left / dot(rows[i], new), new)
+        part = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], new)
+        for k in range(joints):
+            velocity[k] += part * new[k]
     for k in range(joints):
         is_met = is_met and bounds[0, k] < velocity[k] < bounds[1, k]
     return is_met
@@ -220,8 +213,7 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     lower, upper = stack.bounds
     # From where no lower task has a say, so that it cannot matter to a higher one.
     velocity, free = np.minimum(np.maximum(0.0, lower), upper), np.eye(velocity.size)
-    parts = [slice(*ends) for ends in itertools.pairwise((0, *stack.ends))]
-    for rows, rates in [*((stack.rows[k], stack.rates[k]) for k in parts), (free, stack.wish)]:
+    for rows, rates in [*stack.levels, (free, stack.wish)]:
         if free.size:
             length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), 1e-9)
             level = rows / length[:, None], rates / length

@@ -6,9 +6,6 @@ one way, scaled; force comes back, scaled and kept passive at both ends, see `pa
     tele = Teleoperation(motion_scale=0.4, shown="tip")
     move = tele.update(device.read(), session_estimate, dt_s)
     device.render(move.force_N)                       # AxialSpeed(move.speed_m_s) for the arm
-
-Of the force on the needle the part at its tip is shown: friction along the shaft hides ruptures,
-and delayed friction is what makes a delayed loop swing.
 """
 
 import math
@@ -142,12 +139,7 @@ class NeedleSide:
         self._silent_s = 0.0
 
     def update(
-        self,
-        news: HandPacket | None,
-        force_N: float,
-        depth_m: float,
-        now_m_s: float,
-        dt_s: float,
+        self, news: HandPacket | None, force_N: float, depth_m: float, now_m_s: float, dt_s: float
     ) -> tuple[float, NeedlePacket]:
         """The speed to move with, positive inwards, and the packet to send.
 
