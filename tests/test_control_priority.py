@@ -15,6 +15,7 @@ from needleforce.control import (
     Posture,
     RemoteCentre,
     SettingError,
+    Task,
     TipVelocity,
 )
 from needleforce.control.tasks import ToolState
@@ -47,6 +48,11 @@ def tasks_near(tool):
         TipVelocity(np.zeros(3), tool.tip_m + off, 1.0),
         turn,
     ]
+
+
+def test_a_task_without_rows_cannot_be_made():
+    with pytest.raises(TypeError, match="abstract method write"):
+        type("Unfinished", (Task,), {"size": 1})()
 
 
 @pytest.mark.parametrize("index", range(4))

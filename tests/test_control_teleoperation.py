@@ -187,7 +187,7 @@ def test_energy_of_a_port_counts_both_ways_apart():
 
 
 def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance():
-    port, depth, speed = NeedlePort(1e-3, 0.0, 0.015), 0.0, 0.0
+    port, depth, speed = NeedlePort(1e-3, 0.0), 0.0, 0.0
     for _ in range(2000):
         speed = port.update(0.02, 20e3 * depth, speed, 0.0, DT)
         depth += speed * DT

@@ -182,10 +182,9 @@ class InsertionProfile:
                 return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
             case "insertion":
                 return self._insert(found, axial_N, depth_m, dt_s)
-            case "dwell" if now.state_s >= plan.dwell_s:
-                return Step(0.0, "arrived")
             case "dwell":
-                return Step(self._hold(depth_m))
+                is_over = now.state_s >= plan.dwell_s
+                return Step(0.0, "arrived") if is_over else Step(self._hold(depth_m))
             case "withdraw":
                 return self._travel(-depth_m, dt_s)
             case _:

@@ -22,6 +22,8 @@ HANDLE_kg, MOST_DAMPING_Ns_m = 0.25, 150.0
 HAND_J, HAND_W = 1e-3, 2e-3
 """What the hand may get early: one that yields to a spring need not wait for the news that the
 spring has relaxed."""
+FORCE_LAG_s = 0.015
+"""Of the virtual sensor's force, see `InsertionSession.lag_s`."""
 
 
 class Port:
@@ -125,12 +127,11 @@ class NeedlePort(Port):
         allowance_J: See `Port`: a delayed force is shown too low while it rises, so the hand always
             owes some.
         allowance_W: The same, per second.
-        force_lag_s: Time constant by which the force follows the true one.
     """
 
-    def __init__(self, allowance_J: float, allowance_W: float, force_lag_s: float) -> None:
+    def __init__(self, allowance_J: float, allowance_W: float) -> None:
         super().__init__(allowance_J, allowance_W)
-        self._lag_s, self._lagged_m_s = force_lag_s, 0.0
+        self._lagged_m_s = 0.0
 
     def update(
         self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
@@ -140,7 +141,7 @@ class NeedlePort(Port):
         It depends on the wanted one, the force against it, the speed now and what has entered at
         the other side, as far as known here.
         """
-        self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (self._lag_s + dt_s)
+        self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (FORCE_LAG_s + dt_s)
         self.observe(-force_N, self._lagged_m_s * dt_s)
         budget_J = self.budget_J(incoming_J, dt_s)
         return wanted_m_s * passive_part(force_N * wanted_m_s * dt_s, budget_J)

@@ -11,6 +11,7 @@ below about 0.6. A stack is a list of tasks, the first wins.
 """
 
 import math
+from abc import abstractmethod
 from typing import Protocol
 
 import numpy as np
@@ -77,6 +78,7 @@ class Task(Protocol):
     size: int
     """Number of rows m."""
 
+    @abstractmethod
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """Write J into ``rows``, shape (m, n), and v into ``rates``, shape (m,)."""
 

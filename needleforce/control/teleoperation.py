@@ -38,7 +38,6 @@ _SMOOTH_S, _FURTHEST_N = 0.2, 0.3
 _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
-_FORCE_LAG_S = 0.015  # of the virtual sensor, see `InsertionSession.lag_s`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
 
 
@@ -133,7 +132,7 @@ class NeedleSide:
     def __init__(self, motion_scale: float, force_scale: float, speed_limit_m_s: float) -> None:
         self._scale = scale = force_scale / motion_scale
         self._force_scale, self._limit_m_s = force_scale, speed_limit_m_s
-        self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale, _FORCE_LAG_S)
+        self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale)
         self.start_m: float | None = None  # depth without travel of the hand, until a reset
         self._last: HandPacket | None = None
         self._silent_s = 0.0
