@@ -104,13 +104,13 @@ class DisturbanceLevels(NamedTuple):
         white, colour, heart, breath = self.levels.tolist()
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
-    def at_most(self, heart: float, breath: float) -> "DisturbanceLevels":
-        """With what is left of heartbeat and breathing once the tissue's motion is known."""
-        white, colour, *beats = self.levels.tolist()
+    def at_most(self, heart: float, breath: float, part: float) -> "DisturbanceLevels":
+        """With what is left of heartbeat and breathing once most of the motion is known."""
         # Where tissue overtakes the needle the force is as quick as coloured noise.
-        colour = min(colour, heart + breath)
-        left = np.array([white, colour, min(beats[0], heart), min(beats[1], breath)])
-        return self._replace(levels=left)
+        most = np.array([math.inf, heart + breath, heart, breath])
+        return self._replace(
+            levels=np.minimum(self.levels, np.maximum(most, (1.0 - part) * self.levels))
+        )
 
     def restarted(self) -> "DisturbanceLevels":
         """After a gap or a rest: no difference reaches across."""

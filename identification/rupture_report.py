@@ -15,6 +15,7 @@ from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import Bank, BankMemory, Place
 from identification.switching_update import NO_ANSWER
+from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
@@ -118,7 +119,9 @@ def _counted(
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 
-def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place, time_s: float) -> bool:
+def may_be_braking(
+    bank: Bank, evaluation: Evaluation, place: Place, time_s: float, tissue: TissueMotion
+) -> bool:
     """Whether a needle that slows down could make the fall of the force as well.
 
     The speed is known late, and friction falls with it at once: a fall that is small beside the
@@ -127,13 +130,18 @@ def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place, time_s: flo
     record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
-    speed, since_s = place.speed, time_s - float(record[law.RUPTURE_S])
+    rupture_s, since_s = float(record[law.RUPTURE_S]), time_s - float(record[law.RUPTURE_S])
     if since_s < _SPEED_LAG_S and fall < _EARLY_FALL * force:
         return True
-    travelled_s = place.time_s - float(record[law.RUPTURE_S])
+    speed, before = place.speed, float(record[law.RUPTURE_SPEED])
+    travel = place.raw - float(record[law.RUPTURE_MM])
+    if tissue.is_known:  # only the needle's own speed is known late
+        (start, rate), (end, rate_now) = tissue.at(rupture_s), tissue.at(place.time_s)
+        speed, before, travel = speed + rate_now, before + rate, travel + end - start
+    travelled_s = place.time_s - rupture_s
     if 0.0 < travelled_s < _RECENT_S:  # a filtered depth is as late as its speed
-        speed = min(speed, (place.raw - float(record[law.RUPTURE_MM])) / travelled_s)
-    slowed = 1.0 - speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
+        speed = min(speed, travel / travelled_s)
+    slowed = 1.0 - speed / max(before, 1e-3)
     most = (_SLOWED_FAR if fall > _LARGE_FALL * force else _SLOWED) * slowed * force
     return slowed > _LEAST_SLOWED and fall < most
 

@@ -185,14 +185,16 @@ class SwitchingMethod:
         else:
             if self._state.stage == _PRUNE:
                 self._bank.prune(self._state.place)
-            self._state = report(self._state, self._bank, sample[0], sample[2], self._config)
+            state = report(self._state, self._bank, sample[0], sample[2], self._config)
+            is_due = state.tissue.is_due(sample[0])
+            self._state = state._replace(stage=_FOLLOW) if is_due else state
 
     def _absorb(self, sample: Sample) -> None:
         """Let every hypothesis law.predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
         if state.tissue.is_known:
-            levels = levels.at_most(*state.tissue.limits())
+            levels = levels.at_most(*state.tissue.limits(sample[0]))
         place, jitter, speed_noise = _block(sample[0], memory)
         filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
@@ -341,12 +343,12 @@ def report(
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
         now = RuptureState.FORCE_DROP_MEASURING
-    state = state._replace(stage=_FOLLOW, rupture_state=now)
+    state = state._replace(stage=_NOTHING, rupture_state=now)
     is_likely = evaluation.more > config.alarm_probability
     if (
         is_likely
         and _is_settled(state.course, bank, evaluation.pick, place)
-        and not reports.may_be_braking(bank, evaluation, place, time_s)
+        and not reports.may_be_braking(bank, evaluation, place, time_s, state.tissue)
     ):
         state = _raise_alarm(state, bank, (time_s, depth_m), evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:

@@ -36,24 +36,25 @@ BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
 _SLOWEST_HEART = 0.6
 _SIZES_MM = {True: (1.5, 0.75), False: (0.3, 0.15)}
 """Of breathing and of a heartbeat, of both harmonics each, one standard deviation."""
-_PERIODS = {True: 2.0, False: 4.0}
-"""Least number of them in the window, of breathing and of a heartbeat."""
+_PERIODS, _BREATH_S = {True: 2.0, False: 4.0}, 7.0
+"""Least number of them in the window, of breathing and of a heartbeat; a window that is shorter
+takes half a breath for a quick one."""
 _CLEARER = {True: 20.0, False: 4.0}
 """By so much the motion must lower the error: a layer that bends looks like a slow breath."""
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
-_FAIR, _LOST, _PATIENCE = 0.3, 1.0, 8
+_FAIR, _LOST, _PATIENCE = 0.5, 1.0, 8
 """Mean square of the errors, in those units, of a good fit, and of one to give up after so many
 steps in a row."""
 _CHECK_S, _ADAPT_S = 0.25, 0.2
 """Between two looks whether the tissue moves, and two steps of a known motion."""
 _STEPS = 8
 """Gauss-Newton steps of a new fit."""
-_FADE_S = 1.0
-"""Over which a motion just found comes in."""
+_FADE_S, _BELIEF_S = 1.0, 2.0
+"""Over which a motion just found comes in, and is believed: the bank has learned without it."""
 _PRESLIDING_MM, _UNLOADING_MM = 0.3, 0.5
 """Travel over which friction turns, and the tip's force goes behind the deepest point."""
-_LINEAR = 8
+_LINEAR, _EMPTY = 8, (0.0,) * 5
 
 
 class Fit(NamedTuple):
@@ -70,7 +71,7 @@ class TissueMotion(NamedTuple):
     """What is known of the motion; immutable."""
 
     window: Array = np.zeros((0, 4))  # means of time, depth, speed and force, in one layer
-    filling: Array = np.zeros(5)  # length of the mean being filled, and integrals of those
+    filling: tuple[float, ...] = _EMPTY  # length of the mean being filled, integrals of those
     from_s: float = 0.0  # the window begins later
     fit: Fit = Fit()  # the motion in use, if it has beats
     since_s: float = 0.0  # in use since then
@@ -98,11 +99,15 @@ class TissueMotion(NamedTuple):
         kept, rate = part * part * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / _FADE_S
         return kept * float(place), kept * float(speed) + rate * float(place)
 
-    def limits(self) -> tuple[float, float]:
-        """Variance of the force that heartbeat and breathing leave unexplained."""
+    def limits(self, time_s: float) -> tuple[float, float, float]:
+        """Variance of the force that heartbeat and breathing leave unexplained.
+
+        The third is the part by which the motion just found is believed.
+        """
         slow = self.fit.beats[:, 0] < _SLOWEST_HEART
         left = (2.0 * self.fit.rms_N) ** 2
-        return left * float((~slow).any()), left * float(slow.any())
+        part = min(max((time_s - self.since_s) / _BELIEF_S, 0.0), 1.0)
+        return left * float((~slow).any()), left * float(slow.any()), part
 
     def restarted(self, time_s: float) -> "TissueMotion":
         """After a rupture: the window begins anew, the motion goes on.
@@ -119,22 +124,23 @@ class TissueMotion(NamedTuple):
         if block.time_s < self.from_s:
             return self
         place, speed = self.at(block.time_s) if self.is_known else (0.0, 0.0)
-        means = np.array([1.0, block.time_s, block.depth + place, block.speed + speed, block.force])
-        filling = self.filling + block.dt_s * means
+        means = (1.0, block.time_s, block.depth + place, block.speed + speed, block.force)
+        sums = zip(self.filling, means, strict=True)
+        filling = tuple(total + block.dt_s * mean for total, mean in sums)
         if filling[0] < _STEP_S * (1.0 - 1e-9):
             return self._replace(filling=filling)
-        window = np.vstack((self.window[-_SIZE + 1 :], filling[1:] / filling[0]))
-        return self._replace(window=window, filling=np.zeros(5))
+        window = np.vstack((self.window[-_SIZE + 1 :], np.array(filling[1:]) / filling[0]))
+        return self._replace(window=window, filling=_EMPTY)
+
+    def is_due(self, time_s: float) -> bool:
+        """Whether there is work to do."""
+        return self.is_long and (self.unit >= 0 or time_s >= self.next_s)
 
     def worked(self, time_s: float) -> "TissueMotion":
         """Do one unit of what is due."""
-        if not self.is_long:
-            return self
-        if self.unit >= 0:
-            return self._searched(_Window(self.window[:-_MARGIN]), time_s)
-        if time_s < self.next_s:
-            return self
         window = _Window(self.window[:-_MARGIN])
+        if self.unit >= 0:
+            return self._searched(window, time_s)
         if not self.is_known:
             error = window.solved(self.fit.beats, 0.0)[2]
             due = 0 if error > max(window.clear, 0.1 * window.count) else -1
@@ -264,7 +270,7 @@ class _Window:
         for hz, slow in zip(periods, is_slow, strict=True):
             grid = BREATH if slow else HEART
             is_known = grid[0] - 0.03 < hz < grid[-1] + 0.1
-            if not is_known or hz * length_s < _PERIODS[bool(slow)]:
+            if not is_known or length_s < max(_PERIODS[bool(slow)] / hz, _BREATH_S * slow):
                 return False
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
         return is_lower and still - fit.error > self.clear and fit.error < _FAIR * self.count

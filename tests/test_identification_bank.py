@@ -33,6 +33,7 @@ from identification.hypothesis_filter import (
     regressor,
 )
 from identification.rupture_report import Evaluation, friction_left, may_be_braking
+from identification.tissue_motion import TissueMotion
 
 PLACE = Place(
     time_s=3.0,
@@ -175,8 +176,8 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, 
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
     place = place._replace(raw=50.0)
-    assert may_be_braking(bank, evaluation, place, place.time_s) == braking
+    assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
         bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
-        assert may_be_braking(bank, evaluation, place, place.time_s)
+        assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion())

@@ -51,9 +51,9 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     error = place - 1e3 * true.at(times)[0]
     assert np.std(error) < 0.3 * np.std(place)
     alarms_s = [each.rupture.alarm_s for each in found if each.rupture is not None]
-    late = [each for each in alarms_s if each > rupture_s - 2.0]
-    assert len(late) == 1
-    assert 0.0 < late[0] - rupture_s < 0.2
+    near = [each for each in alarms_s if abs(each - rupture_s) < 3.0]
+    assert len(near) == 1
+    assert 0.0 < near[0] - rupture_s < 0.2
 
 
 @pytest.mark.parametrize("name", ["gel-25-constant", "abdomen-sinusoidal"])
@@ -77,7 +77,8 @@ def test_whatever_the_window_holds_work_never_fails(force, speed):
     for k in range(400):
         sign = 1.0 if k % 7 else -1.0
         block = Place(0.05 * k, 0.05, 0.05 * speed * k, speed, 1.0, sign * force, speed, 0.01)
-        motion = motion.with_block(block, is_met=True).worked(0.05 * k)
+        motion = motion.with_block(block, is_met=True)
+        motion = motion.worked(0.05 * k) if motion.is_due(0.05 * k) else motion
         assert np.isfinite(motion.at(0.05 * k)).all()
 
 
