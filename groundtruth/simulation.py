@@ -16,11 +16,10 @@ from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
 from groundtruth.errors import Array, RunError
-from groundtruth.force_noise import MINI45, ForceNoise
-from groundtruth.plant_model import PlantModel, TICK_s, plant_named
+from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.tissue_truth import ReadOnlyArrays, TissueTruth, collect_truth
+from groundtruth.tissue import ReadOnlyArrays, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
 
@@ -191,7 +190,7 @@ def insert_needle(
         scenario: A scenario or its name, see `groundtruth.scenario`.
         seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
         rate_hz: Samples per second.
-        noise: What the force sensor adds, see `groundtruth.force_noise`.
+        noise: What the force sensor adds, see `ForceNoise`.
 
     Raises:
         ScenarioError: There is no scenario of that name.

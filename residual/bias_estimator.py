@@ -161,8 +161,7 @@ class BiasEstimator:
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.
 
-        Returns:
-            Whether joint states and offset have been renewed; the covariance may then be read anew.
+        Returns whether joint states and offset have been renewed: the covariance may then be, too.
         """
         memory = self.memory
         memory.q, memory.dq = q, dq

@@ -231,9 +231,8 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
     try:
         shape = np.shape(friction.torque(np.zeros(joints)))
     except ValueError as error:
-        raise ConfigurationError(
-            f"friction does not fit a robot of {joints} joints: {error}"
-        ) from error
+        what = f"friction does not fit a robot of {joints} joints: {error}"
+        raise ConfigurationError(what) from error
     if shape != (joints,):
         raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
 
@@ -311,15 +310,9 @@ class MomentumObserver:
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
 
-        Args:
-            q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,).
-            tau: Measured link-side joint torques [Nm], shape (n,).
-            dt_s: Time since the previous sample [s]; not read on the first one.
-
-        Returns:
-            Estimate of the external joint torque, environment on robot [Nm], shape (n,), a new
-            read-only array.
+        Joint positions [rad], velocities [rad/s] and measured link-side torques [Nm] have shape
+        (n,); the time since the previous sample [s] is not read on the first one. The residual is
+        the external joint torque, environment on robot [Nm], shape (n,), a new read-only array.
 
         Raises:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
@@ -366,10 +359,8 @@ class MomentumObserver:
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
 
-        Args:
-            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
-            q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
-                noise of velocity into noise of momentum.
+        The noise is the standard deviation of ``dq`` per joint [rad/s], shape (n,); inertia at the
+        configuration about which the arm will move [rad], shape (n,), makes that of momentum of it.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         inertia = pin.crba(self._model, self.data, check_joint_vector("q", q, self._joints))

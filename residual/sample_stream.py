@@ -47,17 +47,6 @@ class StreamState:
     missed_s: float = 0.0  # Time that the observer has not seen yet [s]
 
 
-def _observer(robot: Robot, config: SensorConfig, *, has_velocity: bool) -> MomentumObserver:
-    return MomentumObserver(
-        robot,
-        config.gain_per_s,
-        # The matched filter hands on a continuous torque.
-        alignment=config.alignment if has_velocity else "trapezoid",
-        friction=config.friction,
-        max_gap_s=config.max_gap_s,
-    )
-
-
 class SampleStream:
     """Positions, velocities if there are any, and torques; all or none with velocities.
 
@@ -91,14 +80,19 @@ class SampleStream:
             )
             delay_s = self._velocity.delay_s
         if config.guard:
-            tip = None
-            if any(config.tool_offset_m):
-                tip = ToolKinematics(robot, config.frame, offset_m=config.tool_offset_m)
-            self._guard = FaultDetector(
-                robot, has_velocity=has_velocity, velocity_delay_s=delay_s, tool=tip
-            )
+            # Without an offset, forces of any frame's origin are tried as those of the tool frame.
+            frame = config.frame if any(config.tool_offset_m) else None
+            tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
+            self._guard = FaultDetector(robot, tip, delay_s, has_velocity=has_velocity)
         if not is_external:
-            self._observer = _observer(robot, config, has_velocity=has_velocity)
+            self._observer = MomentumObserver(
+                robot,
+                config.gain_per_s,
+                # The matched filter hands on a continuous torque.
+                alignment=config.alignment if has_velocity else "trapezoid",
+                friction=config.friction,
+                max_gap_s=config.max_gap_s,
+            )
             self.filter_lag_s = 1.0 / config.slowest_gain_per_s
             self.lag_s = self.filter_lag_s + delay_s
         self._model, self._data = robot.model, robot.create_data()

@@ -59,8 +59,7 @@ def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 def check_form(state: object, model: object) -> None:
     """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
 
-    Raises:
-        SnapshotError: With the array that differs, or what is missing.
+    `SnapshotError` with the array that differs, or what is missing.
     """
     expected = {place: array.shape for place, array in _arrays(model)}
     for place, array in _arrays(state):

@@ -238,13 +238,9 @@ class WrenchEstimator:
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
-        """Set how far the residual may be trusted, for the next `weigh`.
+        """Set the covariance of the residual's error [Nm^2], shape (n, n), for the next `weigh`.
 
-        Args:
-            covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
-
-        Raises:
-            ConfigurationError: If it has another shape or is not positive definite.
+        `ConfigurationError` if it has another shape or is not positive definite.
         """
         shape = self.torque_covariance.shape
         if covariance_Nm2.shape != shape:
@@ -264,16 +260,12 @@ class WrenchEstimator:
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
 
-        Raises:
-            SampleError: For a wrong shape, or for numbers that are not real or not finite.
+        `SampleError` for a wrong shape, or for numbers that are not real or not finite.
         """
-        q = check_joint_vector("q", q, self._joints)
-        residual = check_joint_vector("residual", residual, self._joints)
-        q, residual = np.ascontiguousarray(q), np.ascontiguousarray(residual)
+        q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
+        residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
         self.weigh(q)
-        return WrenchEstimate(
-            *self.solve(q, residual, np.zeros(self._joints), np.zeros(3), fraction=1.0)
-        )
+        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), np.zeros(3), 1.0))
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
@@ -309,13 +301,8 @@ class WrenchEstimator:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
         The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
-        arguments are those of `wrench_step`.
-
-        Returns:
-            The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
-
-        Raises:
-            SampleError: For numbers that are not finite.
+        arguments are those of `wrench_step`. Returns the numbers of a `WrenchEstimate`, from
+        ``axial`` to ``residual``; `SampleError` for numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
         size = len(rows) - 1
