@@ -39,12 +39,8 @@ def compiled(function: Function) -> Function:
     above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a tick calls it
     once when constructed, with the same types. No tick waits for a compiler.
 
-    Args:
-        function: Numeric expressions that numpy runs nearly as fast without a compiler; one in
-            loops only if its caller has another way where `COMPILER` is empty.
-
-    Returns:
-        The compiled function, or the same one where nothing compiles.
+    Where nothing compiles the function itself is returned: give it numeric expressions that numpy
+    runs nearly as fast, and loops only if its caller has another way where `COMPILER` is empty.
     """
     if not COMPILER:
         return function

@@ -230,13 +230,9 @@ class InsertionSession:
     def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
-        Args:
-            plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
-            entry_in_base_m: The plan's entry point in the robot's base [m], shape (3,), as
-                `Registration.to_robot` gives it; None where its depths count from the session's.
-
-        Raises:
-            SettingError: For anything but a plan, or an entry that is no point.
+        The plan is a `needleforce.anatomy.PlanMatch`, None to follow none; the entry is its entry
+        point in the robot's base [m], shape (3,), as `Registration.to_robot` gives it, None where
+        its depths count from the session's. `SettingError` for anything else.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
             raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")

@@ -49,8 +49,6 @@ class FreeMotionFit:
         learn: Whether the sizes are learnt; the prior's otherwise.
 
     Attributes:
-        basis: The causes.
-        blocks: The motion.
         tare: What was found.
         sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
     """

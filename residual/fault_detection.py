@@ -186,11 +186,8 @@ class FaultDetector:
     def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
 
-        Returns:
-            Whether its position has jumped and is accepted only because it stayed where it is.
-
-        Raises:
-            SuspectSampleError: For a spike, frozen signals or a saturated torque.
+        Returns whether its position has jumped and is accepted only because it stayed where it is;
+        `SuspectSampleError` for a spike, frozen signals or a saturated torque.
         """
         memory = self.memory
         off = now - memory.last
@@ -287,14 +284,8 @@ class FaultDetector:
         motion_repeats = position_repeats and not off[n:-n].any()
         torque_repeats = not off[-n:].any()
         self._repeats = position_repeats, motion_repeats, torque_repeats
-        frozen = [
-            name
-            for name, repeats, detector in (
-                ("position", motion_repeats, memory.motion),
-                ("torque", torque_repeats, memory.torque),
-            )
-            if repeats and detector.is_stuck(dt_s)
-        ]
+        frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
+        frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
         if frozen:
             raise SuspectSampleError(
                 f"{' and '.join(frozen)} of all joints repeat bit for bit although they are noisy; "

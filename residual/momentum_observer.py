@@ -57,12 +57,8 @@ def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, h
     With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is linear in the
     rows of `momentum_step`.
 
-    Args:
-        weights: Where one weight per row is written, shape (1, 9), or (n, 9) for one gain per
-            joint.
-        gains_per_s: K [1/s], shape (1,) or (n,).
-        dt_s: Length of the tick [s].
-        held: Whether torque is held over the tick, see `Alignment`.
+    One weight per row is written, shape (1, 9), or (n, 9) for one gain K [1/s] per joint; ``held``
+    says whether torque is held over the tick [s], see `Alignment`.
     """
     for k in range(len(gains_per_s)):
         gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
@@ -267,9 +263,8 @@ class MomentumObserver:
         data: Workspace; joint placements and Jacobians of the latest sample stand in it.
         memory: All that it remembers.
 
-    Raises:
-        ConfigurationError: For a gain, alignment or gap that cannot work, or friction of another
-            number of joints.
+    `ConfigurationError` for a gain, alignment or gap that cannot work, or friction of another
+    number of joints.
     """
 
     def __init__(
@@ -314,9 +309,8 @@ class MomentumObserver:
         (n,); the time since the previous sample [s] is not read on the first one. The residual is
         the external joint torque, environment on robot [Nm], shape (n,), a new read-only array.
 
-        Raises:
-            SampleError: For a wrong shape, a number that is not finite or a time step that does
-                not advance; the state is then unchanged.
+        `SampleError` for a wrong shape, a number that is not finite or a time step that does not
+        advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
         # Compiled code takes contiguous arrays.
@@ -371,9 +365,8 @@ class MomentumObserver:
     def restore(self, memory: MomentumState) -> None:
         """Go on from a `memory`, which is kept, of an observer of the same robot and settings.
 
-        Raises:
-            ConfigurationError: If it belongs to a robot with another number of joints, or is
-                damaged; nothing has then changed.
+        `ConfigurationError` if it is of another number of joints, or damaged; nothing has then
+        changed.
         """
         rows, noise, n = memory.rows, memory.noise, self._joints
         if rows.shape != (ROWS, n):

@@ -71,14 +71,13 @@ class SampleStream:
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
         self._velocity = self._guard = self._observer = None
         delay_s = self.lag_s = self.filter_lag_s = 0.0
+        alignment, gap_s = config.alignment, config.max_gap_s
         if not has_velocity:
             self._velocity = VelocityEstimator(
-                n,
-                config.velocity_bandwidth_per_s,
-                alignment=config.alignment,
-                max_gap_s=config.max_gap_s,
+                n, config.velocity_bandwidth_per_s, alignment=alignment, max_gap_s=gap_s
             )
-            delay_s = self._velocity.delay_s
+            # The matched filter hands on a continuous torque.
+            delay_s, alignment = self._velocity.delay_s, "trapezoid"
         if config.guard:
             # Without an offset, forces of any frame's origin are tried as those of the tool frame.
             frame = config.frame if any(config.tool_offset_m) else None
@@ -88,34 +87,29 @@ class SampleStream:
             self._observer = MomentumObserver(
                 robot,
                 config.gain_per_s,
-                # The matched filter hands on a continuous torque.
-                alignment=config.alignment if has_velocity else "trapezoid",
+                alignment=alignment,
                 friction=config.friction,
-                max_gap_s=config.max_gap_s,
+                max_gap_s=gap_s,
             )
             self.filter_lag_s = 1.0 / config.slowest_gain_per_s
             self.lag_s = self.filter_lag_s + delay_s
         self._model, self._data = robot.model, robot.create_data()
         self._adds_gravity = config.torque_is_gravity_compensated and not is_external
-        self._max_gap_s = config.max_gap_s
+        self._max_gap_s = gap_s
         self._settling_s = SETTLING_LAGS * self.filter_lag_s - ROUNDING_S
         probes = config.smooth_momentum and not is_external
-        self.memory = StreamState(
-            None if self._velocity is None else self._velocity.memory,
-            None if self._guard is None else self._guard.memory,
-            None if self._observer is None else self._observer.memory,
-            NoiseProbe.of_size(n) if probes else None,
-        )
+        parts = self._velocity, self._guard, self._observer
+        memories = (getattr(part, "memory", None) for part in parts)
+        self.memory = StreamState(*memories, NoiseProbe.of_size(n) if probes else None)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> TorqueSample:
         """Take one sample; arguments as of `VirtualForceSensor.update`.
 
-        Raises:
-            SampleError: For a wrong shape, numbers that are not finite, or a velocity that comes
-                and goes; nothing has then changed but what the fault detector knows of it.
-            SuspectSampleError: For a spike, frozen signals or a saturated torque.
+        `SampleError` for a wrong shape, numbers that are not finite, or a velocity that comes and
+        goes, `SuspectSampleError` for a spike, frozen signals or a saturated torque; nothing has
+        then changed but what the fault detector knows of it.
         """
         if (dq is None) == self.has_velocity:
             raise SampleError(

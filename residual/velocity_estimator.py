@@ -66,6 +66,8 @@ class VelocityState:
 class VelocityEstimator:
     """Causal velocity from position, with torque through the same filter.
 
+    `ConfigurationError` for a setting that cannot work.
+
     Args:
         joints: Number of joints.
         bandwidth_per_s: w of the two lags [1/s], 1e6 at most; the common delay is 2/w, the
@@ -76,9 +78,6 @@ class VelocityEstimator:
 
     Attributes:
         memory: All that it remembers; one of the same settings and joints may stand in its place.
-
-    Raises:
-        ConfigurationError: For a setting that cannot work.
     """
 
     SETTLING_LAGS = 10.0

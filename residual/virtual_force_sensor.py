@@ -230,9 +230,8 @@ class VirtualForceSensor:
     def restore(self, state: SensorState) -> None:
         """Go on, bit for bit, from where `snapshot` was taken.
 
-        Raises:
-            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
-                or other settings; nothing has then changed.
+        `SnapshotError`, and nothing has changed, for anything but a snapshot of such a sensor, a
+        damaged one, or one of another robot or other settings.
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")

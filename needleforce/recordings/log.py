@@ -84,11 +84,9 @@ class Log:
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a channel's values; `ColumnError` if the log has no such channel."""
-        if name not in self.channels:
-            raise ColumnError(
-                f"the log has no channel {name!r}; it has: {', '.join(self.channels)}"
-            )
-        return self.channels[name]
+        if name in self.channels:
+            return self.channels[name]
+        raise ColumnError(f"the log has no channel {name!r}; it has: {', '.join(self.channels)}")
 
 
 class _Source(NamedTuple):
