@@ -104,6 +104,14 @@ class DisturbanceLevels(NamedTuple):
         white, colour, heart, breath = self.levels.tolist()
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
+    def at_most(self, heart: float, breath: float) -> "DisturbanceLevels":
+        """With what is left of heartbeat and breathing once the tissue's motion is known."""
+        white, colour, *beats = self.levels.tolist()
+        # Where tissue overtakes the needle the force is as quick as coloured noise.
+        colour = min(colour, heart + breath)
+        left = np.array([white, colour, min(beats[0], heart), min(beats[1], breath)])
+        return self._replace(levels=left)
+
     def restarted(self) -> "DisturbanceLevels":
         """After a gap or a rest: no difference reaches across."""
         return self._replace(steps=0.0, force_sum=0.0, filled_s=0.0)

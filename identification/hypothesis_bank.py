@@ -103,6 +103,7 @@ class Place(NamedTuple):
     force: float  # mean over the block [N]
     usual_speed: float  # of the last ten seconds [mm/s]
     noise: float  # standard deviation of a block's force [N]
+    raw: float = 0.0  # unfiltered depth [mm]
 
 
 def first_bank() -> Bank:

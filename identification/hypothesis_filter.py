@@ -85,8 +85,8 @@ FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single surprise proves little."""
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
 """Growth of the force in a layer, before data [N/mm], and the growth of that growth [N/mm²]."""
-NO_CUTTING = 0.02
-"""Cutting force that counts as none [N]; it is never negative."""
+NO_FORCE, NO_SLOPE = 0.02, 0.002
+"""Cutting force or friction [N] and stiffness [N/mm] that count as none: they are not negative."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
 PUSHED_MM = 12.0
@@ -374,16 +374,18 @@ def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is
 
 
 @compiled
-def _hold_cutting(mean: WrittenVector, spread: WrittenMatrix) -> float:
-    """Take a negative cutting force for none; returns what that adds to the log weight."""
-    # With its onset it would look like a slow release.
-    variance, value = max(spread[HELD, HELD], 0.0), mean[HELD]
-    if value >= -NO_CUTTING - math.sqrt(variance):
-        return 0.0
-    row = np.zeros(UNKNOWNS)
-    row[HELD] = 1.0
-    _condition(mean, spread, row, NO_CUTTING**2)
-    return -0.5 * value**2 / (variance + NO_CUTTING**2)
+def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float:
+    """Take for none what is negative and cannot be; returns what that adds to the log weight."""
+    added, row = 0.0, np.zeros(UNKNOWNS)
+    for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
+        variance, value = max(spread[at, at], 0.0), mean[at]
+        # With its onset a negative cutting force would look like a slow release.
+        if value < -none - math.sqrt(variance) and (is_cutting or at != HELD):
+            row[:] = 0.0
+            row[at] = 1.0
+            _condition(mean, spread, row, none**2)
+            added -= 0.5 * value**2 / (variance + none**2)
+    return added
 
 
 @compiled
@@ -399,7 +401,7 @@ def weigh(
             is_certain = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
             fact[IS_JUDGED] = 1.0 if is_certain else 0.0
         is_held, own = fact[IS_HELD] > 0.0, fact[OWN_FORCE]
-        log_weights[k] += _hold_cutting(mean, spreads[k]) if kind == LAYER and not is_held else 0.0
+        log_weights[k] += _hold(mean, spreads[k], kind == LAYER and not is_held)
         if own > 0.0 and depth > fact[RELEASE] + fact[LENGTH] + 0.1:
             held = mean[HELD] if kind == LAYER and is_held else 0.0
             if mean[RELEASED] - mean[KEPT] - held < max(LEAST_DROP * own, 2.0 * noise):

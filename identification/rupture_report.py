@@ -20,8 +20,9 @@ from needleforce.jit import Matrix, Vector, compiled
 _MM = 1e3
 _LEAST_WEIGHT = 1e-3
 """Less likely hypotheses do not show in an answer."""
-_CLEAR_SIGMAS = 3.0
-"""Least released force of a rupture worth an alarm, in standard deviations of a block's force."""
+_CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
+"""Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
+two thirds of the least seen in real liver."""
 _EARLY_FALL, _LARGE_FALL = 0.12, 0.3
 """Of the force: no robot brakes so hard within a tenth of a second; and a fall that is large."""
 _SPEED_LAG_S = 0.1
@@ -85,7 +86,7 @@ class Evaluation(NamedTuple):
 
 def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    limits = float(known), _CLEAR_SIGMAS * noise, law.LAYER
+    limits = float(known), max(_CLEAR_SIGMAS * noise, _CLEAR_N), law.LAYER
     force = bank.records[:, law.RUPTURE_FORCE] - bank.means[:, law.OFFSET]
     return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, force, limits, _OF_COUNT))
 
@@ -117,9 +118,7 @@ def _counted(
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 
-def may_be_braking(
-    bank: Bank, evaluation: Evaluation, place: Place, at: tuple[float, float, float]
-) -> bool:
+def may_be_braking(bank: Bank, evaluation: Evaluation, place: Place, time_s: float) -> bool:
     """Whether a needle that slows down could make the fall of the force as well.
 
     The speed is known late, and friction falls with it at once: a fall that is small beside the
@@ -128,11 +127,12 @@ def may_be_braking(
     record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
-    speed, since_s = place.speed, at[0] - float(record[law.RUPTURE_S])
+    speed, since_s = place.speed, time_s - float(record[law.RUPTURE_S])
     if since_s < _SPEED_LAG_S and fall < _EARLY_FALL * force:
         return True
-    if since_s < _RECENT_S:  # a filtered depth is as late as its speed
-        speed = min(speed, (_MM * at[2] - float(record[law.RUPTURE_MM])) / max(since_s, 1e-3))
+    travelled_s = place.time_s - float(record[law.RUPTURE_S])
+    if 0.0 < travelled_s < _RECENT_S:  # a filtered depth is as late as its speed
+        speed = min(speed, (place.raw - float(record[law.RUPTURE_MM])) / travelled_s)
     slowed = 1.0 - speed / max(float(record[law.RUPTURE_SPEED]), 1e-3)
     most = (_SLOWED_FAR if fall > _LARGE_FALL * force else _SLOWED) * slowed * force
     return slowed > _LEAST_SLOWED and fall < most

@@ -31,6 +31,7 @@ from identification.estimate import (
     layers_traversed,
 )
 from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
+from identification.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
 
 _MM = 1e3
@@ -62,7 +63,7 @@ _REVISE = 10.0
 _MOTION_MM = 0.1
 """Of tissue with the heart, one standard deviation, if its beat is not known better."""
 _FAR_MM = 1e9
-_NOTHING, _SPAWN, _PRUNE, _REPORT = range(4)
+_NOTHING, _SPAWN, _PRUNE, _REPORT, _FOLLOW = range(5)
 
 
 class Course(NamedTuple):
@@ -81,8 +82,9 @@ class SwitchingState(NamedTuple):
     bank: Bank
     memory: Array = samples.FIRST_MEMORY  # what every sample changes, see `switching_update`
     levels: DisturbanceLevels = DisturbanceLevels()
+    tissue: TissueMotion = TissueMotion()  # its motion by itself
     course: Course = Course()
-    place: Place = Place(*(0.0,) * 8)  # middle of the last block
+    place: Place = Place(*(0.0,) * 9)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
     answer: Array = samples.NO_ANSWER  # see `switching_update`
     ruptures: int = 0  # in the hypotheses that the last report followed
@@ -148,7 +150,10 @@ class SwitchingMethod:
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
-        state, dt_s, motion, force_N = self._state, sample[1], sample[2:6], sample[6]
+        state = self._state
+        if state.tissue.is_known:
+            sample = _in_tissue(sample, state.tissue)
+        dt_s, motion, force_N = sample[1], (*sample[2:6], sample[8]), sample[6]
         is_full, outputs = samples.update_switching(
             motion, force_N, dt_s, self._memory, self._answer, self._left
         )
@@ -174,21 +179,22 @@ class SwitchingMethod:
     def _work(self, sample: Sample) -> None:
         if self._state.stage == _SPAWN:
             self._branch()
+        elif self._state.stage == _FOLLOW:
+            tissue = self._state.tissue.worked(sample[0])
+            self._state = self._state._replace(stage=_NOTHING, tissue=tissue)
         else:
             if self._state.stage == _PRUNE:
                 self._bank.prune(self._state.place)
-            at = (sample[0], sample[2], sample[8])
-            self._state = report(self._state, self._bank, at, self._config)
+            self._state = report(self._state, self._bank, sample[0], sample[2], self._config)
 
     def _absorb(self, sample: Sample) -> None:
         """Let every hypothesis law.predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
-        filled, *sums = map(float, memory[: samples.FORCE_SUM + 1])
-        z, v, w, force = (total / filled for total in sums)
-        z, v = _MM * z, _MM * v
-        jitter, speed_noise = (_MM * float(std) for std in memory[samples.DEPTH_STD :])
-        memory[: samples.FORCE_SUM + 1] = [0.0] * (samples.FORCE_SUM + 1)
+        if state.tissue.is_known:
+            levels = levels.at_most(*state.tissue.limits())
+        place, jitter, speed_noise = _block(sample[0], memory)
+        filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
         deadband = _DEADBAND * speed_noise
@@ -200,9 +206,9 @@ class SwitchingMethod:
         is_gap = filled > _GAP_S
         is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
         is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
-        place = Place(sample[0] - 0.5 * filled, filled, z, steady, w, force, usual, levels.noise)
+        place = place._replace(speed=steady, usual_speed=usual, noise=levels.noise)
         course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
-        _predict(bank, place, fresh, levels)
+        _predict(bank, place, fresh, levels, state.tissue)
         facts = bank.store[3][: bank.size]
         is_met = bool((facts[:, law.KIND] != law.AIR).any() or (facts[:, law.RUPTURES] > 0.0).any())
         stage = _REPORT
@@ -219,8 +225,9 @@ class SwitchingMethod:
         else:
             course, levels = course._replace(resumed=1.0), levels.restarted()
         in_air = state.force_std_in_air if is_met else sample[7]
+        tissue = state.tissue.with_block(place._replace(speed=v), is_met=state.answer[0, 0] > 0.0)
         state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
-        self._state = state._replace(levels=levels, course=course, place=place)
+        self._state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
 
     def _branch(self) -> None:
         """Begin hypotheses of what may have happened in the block's travel."""
@@ -233,6 +240,25 @@ class SwitchingMethod:
             course = course._replace(spawned=place.depth)
         _weigh(bank, place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)
+
+
+def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
+    """Means of a block that is full, and noise of its depth and speed; the next one begins."""
+    filled, z, v, w, force, raw = memory[: samples.RAW_SUM + 1].tolist()
+    memory[: samples.RAW_SUM + 1] = 0.0
+    z, v, raw = (_MM * total / filled for total in (z, v, raw))
+    place = Place(time_s - 0.5 * filled, filled, z, v, w / filled, force / filled, 0.0, 0.0, raw)
+    jitter, speed_noise = (_MM * memory[samples.DEPTH_STD :]).tolist()
+    return place, jitter, speed_noise
+
+
+def _in_tissue(sample: Sample, tissue: TissueMotion) -> Sample:
+    """A sample as the tissue, which moves, meets it."""
+    time_s, dt_s, depth_m, speed_m_s, depth_std, speed_std, force_N, force_std, place_m = sample
+    place, speed = tissue.at(time_s)
+    depth_m, speed_m_s = depth_m - place / _MM, speed_m_s - speed / _MM
+    place_m -= place / _MM
+    return time_s, dt_s, depth_m, speed_m_s, depth_std, speed_std, force_N, force_std, place_m
 
 
 def left_layers(state: SwitchingState) -> Array:
@@ -250,7 +276,9 @@ def _weigh(bank: BankMemory, place: Place, *, is_advancing: bool) -> None:
     law.weigh(bank.store, bank.size, now, is_advancing)
 
 
-def _predict(bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels) -> None:
+def _predict(
+    bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels, tissue: TissueMotion
+) -> None:
     # Errors of the law are the same for all: what claims less would be believed more.
     best = bank.store[0][0].tolist()
     slope = best[law.STIFFNESS] + best[law.OWN_COULOMB] + best[law.OWN_VISCOUS] * place.speed
@@ -261,7 +289,7 @@ def _predict(bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLe
         abs(place.force - best[law.OFFSET] - left) + law.LEFT_ERROR * abs(left)
     )
     _, colour, heart, breath = levels.levels.tolist()
-    if bank.store[3][0, law.KIND] != law.AIR:
+    if bank.store[3][0, law.KIND] != law.AIR and not tissue.is_known:
         # Before a few beats have been seen nobody knows whether the tissue moves.
         heart = max(heart, (_MOTION_MM * slope) ** 2)
     turns = transitions(place.dt_s, fresh, law.LAW_MM, (heart, breath, error * error))
@@ -303,26 +331,24 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
 def report(
     state: SwitchingState,
     memory: BankMemory,
-    at: tuple[float, float, float],
+    time_s: float,
+    depth_m: float,
     config: MultilayerConfig,
 ) -> SwitchingState:
-    """Raise or take back an alarm, report the layer left, answer for the next samples.
-
-    `at` is the time and the depth of the sample, and the depth before it was filtered.
-    """
+    """Raise or take back an alarm, report the layer left, answer for the next samples."""
     bank, place = memory.bank, state.place
     evaluation = reports.count_ruptures(bank, state.ruptures, place.noise)
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
         now = RuptureState.FORCE_DROP_MEASURING
-    state = state._replace(stage=_NOTHING, rupture_state=now)
+    state = state._replace(stage=_FOLLOW, rupture_state=now)
     is_likely = evaluation.more > config.alarm_probability
     if (
         is_likely
         and _is_settled(state.course, bank, evaluation.pick, place)
-        and not reports.may_be_braking(bank, evaluation, place, at)
+        and not reports.may_be_braking(bank, evaluation, place, time_s)
     ):
-        state = _raise_alarm(state, bank, at[:2], evaluation)
+        state = _raise_alarm(state, bank, (time_s, depth_m), evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
         state = _take_back(state, state.alarm, evaluation)
     elif state.alarm is not None:
@@ -357,6 +383,7 @@ def _raise_alarm(
         ruptures=int(bank.facts[evaluation.pick, law.RUPTURES]),
         layers=layers,
         rupture_state=RuptureState.DETECTED,
+        tissue=state.tissue.restarted(at[0]),
         events=events._replace(rupture=rupture),
     )
 

@@ -34,12 +34,12 @@ _NOWHERE_M = -1e9
 """Deepest point before the first sample."""
 
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
-# speed [m], presliding deflection [s] and force [N s]. That deflection, -1 to 1; depth less the
-# jitter of its measurement; how far friction may have let go at rest, 0 to 1; deepest point so far;
-# noise of the last depth and speed.
-FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM = range(5)
-_DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(5, 11)
-FIRST_MEMORY = np.zeros(11)
+# speed [m], presliding deflection [s], force [N s] and unfiltered depth [m s]. That deflection, -1
+# to 1; depth less the jitter of its measurement; how far friction may have let go at rest, 0 to 1;
+# deepest point so far; noise of the last depth and speed.
+FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM = range(6)
+_DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(6, 12)
+FIRST_MEMORY = np.zeros(12)
 FIRST_MEMORY[_DEEPEST] = _NOWHERE_M
 FIRST_MEMORY.setflags(write=False)
 
@@ -156,19 +156,19 @@ def switching_outputs(
 
 @compiled
 def update_switching(
-    motion: tuple[float, float, float, float],
+    motion: tuple[float, float, float, float, float],
     force_N: float,
     dt_s: float,
     memory: WrittenVector,
     answer: Matrix,
     layers: Matrix,
 ) -> tuple[bool, Outputs]:
-    """Use one sample: depth [m], speed [m/s] and the standard deviations of their noise; the force.
+    """Use one sample: depth, speed and the deviations of their noise, unfiltered depth; the force.
 
     Returns:
         Whether the block being filled is full, and what to report, see `switching_outputs`.
     """
-    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s) = memory, motion
+    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m) = memory, motion
     w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]
     if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
@@ -186,6 +186,7 @@ def update_switching(
     m[SPEED_SUM] += dt_s * speed_m_s
     m[DEFLECTION_SUM] += dt_s * w
     m[FORCE_SUM] += dt_s * force_N
+    m[RAW_SUM] += dt_s * raw_m
     m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
     m[_DEEPEST] = max(m[_DEEPEST], depth_m)
     m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s

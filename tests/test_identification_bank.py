@@ -174,9 +174,9 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, 
     bank.records[0, [RUPTURE_S, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 2.3, 1.0
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    at = (10.0 + since_s, 0.050, 0.050)
-    assert may_be_braking(bank, evaluation, place, at) == braking
+    place = place._replace(raw=50.0)
+    assert may_be_braking(bank, evaluation, place, place.time_s) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
         bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
-        assert may_be_braking(bank, evaluation, place, at)
+        assert may_be_braking(bank, evaluation, place, place.time_s)

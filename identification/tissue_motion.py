@@ -1,0 +1,365 @@
+"""Motion of the tissue by itself, heartbeat and breathing, found in the force.
+
+In tissue that moves by x(t) the force is one of the depth z - x and the speed v - dx/dt: friction
+turns round where the tissue overtakes the needle. The motion repeats,
+
+    x(t) = sum over beats and h = 1, 2 of  a_h cos(2 pi h f t) + b_h sin(2 pi h f t)
+
+and the force over the last seconds within one layer is
+
+    force = o + (C + c y) w + (V + b y)(v - dx/dt) + (T + K y + H y²) g
+
+with y the travel since then, w the presliding deflection and g the part of the tip's force that is
+left behind its deepest point, both of z - x. Given f, a and b that is linear in the rest: separable
+least squares (Golub and Pereyra 1973) by Gauss-Newton steps. Where to begin, a scan of frequencies
+says. A unit of this work is done per block of samples. Lengths are in mm, speeds in mm/s.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.estimate import Array
+from identification.hypothesis_bank import Place
+from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_STD
+from needleforce.jit import Vector, compiled
+
+_STEP_S, _SIZE = 0.05, 256
+"""The window: means over so long, so many of them at most."""
+_LEAST_S, _MARGIN = 2.5, 7
+"""Least length of a window, and newest means left out: a release may have begun there."""
+_SETTLE_S = 0.25
+"""After an alarm, until its release is over."""
+BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
+"""Frequencies scanned [Hz]: 9 to 27 breaths and 48 to 114 beats a minute."""
+_SLOWEST_HEART = 0.6
+_SIZES_MM = {True: (1.5, 0.75), False: (0.3, 0.15)}
+"""Of breathing and of a heartbeat, of both harmonics each, one standard deviation."""
+_PERIODS = {True: 2.0, False: 4.0}
+"""Least number of them in the window, of breathing and of a heartbeat."""
+_CLEARER = {True: 20.0, False: 4.0}
+"""By so much the motion must lower the error: a layer that bends looks like a slow breath."""
+_NOISE_N, _LAW_ERROR = 0.02, 0.03
+"""Error of a mean that the law leaves: a part of its own and one of the force."""
+_FAIR, _LOST, _PATIENCE = 0.3, 1.0, 8
+"""Mean square of the errors, in those units, of a good fit, and of one to give up after so many
+steps in a row."""
+_CHECK_S, _ADAPT_S = 0.25, 0.2
+"""Between two looks whether the tissue moves, and two steps of a known motion."""
+_STEPS = 8
+"""Gauss-Newton steps of a new fit."""
+_FADE_S = 1.0
+"""Over which a motion just found comes in."""
+_PRESLIDING_MM, _UNLOADING_MM = 0.3, 0.5
+"""Travel over which friction turns, and the tip's force goes behind the deepest point."""
+_LINEAR = 8
+
+
+class Fit(NamedTuple):
+    """A motion fitted to a window."""
+
+    beats: Array = np.zeros((0, 5))  # f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first
+    at_s: float = 0.0  # time from which their phases count
+    error: float = 1e30  # sum of squares it leaves
+    rms_N: float = 0.0  # of what it leaves
+    damping: float = 0.01  # Levenberg's
+
+
+class TissueMotion(NamedTuple):
+    """What is known of the motion; immutable."""
+
+    window: Array = np.zeros((0, 4))  # means of time, depth, speed and force, in one layer
+    filling: Array = np.zeros(5)  # length of the mean being filled, and integrals of those
+    from_s: float = 0.0  # the window begins later
+    fit: Fit = Fit()  # the motion in use, if it has beats
+    since_s: float = 0.0  # in use since then
+    bad: int = 0  # steps in a row at which it was no good fit
+    next_s: float = 0.0  # when it is looked at again
+    unit: int = -1  # the next one of a search, -1 outside one
+    found: Array = np.zeros((3, 3))  # of breath, heart, heart with it: error, frequencies
+    tried: Fit = Fit()  # being fitted in a search
+    best: Fit = Fit()  # so far in that search
+
+    @property
+    def is_known(self) -> bool:
+        """Whether a motion is in use."""
+        return len(self.fit.beats) > 0
+
+    @property
+    def is_long(self) -> bool:
+        """Whether the window is long enough to be fitted."""
+        return len(self.window) >= _MARGIN + _LEAST_S / _STEP_S
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Place and speed of the tissue [mm, mm/s]."""
+        place, speed = displacement(self.fit.beats, np.array(time_s - self.fit.at_s))
+        part = min(max((time_s - self.since_s) / _FADE_S, 0.0), 1.0)
+        kept, rate = part * part * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / _FADE_S
+        return kept * float(place), kept * float(speed) + rate * float(place)
+
+    def limits(self) -> tuple[float, float]:
+        """Variance of the force that heartbeat and breathing leave unexplained."""
+        slow = self.fit.beats[:, 0] < _SLOWEST_HEART
+        left = (2.0 * self.fit.rms_N) ** 2
+        return left * float((~slow).any()), left * float(slow.any())
+
+    def restarted(self, time_s: float) -> "TissueMotion":
+        """After a rupture: the window begins anew, the motion goes on.
+
+        Not if the rupture before was so recent that nobody has checked: every beat may raise one.
+        """
+        fit = self.fit if self.is_long else Fit()
+        return TissueMotion(from_s=time_s + _SETTLE_S, fit=fit, since_s=self.since_s)
+
+    def with_block(self, block: Place, *, is_met: bool) -> "TissueMotion":
+        """Use means of a block of samples, in the tissue's frame, once tissue has been met."""
+        if not is_met:
+            return self if len(self.window) == 0 else TissueMotion()
+        if block.time_s < self.from_s:
+            return self
+        place, speed = self.at(block.time_s) if self.is_known else (0.0, 0.0)
+        means = np.array([1.0, block.time_s, block.depth + place, block.speed + speed, block.force])
+        filling = self.filling + block.dt_s * means
+        if filling[0] < _STEP_S * (1.0 - 1e-9):
+            return self._replace(filling=filling)
+        window = np.vstack((self.window[-_SIZE + 1 :], filling[1:] / filling[0]))
+        return self._replace(window=window, filling=np.zeros(5))
+
+    def worked(self, time_s: float) -> "TissueMotion":
+        """Do one unit of what is due."""
+        if not self.is_long:
+            return self
+        if self.unit >= 0:
+            return self._searched(_Window(self.window[:-_MARGIN]), time_s)
+        if time_s < self.next_s:
+            return self
+        window = _Window(self.window[:-_MARGIN])
+        if not self.is_known:
+            error = window.solved(self.fit.beats, 0.0)[2]
+            due = 0 if error > max(window.clear, 0.1 * window.count) else -1
+            return self._replace(next_s=time_s + _CHECK_S, unit=due)
+        fit = window.stepped(turned(self.fit, time_s), is_prior=True)
+        bad = 0 if fit.error < _FAIR * window.count else self.bad + 1
+        unit = 0 if bad >= _PATIENCE else -1
+        return self._replace(fit=fit, bad=bad, next_s=time_s + _ADAPT_S, unit=unit)
+
+    def _searched(self, window: "_Window", time_s: float) -> "TissueMotion":
+        """The next unit of a search: the frequencies one by one, then the fits, then a choice."""
+        n, m, unit = len(BREATH), len(HEART), self.unit
+        if unit < n + 2 * m:
+            row = 0 if unit < n else 1 if unit < n + m else 2
+            hz = BREATH[unit] if row == 0 else HEART[(unit - n) % m]
+            tried = np.array([hz] if row < 2 else [self.found[0, 1], hz])
+            error, found = window.scanned(tried), self.found.copy()
+            if unit in (0, n, n + m) or error < found[row, 0]:
+                found[row] = error, tried[0], tried[-1]
+            return self._replace(found=found, unit=unit + 1, best=Fit())
+        kind, step = divmod(unit - n - 2 * m, _STEPS)
+        if kind == 3:
+            return self._chosen(window, time_s)
+        if step == 0:
+            hz = self.found[kind, 1:] if kind == 2 else self.found[kind, 1:2]
+            return self._replace(tried=window.first_fit(hz, time_s), unit=unit + 1)
+        tried, best = window.stepped(self.tried), self.best
+        # Of two beats the second is there only if it halves the error.
+        factor = 0.5 if kind == 2 else 1.0
+        if step == _STEPS - 1 and window.is_clear(tried) and tried.error < factor * best.error:
+            best = tried
+        return self._replace(tried=tried, best=best, unit=unit + 1)
+
+    def _chosen(self, window: "_Window", time_s: float) -> "TissueMotion":
+        state, best = self._replace(unit=-1, bad=0, tried=Fit(), best=Fit()), self.best
+        if self.is_known:
+            if best.error < 0.5 * self.fit.error:
+                return state._replace(fit=best)
+            # The law may have changed within the window: it begins anew.
+            is_lost = self.fit.error > _LOST * window.count
+            return TissueMotion(from_s=time_s) if is_lost else state
+        return state._replace(fit=best, since_s=time_s) if len(best.beats) else state
+
+
+def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
+    """Place [mm] and speed [mm/s] of the tissue at times, of any shape, since its phases' zero."""
+    rate = 2.0 * math.pi * beats[:, :1] * np.array([1.0, 2.0])
+    phase = rate * time_s[..., None, None]
+    cosine, sine, a, b = np.cos(phase), np.sin(phase), beats[:, 1::2], beats[:, 2::2]
+    place = (a * cosine + b * sine).sum(axis=(-2, -1))
+    return place, (rate * (b * cosine - a * sine)).sum(axis=(-2, -1))
+
+
+def turned(fit: Fit, time_s: float) -> Fit:
+    """The same motion with its phases counted from another time."""
+    beats, shift = fit.beats.copy(), time_s - fit.at_s
+    phase = 2.0 * math.pi * shift * fit.beats[:, :1] * np.array([1.0, 2.0])
+    cosine, sine, a, b = np.cos(phase), np.sin(phase), fit.beats[:, 1::2], fit.beats[:, 2::2]
+    beats[:, 1::2], beats[:, 2::2] = a * cosine + b * sine, b * cosine - a * sine
+    return fit._replace(beats=beats, at_s=time_s)
+
+
+@compiled
+def _contact(depth: Vector) -> tuple[Vector, Vector]:
+    """Presliding deflection, and part of the tip's force that is left, along a course of depths."""
+    deflection, left = np.ones(len(depth)), np.ones(len(depth))
+    deepest = depth[0]
+    for k in range(1, len(depth)):
+        travel = depth[k] - depth[k - 1]
+        aim = 1.0 if travel > 0.0 else -1.0
+        kept = math.exp(-abs(travel) / _PRESLIDING_MM)
+        deflection[k] = aim + (deflection[k - 1] - aim) * kept
+        deepest = max(deepest, depth[k])
+        left[k] = min(max(1.0 - (deepest - depth[k]) / _UNLOADING_MM, 0.0), 1.0)
+    return deflection, left
+
+
+class _Window:
+    """The force over the last seconds, and what of it a motion explains."""
+
+    def __init__(self, window: Array) -> None:
+        self.time_s, self.depth, self.speed, self.force = window.T.copy()
+        self.count, self.travel = len(window), self.depth - self.depth[0]
+        self.sigma = _NOISE_N + _LAW_ERROR * np.abs(self.force)
+        # Least gain of log likelihood that shows a motion.
+        self.clear = 10.0
+        grown = np.quantile(self.force[-25:], 0.8) - np.quantile(self.force[:25], 0.8)
+        self.slope = max(float(grown) / max(float(self.travel[-1]), 1.0), 0.005)
+        self.pace = max(float(self.speed.mean()), 0.3)
+        self.prior = self._prior()
+
+    def _prior(self) -> tuple[Array, Array]:
+        """Information and its vector on o, C, c, V, b, T, K, H beforehand."""
+        most, slope = max(float(np.abs(self.force).max()), 0.05), self.slope
+        stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
+        information, vector = np.diag(stds**-2.0), np.zeros(_LINEAR)
+        friction, split, left = np.zeros((3, _LINEAR))
+        friction[[2, 4]], split[[2, 4]] = (1.0, self.pace), (1.0, -COULOMB_SPEED)
+        left[[1, 3]] = 1.0, -COULOMB_SPEED
+        rows = ((friction, FRACTION * slope, FRACTION_STD * slope),)
+        rows += ((split, 0.0, 0.3 * slope), (left, 0.0, 0.3 * most))
+        for row, value, std in rows:
+            information += np.outer(row, row) / std**2
+            vector += row * value / std**2
+        return information, vector
+
+    def _rows(self, beats: Array, at_s: float) -> Array:
+        """Rows of the law's linear unknowns, each over its standard deviation, shape (n, 8)."""
+        place, speed = displacement(beats, self.time_s - at_s)
+        w, g = _contact(self.depth - place)
+        v, y, one = self.speed - speed, self.travel, np.ones(self.count)
+        rows = np.column_stack((one, w, w * y, v, v * y, g, g * y, g * y * y))
+        return rows / self.sigma[:, None]
+
+    def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
+        """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
+        rows, force = self._rows(beats, at_s), self.force / self.sigma
+        information, vector = self.prior
+        linear = _solved(rows.T @ rows + information, rows.T @ force + vector)
+        error = force - rows @ linear
+        return rows, linear, float(error @ error), error
+
+    def is_clear(self, fit: Fit) -> bool:
+        """Whether a fit is good, and shows that the tissue moves."""
+        still, is_slow = self.solved(fit.beats[:0], 0.0)[2], fit.beats[:, 0] < _SLOWEST_HEART
+        periods, length_s = fit.beats[:, 0], self.count * _STEP_S
+        for hz, slow in zip(periods, is_slow, strict=True):
+            grid = BREATH if slow else HEART
+            is_known = grid[0] - 0.03 < hz < grid[-1] + 0.1
+            if not is_known or hz * length_s < _PERIODS[bool(slow)]:
+                return False
+        is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
+        return is_lower and still - fit.error > self.clear and fit.error < _FAIR * self.count
+
+    def _waves(self, hz: Array) -> list[Array]:
+        """Columns of harmonics that grow with the travel, four pairs per frequency."""
+        waves: list[Array] = []
+        for rate in np.outer(2.0 * math.pi * hz, (1.0, 2.0)).ravel():
+            phase = rate * (self.time_s - self.time_s[-1])
+            for wave in (np.cos(phase), np.sin(phase)):
+                waves += [wave, wave * self.travel]
+        return waves
+
+    def _linear(self, hz: Array) -> tuple[Array, float]:
+        """Fit of a smooth course and of waves, with the error it leaves."""
+        y, v, one = self.travel, self.speed, np.ones(self.count)
+        columns = [one, y, y * y, y**3, v, v * y, *self._waves(hz)]
+        matrix, force = np.column_stack(columns) / self.sigma[:, None], self.force / self.sigma
+        scale = np.sqrt((matrix * matrix).sum(axis=0)) + 1e-12
+        matrix = matrix / scale
+        found = _solved(matrix.T @ matrix, matrix.T @ force)
+        error = force - matrix @ found
+        return found / scale, float(error @ error)
+
+    def scanned(self, hz: Array) -> float:
+        """Error that waves of these frequencies leave."""
+        return self._linear(hz)[1]
+
+    def first_fit(self, hz: Array, time_s: float) -> Fit:
+        """A motion of these frequencies that damping would turn into the waves of the force."""
+        found, y = self._linear(hz)[0], float(self.travel[-1])
+        damping = self.slope * FRACTION * y / (COULOMB_SPEED + self.pace) + 1e-3
+        waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
+        rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
+        most = np.array([_SIZES_MM[bool(f < _SLOWEST_HEART)][0] for f in hz])[:, None]
+        fits = []
+        for scale in (0.5, 1.0, 2.0):
+            beats = np.zeros((len(hz), 5))
+            beats[:, 0] = hz
+            beats[:, 1::2] = np.clip(scale * waves[:, :, 1] / rate, -most, most)
+            beats[:, 2::2] = np.clip(-scale * waves[:, :, 0] / rate, -most, most)
+            error = self.solved(beats, float(self.time_s[-1]))[2]
+            fits.append(Fit(beats, float(self.time_s[-1]), error))
+        return turned(min(fits, key=lambda fit: fit.error), time_s)
+
+    def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
+        """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
+        beats, at_s = fit.beats, fit.at_s
+        rows, linear, _, error = self.solved(beats, at_s)
+        size, slopes = beats.size, np.zeros((self.count, beats.size))
+        for k in range(size):
+            changed, step = beats.copy(), 1e-3 if k % 5 else 1e-4
+            changed.flat[k] += step
+            slopes[:, k] = (self._rows(changed, at_s) - rows) @ linear / step
+        stds = np.array([_stds(beat, is_prior=is_prior) for beat in beats]).ravel()
+        target = np.zeros_like(beats)
+        target[:, 0] = beats[:, 0]
+        target = beats if is_prior else target
+        matrix = np.hstack((rows, slopes))
+        square, vector = matrix.T @ matrix, matrix.T @ error
+        square[:_LINEAR, :_LINEAR] += self.prior[0]
+        pulled = slice(_LINEAR, None)
+        square[pulled, pulled] += np.diag(stds**-2.0)
+        vector[pulled] += (target - beats).ravel() / stds**2
+        diagonal = square[pulled, pulled].diagonal() * fit.damping
+        square[pulled, pulled] += np.diag(diagonal)
+        change = _solved(square, vector)[pulled].reshape(beats.shape)
+
+        def cost(tried: Array) -> float:
+            return float((((tried - target).ravel() / stds) ** 2).sum())
+
+        before = float(error @ error) + cost(beats)
+        for _ in range(3):
+            tried = beats + change
+            left = self.solved(tried, at_s)[2]
+            if left + cost(tried) < before:
+                return Fit(tried, at_s, left, self._rms(left), max(0.5 * fit.damping, 1e-3))
+            change = 0.3 * change
+        left = float(error @ error)
+        return fit._replace(error=left, rms_N=self._rms(left), damping=min(3.0 * fit.damping, 1.0))
+
+    def _rms(self, error: float) -> float:
+        return math.sqrt(error / self.count) * float(np.median(self.sigma))
+
+
+def _solved(square: Array, vector: Array) -> Array:
+    """Solution of normal equations, of unknowns that nothing separates as well."""
+    square = square + np.diag(1e-9 * square.diagonal() + 1e-12)
+    return np.linalg.solve(square, vector)
+
+
+def _stds(beat: Array, *, is_prior: bool) -> Array:
+    """Standard deviations of a beat's frequency and sizes: beforehand, or from one step on."""
+    is_slow = bool(beat[0] < _SLOWEST_HEART)
+    sizes = np.repeat(_SIZES_MM[is_slow], 2)
+    if is_prior:
+        return np.array([0.02, *(0.3 * np.abs(beat[1:]) + 0.1 * sizes)])
+    return np.array([0.03 if is_slow else 0.05, *sizes])
