@@ -56,7 +56,8 @@ def _layer(
     name: str, thickness_m: float, exit_force_N: float, friction: ShaftFriction, **others: Any
 ) -> Layer:
     """A layer with what all materials have in common; of organic tissue but for the others."""
-    tissue = {"release_m": TISSUE_RELEASE_M, "relaxed_fraction": TISSUE_RELAXED_FRACTION}
+    others.setdefault("release_m", TISSUE_RELEASE_M)
+    others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
     return Layer(
         name=name,
         thickness_m=thickness_m,
@@ -64,7 +65,7 @@ def _layer(
         cutting_fraction=CUTTING_FRACTION,
         stiffening=STIFFENING,
         friction=friction,
-        **(tissue | others),
+        **others,
     )
 
 

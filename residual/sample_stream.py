@@ -79,7 +79,7 @@ class SampleStream:
             # The matched filter hands on a continuous torque.
             delay_s, alignment = self._velocity.delay_s, "trapezoid"
         if config.guard:
-            # Without an offset, forces of any frame's origin are tried as those of the tool frame.
+            # Without an offset forces are tried at the tool frame, whatever frame is asked for.
             frame = config.frame if any(config.tool_offset_m) else None
             tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
             self._guard = FaultDetector(robot, tip, delay_s, has_velocity=has_velocity)
@@ -99,8 +99,9 @@ class SampleStream:
         self._settling_s = SETTLING_LAGS * self.filter_lag_s - ROUNDING_S
         probes = config.smooth_momentum and not is_external
         parts = self._velocity, self._guard, self._observer
-        memories = (getattr(part, "memory", None) for part in parts)
-        self.memory = StreamState(*memories, NoiseProbe.of_size(n) if probes else None)
+        velocity, guard, observer = (getattr(part, "memory", None) for part in parts)
+        probe = NoiseProbe.of_size(n) if probes else None
+        self.memory = StreamState(velocity, guard, observer, probe)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
