@@ -26,7 +26,7 @@ from benchmarks.signals import (
 from benchmarks.simulated import identify_sources, read_sensors, simulated_metrics
 from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
 from groundtruth.arm_motion import scenario_motion, scenario_path
-from groundtruth.force_noise import MINI45
+from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import scenario as named_scenario
 from groundtruth.sensors import (
     SECONDS_PER_MINUTE,

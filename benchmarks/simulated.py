@@ -31,7 +31,7 @@ from benchmarks.signals import (
     insertion_truth,
 )
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
-from groundtruth.force_noise import MINI45
+from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
 
 NEEDLE = "needle"

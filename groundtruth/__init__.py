@@ -10,14 +10,12 @@ and `arm_control`; for the closed loop `rig_arm`, `rig_contacts`, `rig_operator`
 """
 
 from groundtruth.errors import GroundTruthError
-from groundtruth.force_noise import ForceNoise
 from groundtruth.layers import Layer
 from groundtruth.motion import Motion
-from groundtruth.plant_model import PLANT_MODELS, PlantModel
+from groundtruth.plant_model import PLANT_MODELS, ForceNoise, PlantModel
 from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
 from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
-from groundtruth.tissue import Tissue, TissueForce
-from groundtruth.tissue_truth import Rupture
+from groundtruth.tissue import Rupture, Tissue, TissueForce
 
 __all__ = [
     "PLANT_MODELS",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from groundtruth.errors import Array, PlantError, PlantModelError
+from groundtruth.errors import Array, PlantError, PlantModelError, require_fraction
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from groundtruth.rig_contacts import Contact, TouchedPoint
 from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion
@@ -53,10 +53,7 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
     Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
     Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside [0, 1].
     """
-    if not 0.0 <= cad_fraction <= 1.0:
-        raise PlantModelError(
-            f"fraction of the CAD table is {cad_fraction}; expected a number in [0, 1]"
-        )
+    require_fraction(PlantModelError, cad_fraction=cad_fraction)
     links = []
     for joint, (mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz) in enumerate(_CAD_TABLE, start=1):
         about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])

@@ -23,6 +23,7 @@ the tip force is cutting, the rest elastic, its chord 10 % steeper at the end th
 """
 
 from dataclasses import replace
+from typing import Any
 
 from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
@@ -52,26 +53,19 @@ TISSUE_RELEASE_M = 0.5e-3  # fibrous tissue ruptures more gradually than gel
 
 
 def _layer(
-    name: str,
-    thickness_m: float,
-    exit_force_N: float,
-    friction: ShaftFriction,
-    *,
-    release_m: float = TISSUE_RELEASE_M,
-    relaxed_fraction: float = TISSUE_RELAXED_FRACTION,
-    membrane: Membrane | None = None,
+    name: str, thickness_m: float, exit_force_N: float, friction: ShaftFriction, **others: Any
 ) -> Layer:
-    """A layer with what all materials have in common; organic tissue by default."""
+    """A layer with what all materials have in common; of organic tissue but for the others."""
+    others.setdefault("release_m", TISSUE_RELEASE_M)
+    others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
     return Layer(
         name=name,
         thickness_m=thickness_m,
         exit_force_N=exit_force_N,
         cutting_fraction=CUTTING_FRACTION,
         stiffening=STIFFENING,
-        release_m=release_m,
-        relaxed_fraction=relaxed_fraction,
         friction=friction,
-        membrane=membrane,
+        **others,
     )
 
 

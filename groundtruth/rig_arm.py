@@ -34,8 +34,7 @@ from groundtruth.sensors import (
     received_samples,
     time_stamps,
 )
-from groundtruth.tissue import Tissue, TissueForce
-from groundtruth.tissue_truth import TissueTruth, collect_truth
+from groundtruth.tissue import Tissue, TissueForce, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
 Servo = Literal["stiff", "impedance"]

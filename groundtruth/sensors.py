@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth.errors import Array
-from groundtruth.force_noise import coloured
-from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
+from groundtruth.plant_model import PlantModel, TICK_s, coloured, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
 SECONDS_PER_MINUTE = 60.0

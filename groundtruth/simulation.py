@@ -15,12 +15,11 @@ from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
-from groundtruth.errors import Array, RunError
-from groundtruth.force_noise import MINI45, ForceNoise
-from groundtruth.plant_model import PlantModel, TICK_s, plant_named
+from groundtruth.errors import Array, RunError, require_positive
+from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.tissue_truth import ReadOnlyArrays, TissueTruth, collect_truth
+from groundtruth.tissue import ReadOnlyArrays, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
 
@@ -86,15 +85,11 @@ def simulate(
     Args:
         scenario: A scenario or its name, see `groundtruth.scenario`.
         plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
-        seed: Seed of everything drawn; equal arguments give equal runs.
+        seed: Of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
-    Returns:
-        Signals and truth, apart.
-
     Raises:
-        ScenarioError: There is no scenario of that name.
-        PlantModelError: There is no plant model of that name.
+        ScenarioError, PlantModelError: There is none of that name.
         PathError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
@@ -191,15 +186,12 @@ def insert_needle(
         scenario: A scenario or its name, see `groundtruth.scenario`.
         seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
         rate_hz: Samples per second.
-        noise: What the force sensor adds, see `groundtruth.force_noise`.
+        noise: What the force sensor adds.
 
-    Raises:
-        ScenarioError: There is no scenario of that name.
-        RunError: The rate is unusable.
+    `ScenarioError` if there is no scenario of that name, `RunError` for an unusable rate.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0):
-        raise RunError(f"rate_hz is {rate_hz!r}; give samples per second, above zero")
+    require_positive(RunError, rate_hz=rate_hz)
     motion = chosen.motion
     t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
     depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)

@@ -17,12 +17,10 @@ Vector = Annotated[NDArray[np.float64], 1]
 """Array of shape (n,), contiguous."""
 Matrix = Annotated[NDArray[np.float64], 2]
 """Array of shape (m, n), contiguous, the last index running fastest."""
-Blocks = Annotated[NDArray[np.float64], 3]
-"""Array of shape (k, m, n), likewise."""
 WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
 WrittenMatrix = Annotated[NDArray[np.float64], 2, "written"]
 WrittenBlocks = Annotated[NDArray[np.float64], 3, "written"]
-"""The same, for results: the function writes into them."""
+"""The same, and of shape (k, m, n), for results: the function writes into them."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 COMPILER = "" if numba is None or numba.config.DISABLE_JIT else f"numba {numba.__version__}"
@@ -41,12 +39,8 @@ def compiled(function: Function) -> Function:
     above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a tick calls it
     once when constructed, with the same types. No tick waits for a compiler.
 
-    Args:
-        function: Numeric expressions that numpy runs nearly as fast without a compiler; one in
-            loops only if its caller has another way where `COMPILER` is empty.
-
-    Returns:
-        The compiled function, or the same one where nothing compiles.
+    Where nothing compiles the function itself is returned: give it numeric expressions that numpy
+    runs nearly as fast, and loops only if its caller has another way where `COMPILER` is empty.
     """
     if not COMPILER:
         return function

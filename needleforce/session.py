@@ -32,9 +32,6 @@ if TYPE_CHECKING:
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
-# Errors: one base; each of the others is also a standard exception.
-
-
 class InsertionError(Exception):
     """Base of the errors of a session; errors of `residual` and `identification` pass through."""
 
@@ -49,9 +46,6 @@ class SnapshotMismatchError(InsertionError, ValueError):
 
 class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
-
-
-# What a session returns in every tick, and what it remembers.
 
 
 class SessionEstimate(NamedTuple):
@@ -108,8 +102,6 @@ class SessionSnapshot(NamedTuple):
     plan: PlanMemory
 
 
-# The session.
-
 _NOT_USED = (
     SensorWarning.JOINT_LIMIT
     | SensorWarning.NEAR_SINGULAR
@@ -161,8 +153,13 @@ class InsertionSession:
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
-        _check_kind(robot, Robot, "robot", "load_lwr() or load_urdf(path) of urdf makes one")
-        _check_kind(sensor_config, SensorConfig, "sensor_config", "SensorConfig() is the default")
+        for name, value, kind, hint in (
+            ("robot", robot, Robot, "load_lwr() or load_urdf(path) of urdf makes one"),
+            ("sensor_config", sensor_config, SensorConfig, "SensorConfig() is the default"),
+        ):
+            if not isinstance(value, kind):
+                given = f"{name} is a {type(value).__name__}"
+                raise SettingError(f"{given}, expected a {kind.__name__}; {hint}")
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
         self._sensor = VirtualForceSensor(robot, sensor_config)
@@ -197,14 +194,9 @@ class InsertionSession:
     ) -> SessionEstimate:
         """Take one sample of joint signals; see `VirtualForceSensor.update`.
 
-        Args:
-            q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
-            tau: Measured link-side joint torques [Nm], shape (n,).
-            dt_s: Time since the previous call [s]; not read on the first one.
-
-        Returns:
-            What is known now. A bad sample does not raise: the status reports it.
+        Joint positions [rad], velocities [rad/s] (None, always, for a robot that sends none) and
+        measured link-side torques [Nm] have shape (n,); the time since the previous call [s] is not
+        read on the first one. A bad sample does not raise: the status reports it.
         """
         return self._follow(self._sensor.update(q, dq, tau, dt_s))
 
@@ -222,12 +214,10 @@ class InsertionSession:
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
 
-        Args:
-            ignore_contact: Tare even with contact detected, or velocities that cannot be.
-
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact
-                detected or velocities that do not fit positions; nothing has then changed.
+                detected or velocities that do not fit positions (unless ``ignore_contact``);
+                nothing has then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
@@ -240,14 +230,9 @@ class InsertionSession:
     def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
-        Args:
-            plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
-            entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
-                `Registration.to_robot` gives it; None where the plan's depths count from where the
-                session's do.
-
-        Raises:
-            SettingError: For anything but a plan, or an entry that is no point.
+        The plan is a `needleforce.anatomy.PlanMatch`, None to follow none; the entry is its entry
+        point in the robot's base [m], shape (3,), as `Registration.to_robot` gives it, None where
+        its depths count from the session's. `SettingError` for anything else.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
             raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")
@@ -275,17 +260,9 @@ class InsertionSession:
 
     def snapshot(self) -> SessionSnapshot:
         """All that the session remembers; `write_snapshot` stores it."""
-        return SessionSnapshot(
-            self._sensor.snapshot(),
-            self._identifier.snapshot(),
-            self._zero,
-            self._travel,
-            self._speed_lag_s,
-            self._unused_s,
-            self._time_s,
-            self._earlier,
-            self._plan.memory,
-        )
+        parts = self._sensor.snapshot(), self._identifier.snapshot(), self._zero, self._travel
+        times_s = self._speed_lag_s, self._unused_s, self._time_s
+        return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
 
     def restore(self, snapshot: SessionSnapshot) -> None:
         """Go on, bit for bit, from where `snapshot` was taken; an error changes nothing.
@@ -404,13 +381,6 @@ class InsertionSession:
             last = self._identification = _without_events(last)
         at = (False, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))
-
-
-def _check_kind(value: object, kind: type, name: str, hint: str) -> None:
-    if not isinstance(value, kind):
-        raise SettingError(
-            f"{name} is a {type(value).__name__}, expected a {kind.__name__}; {hint}"
-        )
 
 
 def _events(estimate: Estimate) -> tuple[object, object, object]:

@@ -63,17 +63,11 @@ class _Envelope(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
-    """Write the snapshot of a session, of a virtual sensor or of an identifier.
+    """Write what ``snapshot()`` of a session, a virtual sensor or an identifier returned.
 
-    The file appears whole or not at all.
+    The file appears whole or not at all; an older one of that name is replaced.
 
-    Args:
-        snapshot: What ``snapshot()`` of one of them returned.
-        path: Where to; an older file of that name is replaced.
-
-    Raises:
-        SnapshotFileError: For anything but such a snapshot.
-        OSError: If the file cannot be written.
+    `SnapshotFileError` for anything but such a snapshot, `OSError` if the file cannot be written.
     """
     kind = next((name for name, type_ in _KINDS.items() if type(snapshot) is type_), None)
     if kind is None:
@@ -92,17 +86,9 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
-    """Read what `write_snapshot` wrote.
+    """Read what `write_snapshot` wrote, for ``restore`` of its kind.
 
-    Args:
-        path: The file.
-
-    Returns:
-        The snapshot, for ``restore`` of its kind.
-
-    Raises:
-        SnapshotFileError: If it is no snapshot, damaged, or of another version.
-        OSError: If the file cannot be read.
+    `SnapshotFileError` for none, a damaged one or another version, `OSError` if it cannot be read.
     """
     with Path(path).open("rb") as file:
         content = file.read(MOST_BYTES + 1)
@@ -117,8 +103,6 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     _check_envelope(envelope, path)
     try:
         snapshot = _decoded(envelope)
-    except SnapshotFileError:
-        raise
     except (msgspec.MsgspecError, RecursionError, ValueError, TypeError) as error:
         raise SnapshotFileError(f"{path} is damaged: {error}") from error
     for place, number in _numbers(snapshot, "snapshot"):
@@ -146,17 +130,17 @@ def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
         raise SnapshotFileError(
             f"{path} holds a {envelope.kind!r}, expected one of {', '.join(_KINDS)}"
         )
+    if envelope.kind != "sensor" and envelope.method not in _METHODS:
+        known = ", ".join(_METHODS)
+        raise SnapshotFileError(
+            f"the snapshot is of the method {envelope.method!r}, expected one of {known}"
+        )
 
 
 def _decoded(envelope: _Envelope) -> AnySnapshot:
     """The state tree of an envelope, typed to its leaves."""
     if envelope.kind == "sensor":
         return _typed(envelope.data, SensorState)
-    if envelope.method not in _METHODS:
-        raise SnapshotFileError(
-            f"the snapshot is of the method {envelope.method!r}, expected one of "
-            f"{', '.join(_METHODS)}"
-        )
     identifier = _annotated(IdentifierSnapshot, _METHODS[envelope.method])
     if envelope.kind == "identifier":
         return IdentifierSnapshot(*_typed(envelope.data, identifier))

@@ -137,12 +137,9 @@ class BiasEstimator:
         self._weightless, self._data = pin.Model(robot.model), robot.create_data()
         self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
-        self._half_widths = np.vstack(
-            (
-                np.outer(config.prior.hysteresis_widths, basis.effort_Nm),
-                np.outer(config.prior.presliding_rad, np.ones(robot.nv)),
-            )
-        )
+        loops_Nm = np.outer(config.prior.hysteresis_widths, basis.effort_Nm)
+        elements_rad = np.outer(config.prior.presliding_rad, np.ones(robot.nv))
+        self._half_widths = np.vstack((loops_Nm, elements_rad))
         self.reset()
 
     @property
@@ -161,8 +158,7 @@ class BiasEstimator:
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.
 
-        Returns:
-            Whether joint states and offset have been renewed; the covariance may then be read anew.
+        Returns whether joint states and offset have been renewed: the covariance may then be, too.
         """
         memory = self.memory
         memory.q, memory.dq = q, dq
@@ -193,16 +189,8 @@ class BiasEstimator:
             memory.joint_memory[-2:] = torque, q
             memory.smooth_dq, memory.started = memory.dq, True
         if dt_s > 0.0:
-            follow_joints(
-                memory.joint_memory,
-                memory.states,
-                q,
-                torque,
-                self._half_widths,
-                basis.loops,
-                basis.prior.stribeck_rad_s,
-                dt_s,
-            )
+            followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
+            follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
         memory.motion_Nm2 = self._motion_variance_Nm2(dt_s)
 
@@ -265,8 +253,7 @@ class BiasEstimator:
     ) -> Tare:
         """Fit the offset to what was recorded; arguments as of `check_free_of_contact`.
 
-        Raises:
-            TareError: Without new data, or with contact in sight; the tare in force then stays.
+        `TareError` without new data, or with contact in sight; the tare in force then stays.
         """
         memory = self.memory
         if memory.tared:

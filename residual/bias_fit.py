@@ -49,8 +49,6 @@ class FreeMotionFit:
         learn: Whether the sizes are learnt; the prior's otherwise.
 
     Attributes:
-        basis: The causes.
-        blocks: The motion.
         tare: What was found.
         sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
     """
@@ -64,12 +62,7 @@ class FreeMotionFit:
         learn: bool = True,
     ) -> None:
         self.basis, self.blocks = basis, blocks
-        columns = np.stack(
-            [
-                basis.columns(q, states, age)
-                for q, states, age in zip(blocks.q_rad, blocks.states, blocks.age_s, strict=True)
-            ]
-        )
+        columns = np.stack(list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s)))
         touched = columns[:, :, :0] if contact is None else contact
         self._columns = np.concatenate((columns, touched), axis=2)
         residual = blocks.residual_Nm
@@ -145,12 +138,9 @@ class FreeMotionFit:
     def information_on(self, torque: Array) -> tuple[Array, Array]:
         """What the motion says of causes that were not fitted, all that was fitted left free.
 
-        Args:
-            torque: Of a unit of every such cause [Nm], shape (blocks, n, causes).
-
-        Returns:
-            Their information, shape (causes, causes), and evidence, shape (causes,): an estimate of
-            a sum of causes is the sum of its evidence over that of its information.
+        Of the torque of a unit of every such cause [Nm], shape (blocks, n, causes), it makes their
+        information, shape (causes, causes), and evidence, shape (causes,): an estimate of a sum of
+        causes is the sum of its evidence over that of its information.
         """
         count = torque.shape[2]
         information, evidence = np.zeros((count, count)), np.zeros(count)

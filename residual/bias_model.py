@@ -9,7 +9,7 @@ its integral, so that it does not fade.
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, compiled
 from residual.errors import Array, ConfigurationError
-from residual.input_validation import known_limits
+from residual.input_validation import check_choice, known_limits
 from urdf import Robot
 
 TareKind = Literal["constant", "model"]
@@ -92,16 +92,12 @@ class BiasPrior:
     def __post_init__(self) -> None:
         for name in self.__slots__:
             value = getattr(self, name)
-            numeric = np.asarray(value)
-            if numeric.dtype.kind not in "fiu" or not (
-                np.isfinite(numeric).all() and (numeric > 0).all()
-            ):
+            numbers = np.asarray(value)
+            is_real = numbers.dtype.kind in "fiu"
+            if not (is_real and np.isfinite(numbers).all() and (numbers > 0).all()):
                 raise ConfigurationError(f"{name} is {value!r}, expected finite numbers > 0")
-        for name in ("hysteresis_widths", "presliding_rad", "gear_ratio"):
-            if np.ndim(getattr(self, name)) != 1:
-                raise ConfigurationError(
-                    f"{name} must be a tuple of numbers, got {getattr(self, name)!r}"
-                )
+            if name in ("hysteresis_widths", "presliding_rad", "gear_ratio") and numbers.ndim != 1:
+                raise ConfigurationError(f"{name} must be a tuple of numbers, got {value!r}")
 
 
 class Tare(NamedTuple):
@@ -139,8 +135,7 @@ class BiasModel:
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
-        if kind not in ("constant", "model"):
-            raise ConfigurationError(f"tare is {kind!r}, expected 'constant' or 'model'")
+        check_choice("tare", kind, get_args(TareKind))
         n = self.joints = robot.nv
         self.kind: TareKind = kind
         self.prior = prior
@@ -159,14 +154,11 @@ class BiasModel:
         self.states = self.loops + self.elements + 2
         std = self._prior_std()
         self.std = np.concatenate(list(std.values()))
-        self.groups: dict[str, slice] = {}
-        start = 0
-        for name, values in std.items():
-            self.groups[name] = slice(start, start + len(values))
-            start += len(values)
+        ends = np.cumsum([len(values) for values in std.values()]).tolist()
+        self.groups = dict(zip(std, map(slice, [0, *ends], ends), strict=True))
         # Where the numbers of one joint each stand in H.
         linked = self.groups.get("links", slice(n, n))
-        own = np.r_[0 : linked.start, linked.stop : start]
+        own = np.r_[0 : linked.start, linked.stop : ends[-1]]
         self._own = (np.tile(np.arange(n), len(own) // n), own)
 
     def _prior_std(self) -> dict[str, Array]:

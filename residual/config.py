@@ -88,13 +88,8 @@ class SensorConfig:
                 f"friction is {self.friction!r}, expected a JointFriction or another object that "
                 "gives a torque(dq), or None"
             )
-        for name, choices in (
-            ("alignment", Alignment),
-            ("mode", Mode),
-            ("weighting", Weighting),
-            ("axes", Axes),
-            ("tare", TareKind),
-        ):
+        kinds = {"alignment": Alignment, "mode": Mode, "weighting": Weighting, "axes": Axes}
+        for name, choices in (kinds | {"tare": TareKind}).items():
             check_choice(name, getattr(self, name), get_args(choices))
 
     def _check_numbers(self) -> None:

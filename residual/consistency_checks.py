@@ -256,12 +256,9 @@ class ConsistencyMonitor:
     ) -> None:
         """Check the sample for which a wrench was just estimated.
 
-        Args:
-            q: Its configuration [rad], shape (n,).
-            dq: Its velocity as measured [rad/s], shape (n,); None where it is estimated from q.
-            residual: After offset removal [Nm], shape (n,).
-            dt_s: Time since the last check [s].
-            tared: Whether the residual's covariance is a fitted one.
+        Its configuration [rad], its velocity as measured [rad/s], None where it is estimated, and
+        its residual after offset removal [Nm] have shape (n,); ``dt_s`` is the time since the last
+        check [s], ``tared`` says whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
         outside = (q <= self._lower) | (q >= self._upper)

@@ -107,9 +107,8 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
     unknown = np.diag(np.full(components, UNSEEN_STD**2))
     for array in (nothing, residual, removed, unknown):
         array.setflags(write=False)
-    axial = lateral = 0.0, UNSEEN_STD
     vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, residual
-    return WrenchEstimate(*axial, *lateral, *vectors)
+    return WrenchEstimate(0.0, UNSEEN_STD, 0.0, UNSEEN_STD, *vectors)
 
 
 INITIALIZING = "the filters have just started"

@@ -88,10 +88,8 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     """Whether a plausible force on the tool explains a jump of the torques [Nm], shape (n,).
 
-    Args:
-        jacobian: Of the tool's linear velocity, shape (3, n).
-        jump: The jump.
-        scale: Jump that each joint may make without a reason [Nm], shape (n,).
+    The Jacobian is that of the tool's linear velocity, shape (3, n), the scale the jump that each
+    joint may make without a reason [Nm], shape (n,).
     """
     levers, wanted = jacobian.T / scale[:, None], jump / scale
     force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
@@ -135,22 +133,17 @@ class FaultDetector:
     torques [Nm], one after the other, shape (2 n,) or (3 n,).
 
     Args:
-        robot: Gives the effort limits, and the levers of a force on its tool.
-        has_velocity: Whether samples carry a velocity.
+        robot: Gives the effort limits.
+        tool: What forces act on.
         velocity_delay_s: Age of the velocity that `accept` gets [s].
-        tool: What forces act on; the robot's tool frame when None.
+        has_velocity: Whether samples carry a velocity.
 
     Attributes:
         memory: All that it remembers.
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        *,
-        has_velocity: bool,
-        velocity_delay_s: float = 0.0,
-        tool: ToolKinematics | None = None,
+        self, robot: Robot, tool: ToolKinematics, velocity_delay_s: float, *, has_velocity: bool
     ) -> None:
         n = self._joints = robot.nv
         size = (3 if has_velocity else 2) * n
@@ -158,7 +151,7 @@ class FaultDetector:
         # Infinite, or those of a large arm, where the description gives none.
         self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
         self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
-        self._tool = tool or ToolKinematics(robot)
+        self._tool = tool
         self.restore(
             GuardState(
                 last=np.zeros(size),
@@ -193,11 +186,8 @@ class FaultDetector:
     def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
 
-        Returns:
-            Whether its position has jumped and is accepted only because it stayed where it is.
-
-        Raises:
-            SuspectSampleError: For a spike, frozen signals or a saturated torque.
+        Returns whether its position has jumped and is accepted only because it stayed where it is;
+        `SuspectSampleError` for a spike, frozen signals or a saturated torque.
         """
         memory = self.memory
         off = now - memory.last
@@ -294,14 +284,8 @@ class FaultDetector:
         motion_repeats = position_repeats and not off[n:-n].any()
         torque_repeats = not off[-n:].any()
         self._repeats = position_repeats, motion_repeats, torque_repeats
-        frozen = [
-            name
-            for name, repeats, detector in (
-                ("position", motion_repeats, memory.motion),
-                ("torque", torque_repeats, memory.torque),
-            )
-            if repeats and detector.is_stuck(dt_s)
-        ]
+        frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
+        frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
         if frozen:
             raise SuspectSampleError(
                 f"{' and '.join(frozen)} of all joints repeat bit for bit although they are noisy; "

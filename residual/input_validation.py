@@ -29,8 +29,7 @@ FLOAT64 = np.dtype(np.float64)
 def check_interval(dt_s: Any) -> float:
     """A time step [s], any real number, as a plain float.
 
-    Raises:
-        SampleError: If it is not a finite positive number, or beyond `LONGEST_STEP_S`.
+    `SampleError` if it is not a finite positive number, or beyond `LONGEST_STEP_S`.
     """
     step_s = dt_s if type(dt_s) is float else as_float(dt_s)
     if not 0.0 < step_s < math.inf:
@@ -77,9 +76,7 @@ def _is_real(value: object) -> bool:
 def check_joint_vector(name: str, value: object, joints: int) -> Array:
     """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
 
-    Raises:
-        SampleError: If the shape is wrong, or these are no real numbers, finite and not beyond
-            `MOST_PLAUSIBLE`.
+    `SampleError` for another shape, or unless all are real, finite and below `MOST_PLAUSIBLE`.
     """
     try:
         array = _real(value)
@@ -95,10 +92,9 @@ def check_joint_vector(name: str, value: object, joints: int) -> Array:
     if not np.isfinite(array).all():
         bad = [int(i) for i in np.flatnonzero(~np.isfinite(array))]
         raise SampleError(f"{name} is not finite at joint index {bad}; skip this sample")
-    if np.abs(array).max(initial=0.0) > MOST_PLAUSIBLE:
-        raise SampleError(
-            f"{name} reaches {np.abs(array).max():.3g}, expected SI units below {MOST_PLAUSIBLE:g}"
-        )
+    most = np.abs(array).max(initial=0.0)
+    if most > MOST_PLAUSIBLE:
+        raise SampleError(f"{name} reaches {most:.3g}, expected SI units below {MOST_PLAUSIBLE:g}")
     return array
 
 
@@ -133,8 +129,7 @@ def all_fit(values: tuple[object, ...], joints: int) -> bool:
 def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -> Array:
     """Read k named signals into a read-only copy of shape (k, joints), of any numbers.
 
-    Raises:
-        SampleError: If they cannot be read so: as `check_joint_vector`.
+    `SampleError` if they cannot be read so: as `check_joint_vector`.
     """
     if all_fit(values, joints):  # almost every sample
         rows = np.array(values)
@@ -208,8 +203,7 @@ class SampleClock:
     def elapsed(self, dt_s: float) -> float:
         """Time since the last sample that was used [s].
 
-        Raises:
-            SampleError: For a time step that does not advance, or for a clock that was set.
+        `SampleError` for a time step that does not advance, or for a clock that was set.
         """
         if type(dt_s) is not float or not SHORTEST_STEP_S <= dt_s <= LONGEST_STEP_S:
             dt_s = check_interval(dt_s)
@@ -237,10 +231,8 @@ LEAST_LIMIT = 1e-6
 def known_limits(limits: Array, instead: float) -> Array:
     """Effort limits of a description, shape (n,), with another number where it gives none.
 
-    Files write 0, Pinocchio infinity or the largest float for "unknown".
-
-    Raises:
-        ConfigurationError: For a limit that no motor has.
+    Files write 0, Pinocchio infinity or the largest float for "unknown". `ConfigurationError` for a
+    limit that no motor has.
     """
     absurd = [int(i) for i in np.flatnonzero((limits > 0.0) & (limits < LEAST_LIMIT))]
     if absurd:

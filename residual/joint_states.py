@@ -38,19 +38,13 @@ def follow_joints(
     stribeck_rad_s: float,
     dt_s: float,
 ) -> None:
-    """Follow position [rad] and torque [Nm], both (n,), a time [s] after the last ones.
+    """Follow position [rad] and torque [Nm], both (n,), a time > 0 [s] after the last ones.
 
-    Args:
-        memory: States of the torques' loops and of the bearings' elements, then torque [Nm] and
-            position [rad] with their lags; shape (loops + elements + 2, n). Brought up to date.
-        states: What `residual.bias_model.BiasModel` has columns for: loops, elements, what friction
-            has more at low speed, and speed [rad/s]; the same shape, written.
-        q: Position.
-        torque: Measured torque.
-        half_widths: Of loops [Nm] and elements [rad], shape (loops + elements, n).
-        loops: How many there are.
-        stribeck_rad_s: See `residual.bias_model.BiasPrior`.
-        dt_s: Time > 0.
+    The memory is brought up to date: states of the torques' loops and of the bearings' elements,
+    then torque [Nm] and position [rad] with their lags; shape (loops + elements + 2, n). The states
+    are written, of the same shape: what `residual.bias_model.BiasModel` has columns for, loops,
+    elements, what friction has more at low speed (see its prior), and speed [rad/s]. Half widths
+    are those of loops [Nm] and elements [rad], shape (loops + elements, n).
     """
     plays = len(half_widths)
     twist = (torque - memory[plays]) * (dt_s / (TORQUE_LAG_S + dt_s))

@@ -57,12 +57,8 @@ def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, h
     With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is linear in the
     rows of `momentum_step`.
 
-    Args:
-        weights: Where one weight per row is written, shape (1, 9), or (n, 9) for one gain per
-            joint.
-        gains_per_s: K [1/s], shape (1,) or (n,).
-        dt_s: Length of the tick [s].
-        held: Whether torque is held over the tick, see `Alignment`.
+    One weight per row is written, shape (1, 9), or (n, 9) for one gain K [1/s] per joint; ``held``
+    says whether torque is held over the tick [s], see `Alignment`.
     """
     for k in range(len(gains_per_s)):
         gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
@@ -231,9 +227,8 @@ def _check_length(friction: FrictionModel, joints: int) -> None:
     try:
         shape = np.shape(friction.torque(np.zeros(joints)))
     except ValueError as error:
-        raise ConfigurationError(
-            f"friction does not fit a robot of {joints} joints: {error}"
-        ) from error
+        what = f"friction does not fit a robot of {joints} joints: {error}"
+        raise ConfigurationError(what) from error
     if shape != (joints,):
         raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
 
@@ -268,9 +263,8 @@ class MomentumObserver:
         data: Workspace; joint placements and Jacobians of the latest sample stand in it.
         memory: All that it remembers.
 
-    Raises:
-        ConfigurationError: For a gain, alignment or gap that cannot work, or friction of another
-            number of joints.
+    `ConfigurationError` for a gain, alignment or gap that cannot work, or friction of another
+    number of joints.
     """
 
     def __init__(
@@ -311,19 +305,12 @@ class MomentumObserver:
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
 
-        Args:
-            q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,).
-            tau: Measured link-side joint torques [Nm], shape (n,).
-            dt_s: Time since the previous sample [s]; not read on the first one.
+        Joint positions [rad], velocities [rad/s] and measured link-side torques [Nm] have shape
+        (n,); the time since the previous sample [s] is not read on the first one. The residual is
+        the external joint torque, environment on robot [Nm], shape (n,), a new read-only array.
 
-        Returns:
-            Estimate of the external joint torque, environment on robot [Nm], shape (n,), a new
-            read-only array.
-
-        Raises:
-            SampleError: For a wrong shape, a number that is not finite or a time step that does
-                not advance; the state is then unchanged.
+        `SampleError` for a wrong shape, a number that is not finite or a time step that does not
+        advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
         # Compiled code takes contiguous arrays.
@@ -366,10 +353,8 @@ class MomentumObserver:
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
 
-        Args:
-            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
-            q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
-                noise of velocity into noise of momentum.
+        The noise is the standard deviation of ``dq`` per joint [rad/s], shape (n,); inertia at the
+        configuration about which the arm will move [rad], shape (n,), makes that of momentum of it.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         inertia = pin.crba(self._model, self.data, check_joint_vector("q", q, self._joints))
@@ -380,9 +365,8 @@ class MomentumObserver:
     def restore(self, memory: MomentumState) -> None:
         """Go on from a `memory`, which is kept, of an observer of the same robot and settings.
 
-        Raises:
-            ConfigurationError: If it belongs to a robot with another number of joints, or is
-                damaged; nothing has then changed.
+        `ConfigurationError` if it is of another number of joints, or damaged; nothing has then
+        changed.
         """
         rows, noise, n = memory.rows, memory.noise, self._joints
         if rows.shape != (ROWS, n):

@@ -47,17 +47,6 @@ class StreamState:
     missed_s: float = 0.0  # Time that the observer has not seen yet [s]
 
 
-def _observer(robot: Robot, config: SensorConfig, *, has_velocity: bool) -> MomentumObserver:
-    return MomentumObserver(
-        robot,
-        config.gain_per_s,
-        # The matched filter hands on a continuous torque.
-        alignment=config.alignment if has_velocity else "trapezoid",
-        friction=config.friction,
-        max_gap_s=config.max_gap_s,
-    )
-
-
 class SampleStream:
     """Positions, velocities if there are any, and torques; all or none with velocities.
 
@@ -82,46 +71,46 @@ class SampleStream:
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
         self._velocity = self._guard = self._observer = None
         delay_s = self.lag_s = self.filter_lag_s = 0.0
+        alignment, gap_s = config.alignment, config.max_gap_s
         if not has_velocity:
             self._velocity = VelocityEstimator(
-                n,
-                config.velocity_bandwidth_per_s,
-                alignment=config.alignment,
-                max_gap_s=config.max_gap_s,
+                n, config.velocity_bandwidth_per_s, alignment=alignment, max_gap_s=gap_s
             )
-            delay_s = self._velocity.delay_s
+            # The matched filter hands on a continuous torque.
+            delay_s, alignment = self._velocity.delay_s, "trapezoid"
         if config.guard:
-            tip = None
-            if any(config.tool_offset_m):
-                tip = ToolKinematics(robot, config.frame, offset_m=config.tool_offset_m)
-            self._guard = FaultDetector(
-                robot, has_velocity=has_velocity, velocity_delay_s=delay_s, tool=tip
-            )
+            # Without an offset forces are tried at the tool frame, whatever frame is asked for.
+            frame = config.frame if any(config.tool_offset_m) else None
+            tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
+            self._guard = FaultDetector(robot, tip, delay_s, has_velocity=has_velocity)
         if not is_external:
-            self._observer = _observer(robot, config, has_velocity=has_velocity)
+            self._observer = MomentumObserver(
+                robot,
+                config.gain_per_s,
+                alignment=alignment,
+                friction=config.friction,
+                max_gap_s=gap_s,
+            )
             self.filter_lag_s = 1.0 / config.slowest_gain_per_s
             self.lag_s = self.filter_lag_s + delay_s
         self._model, self._data = robot.model, robot.create_data()
         self._adds_gravity = config.torque_is_gravity_compensated and not is_external
-        self._max_gap_s = config.max_gap_s
+        self._max_gap_s = gap_s
         self._settling_s = SETTLING_LAGS * self.filter_lag_s - ROUNDING_S
         probes = config.smooth_momentum and not is_external
-        self.memory = StreamState(
-            None if self._velocity is None else self._velocity.memory,
-            None if self._guard is None else self._guard.memory,
-            None if self._observer is None else self._observer.memory,
-            NoiseProbe.of_size(n) if probes else None,
-        )
+        parts = self._velocity, self._guard, self._observer
+        velocity, guard, observer = (getattr(part, "memory", None) for part in parts)
+        probe = NoiseProbe.of_size(n) if probes else None
+        self.memory = StreamState(velocity, guard, observer, probe)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> TorqueSample:
         """Take one sample; arguments as of `VirtualForceSensor.update`.
 
-        Raises:
-            SampleError: For a wrong shape, numbers that are not finite, or a velocity that comes
-                and goes; nothing has then changed but what the fault detector knows of it.
-            SuspectSampleError: For a spike, frozen signals or a saturated torque.
+        `SampleError` for a wrong shape, numbers that are not finite, or a velocity that comes and
+        goes, `SuspectSampleError` for a spike, frozen signals or a saturated torque; nothing has
+        then changed but what the fault detector knows of it.
         """
         if (dq is None) == self.has_velocity:
             raise SampleError(

@@ -33,10 +33,6 @@ def _names(node: object) -> tuple[str, ...]:
     return getattr(type(node), "_fields", ())
 
 
-ENDLESS = "alone.limit_s"
-"""End of the place of numbers that may be infinite."""
-
-
 def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """Every array of a tree, and where it stands: names of fields with dots between.
 
@@ -44,7 +40,8 @@ def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """
     if isinstance(node, np.ndarray):
         yield place, node
-    is_number = isinstance(node, np.ndarray | float) and not place.endswith(ENDLESS)
+    # A limit may be infinite.
+    is_number = isinstance(node, np.ndarray | float) and not place.endswith("alone.limit_s")
     if is_number and not np.isfinite(node).all():
         raise SnapshotError(f"{place} is not finite")
     hints = get_type_hints(type(node)) if _names(node) else {}
@@ -59,8 +56,7 @@ def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 def check_form(state: object, model: object) -> None:
     """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
 
-    Raises:
-        SnapshotError: With the array that differs, or what is missing.
+    `SnapshotError` with the array that differs, or what is missing.
     """
     expected = {place: array.shape for place, array in _arrays(model)}
     for place, array in _arrays(state):
@@ -135,9 +131,8 @@ def _axis(joint: pin.JointModel) -> Array:
     return np.asarray(data.S)
 
 
-TRIED_S = 0.03
-"""Time step of a trial: long enough that everything which changes slowly is renewed."""
-TRIED = 3
+TRIED, TRIED_S = 3, 0.03
+"""Steps of a trial, each long enough that everything which changes slowly is renewed."""
 
 
 def try_out(twin: Any, state: Any) -> None:

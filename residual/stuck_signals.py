@@ -90,8 +90,7 @@ class NoiseProbe:
     def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.
 
-        Returns:
-            All samples, shape (m, size), with the last one; None before.
+        Returns all samples, shape (m, size), with the last one; None before.
         """
         self.rows[self.count] = value
         self.count += 1

@@ -41,16 +41,9 @@ def check_free_of_contact(
     is fitted beside all that the tare fits, in its likeliest interval: what friction, drift or a
     coarse model explain is no contact.
 
-    Args:
-        fit: The tare, fitted as if the motion were free.
-        wrench: Reads the axial force from joint torques; its covariance is overwritten, so it must
-            be the caller's own for this.
-        contact_force_N: Smallest force that counts [N].
-        is_external: Whether the residual is an estimate that the robot sends itself.
-
-    Raises:
-        TareError: If there is contact, with the force seen, or wrong torques, with the likely
-            reason.
+    The tare was fitted as if the motion were free. The estimator's covariance is overwritten: it
+    must be the caller's own for this. An external residual is an estimate that the robot sends
+    itself. `TareError` with the force seen, or the likely reason.
     """
     basis, blocks = fit.basis, fit.blocks
     force, std = _beyond_prior(basis, blocks, wrench)

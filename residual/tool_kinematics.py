@@ -26,9 +26,8 @@ class ToolKinematics:
         jacobian: Of the latest `update`, in the frame's own axes, shape (6, n).
         pose: Of the tip in the base, homogeneous, shape (4, 4).
 
-    Raises:
-        ConfigurationError: For a zero axis, or an offset that is none.
-        urdf.UrdfError: For an unknown frame.
+    `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError` for an unknown
+    frame.
     """
 
     def __init__(

@@ -31,25 +31,17 @@ _new = tuple.__new__  # makes a named tuple in half the time: there is one in ev
 
 
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
-    """Factors of the exact step of two equal first-order lags in a row.
+    """Factors of the exact step of two equal first-order lags in a row, shape (3, ROWS).
 
+    Times the rows they give both outputs at the end of the tick, and the rate of the second one.
     The input runs straight over the tick; a held one is the case of equal ends.
-
-    Returns:
-        Shape (3, ROWS): times the rows, both outputs at the end of the tick, and the rate of the
-        second one.
     """
     tick = bandwidth_per_s * dt_s
     decay, gained, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
-    first = np.array([decay, 0.0, gained * per_tick - decay, 1.0 - gained * per_tick])
-    second = np.array(
-        [
-            decay * tick,
-            decay,
-            2.0 * (gained * per_tick - decay) - tick * decay,
-            1.0 + decay - 2.0 * gained * per_tick,
-        ]
-    )
+    start = gained * per_tick - decay
+    first = np.array([decay, 0.0, start, 1.0 - gained * per_tick])
+    end = 1.0 + decay - 2.0 * gained * per_tick
+    second = np.array([decay * tick, decay, 2.0 * start - tick * decay, end])
     return np.stack((first, second, bandwidth_per_s * (first - second)))
 
 
@@ -74,6 +66,8 @@ class VelocityState:
 class VelocityEstimator:
     """Causal velocity from position, with torque through the same filter.
 
+    `ConfigurationError` for a setting that cannot work.
+
     Args:
         joints: Number of joints.
         bandwidth_per_s: w of the two lags [1/s], 1e6 at most; the common delay is 2/w, the
@@ -84,9 +78,6 @@ class VelocityEstimator:
 
     Attributes:
         memory: All that it remembers; one of the same settings and joints may stand in its place.
-
-    Raises:
-        ConfigurationError: For a setting that cannot work.
     """
 
     SETTLING_LAGS = 10.0
@@ -124,8 +115,7 @@ class VelocityEstimator:
     def update(self, q: ArrayLike, tau: ArrayLike, dt_s: float) -> MatchedSample:
         """Take one sample of position [rad] and torque [Nm], each (n,).
 
-        Raises:
-            SampleError: For a bad sample; the state is then unchanged.
+        `SampleError` for a bad one; the state is then unchanged.
         """
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)

@@ -136,12 +136,8 @@ class VirtualForceSensor:
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
-        Args:
-            q: As in `update`, like ``dt_s`` and what is returned.
-            dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
-                positions, which are then as late as they are. Forces do not depend on them.
-            external_torque: Torque of the environment on the joints [Nm], shape (n,).
-            dt_s: Time since the previous call [s].
+        As `update`, with the torque of the environment on the joints [Nm], shape (n,). Forces do
+        not depend on velocities; where they are estimated, positions are as late as they are.
         """
         return self._absorb(True, q, dq, external_torque, dt_s)
 
@@ -150,14 +146,8 @@ class VirtualForceSensor:
 
         Call it while the arm rests or from outside the control loop: it takes a few tenths of a
         second. A contact that stands during all of the motion is noticed only if it is larger than
-        what the prior lets the model be wrong by (tens of newtons on an LWR).
-
-        Args:
-            ignore_contact: Take it even where contact is seen, or torques or velocities that
-                cannot be.
-
-        Returns:
-            The fitted tare.
+        what the prior lets the model be wrong by (tens of newtons on an LWR). With
+        ``ignore_contact`` contact, torques and velocities that cannot be are no reason to refuse.
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
@@ -240,9 +230,8 @@ class VirtualForceSensor:
     def restore(self, state: SensorState) -> None:
         """Go on, bit for bit, from where `snapshot` was taken.
 
-        Raises:
-            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
-                or other settings; nothing has then changed.
+        `SnapshotError`, and nothing has changed, for anything but a snapshot of such a sensor, a
+        damaged one, or one of another robot or other settings.
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
@@ -262,8 +251,8 @@ class VirtualForceSensor:
     def _take(self, state: SensorState) -> None:
         self.reset()
         if state.stream is not None:
-            has_velocity = state.stream.velocity is None
-            self._stream = self._new_stream(state.is_external, has_velocity)
+            kind = {"is_external": state.is_external, "has_velocity": state.stream.velocity is None}
+            self._stream = SampleStream(self._robot, self._config, **kind)
             self._stream.restore(state.stream)
         self._offset.restore(state.offset)
         self._wrench.set_torque_covariance(state.torque_covariance)
@@ -279,11 +268,6 @@ class VirtualForceSensor:
                     value.setflags(write=False)
             self.kinematics.update(self._offset.memory.q)
 
-    def _new_stream(self, is_external: bool, has_velocity: bool) -> SampleStream:
-        return SampleStream(
-            self._robot, self._config, is_external=is_external, has_velocity=has_velocity
-        )
-
     def _absorb(
         self, is_external: bool, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> WrenchEstimate:
@@ -293,7 +277,8 @@ class VirtualForceSensor:
             if stream is None or stream.is_external != is_external:
                 if stream is not None and not self._offset.is_fresh:
                     raise SampleError(OTHER_KIND)
-                stream = self._new_stream(is_external, dq is not None)
+                kind = {"is_external": is_external, "has_velocity": dq is not None}
+                stream = SampleStream(self._robot, self._config, **kind)
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:

@@ -48,10 +48,8 @@ class WrenchGain(NamedTuple):
 def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.bool_]]:
     """Of a symmetric matrix without negative eigenvalues, shape (k, k).
 
-    Directions whose eigenvalue is below ``least`` times the largest stay at zero.
-
-    Returns:
-        It, shape (k, k), and which unknowns have a part in such a direction, shape (k,).
+    Directions whose eigenvalue is below ``least`` times the largest stay at zero; which unknowns
+    have a part in such a direction, shape (k,), is returned beside it, shape (k, k).
     """
     values, vectors = np.linalg.eigh(symmetric)
     seen = values > values[-1] * least
@@ -78,11 +76,8 @@ def weighted_inverse(
     inverse variance of what x is expected to be: it matters only where the joints cannot see x,
     there it draws the answer to zero, and the fraction that it removes is reported.
 
-    Args:
-        jacobian: J, shape (k, n), rows are directions of x.
-        error_covariance: Of the error of that torque [Nm^2], shape (n, n).
-        precision: W, shape (n, n).
-        damping: Diagonal of D, shape (k,).
+    Rows of J, shape (k, n), are directions of x; the covariance is that of the error of the torque
+    [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape (k,).
 
     Returns:
         The matrix that makes x of the torque, shape (k, n); the covariance of x, shape (k, k), with
@@ -169,9 +164,8 @@ def wrench_step(
 def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
     """What of joint torque no wrench explains, whose unknowns make torque by ``rows``, (k, n).
 
-    Returns:
-        The smallest singular value of the rows, and what makes of a torque the mean square of what
-        is left, in units of its covariance, the inverse of ``precision``; shape (n, n).
+    Returns the smallest singular value of the rows, and what makes of a torque the mean square of
+    what is left, in units of its covariance, the inverse of ``precision``; shape (n, n).
     """
     count, joints = rows.shape
     gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
@@ -202,7 +196,7 @@ class WrenchEstimator:
 
     Sign and frames: the wrench acts on the tool at the tip, in the axes asked for; a weight hung
     there reads as a force down. The axial force is minus the force along the insertion direction,
-    so that tissue pushing back is positive.
+    so that tissue pushing back is positive. `urdf.UrdfError` for an unknown frame.
 
     Args:
         robot: The arm with its payload.
@@ -213,9 +207,6 @@ class WrenchEstimator:
         kinematics: Pose and Jacobian of the tool.
         gain: Of the last `weigh`.
         torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
-
-    Raises:
-        urdf.UrdfError: For an unknown frame.
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
@@ -238,13 +229,9 @@ class WrenchEstimator:
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
-        """Set how far the residual may be trusted, for the next `weigh`.
+        """Set the covariance of the residual's error [Nm^2], shape (n, n), for the next `weigh`.
 
-        Args:
-            covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
-
-        Raises:
-            ConfigurationError: If it has another shape or is not positive definite.
+        `ConfigurationError` if it has another shape or is not positive definite.
         """
         shape = self.torque_covariance.shape
         if covariance_Nm2.shape != shape:
@@ -264,16 +251,12 @@ class WrenchEstimator:
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
 
-        Raises:
-            SampleError: For a wrong shape, or for numbers that are not real or not finite.
+        `SampleError` for a wrong shape, or for numbers that are not real or not finite.
         """
-        q = check_joint_vector("q", q, self._joints)
-        residual = check_joint_vector("residual", residual, self._joints)
-        q, residual = np.ascontiguousarray(q), np.ascontiguousarray(residual)
+        q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
+        residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
         self.weigh(q)
-        return WrenchEstimate(
-            *self.solve(q, residual, np.zeros(self._joints), np.zeros(3), fraction=1.0)
-        )
+        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), np.zeros(3), 1.0))
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
@@ -309,13 +292,8 @@ class WrenchEstimator:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
         The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
-        arguments are those of `wrench_step`.
-
-        Returns:
-            The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
-
-        Raises:
-            SampleError: For numbers that are not finite.
+        arguments are those of `wrench_step`. Returns the numbers of a `WrenchEstimate`, from
+        ``axial`` to ``residual``; `SampleError` for numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
         size = len(rows) - 1

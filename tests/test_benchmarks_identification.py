@@ -24,8 +24,8 @@ from benchmarks.identification_metrics import (
 from benchmarks.methods import Alarm
 from benchmarks.signals import InsertionTruth, NeedleSignal, insertion_truth, lagging
 from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
-from groundtruth.force_noise import CLEAN
 from groundtruth.motion import constant_motion
+from groundtruth.plant_model import ForceNoise
 
 SPEED = 2e-3
 T = np.arange(0.0, 20.0, 1e-2)
@@ -218,7 +218,7 @@ def stack_truth():
     layer = replace(GEL, release_m=0.3e-3, thickness_m=14e-3)
     motion = constant_motion(speed_m_s=4e-3, depth_m=39e-3, standoff_m=5e-3)
     chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
-    return insertion_truth(insert_needle(chosen, noise=CLEAN))
+    return insertion_truth(insert_needle(chosen, noise=ForceNoise()))
 
 
 def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):

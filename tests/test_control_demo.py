@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from groundtruth.tissue_truth import Rupture
+from groundtruth.tissue import Rupture
 from needleforce.cli import demo, main
 from needleforce.cli.demo_runs import BACK_S, HAND_STROKE_M, HandPlan, Teleinsertion, ruptures_felt
 

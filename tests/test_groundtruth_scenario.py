@@ -1,6 +1,5 @@
 """Motions, the catalogue and the random stacks: the paper's values, and needle-only runs."""
 
-from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -8,9 +7,9 @@ import pytest
 
 from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, RunError, ScenarioError
-from groundtruth.force_noise import CLEAN, MINI45
 from groundtruth.materials import TABLE_I_SPEED_M_S
 from groundtruth.motion import TARE_STROKE_M, Motion, Stroke, constant_motion, sinusoidal_motion
+from groundtruth.plant_model import MINI45, ForceNoise
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)
@@ -156,7 +155,7 @@ def test_runs_are_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
     assert (first.force_N == again.force_N).all()
     assert (first.force_N != other.force_N).any()
     assert (first.truth.axial_N == other.truth.axial_N).all()
-    run = insert_needle("gel-25-constant", noise=CLEAN)
+    run = insert_needle("gel-25-constant", noise=ForceNoise())
     assert (run.force_N == run.truth.axial_N).all()
     assert not run.force_N.flags.writeable
     assert not run.truth.axial_N.flags.writeable
@@ -164,8 +163,8 @@ def test_runs_are_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
 
 @pytest.mark.parametrize("name", ["liver-constant", "abdomen-sinusoidal"])
 def test_the_rate_changes_the_sampling_not_the_force(name):
-    coarse = insert_needle(name, noise=CLEAN)
-    rare = insert_needle(name, rate_hz=250.0, noise=CLEAN)
+    coarse = insert_needle(name, noise=ForceNoise())
+    rare = insert_needle(name, rate_hz=250.0, noise=ForceNoise())
     assert rare.t_s == pytest.approx(coarse.t_s[::4][: rare.t_s.size])
     assert rare.truth.axial_N == pytest.approx(coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3)
 
@@ -193,7 +192,7 @@ def test_unusable_settings_are_refused_by_name():
         with pytest.raises(RunError, match="rate_hz"):
             insert_needle("gel-25-constant", rate_hz=value)
     with pytest.raises(RunError, match="white_std_N"):
-        replace(CLEAN, white_std_N=-1.0)
+        ForceNoise(white_std_N=-1.0)
 
 
 def test_drawn_stacks_vary_are_physical_rupture_at_every_boundary_and_end_outside():

@@ -3,9 +3,8 @@
 Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is given in
 the axes of the robot's flange frame, whose z points outward; gravity in base axes.
 
-Reading order: `robot` (what the estimators get), `loading` with `description` (from a file to a
-robot), `serial_robot` (from numbers to a robot), `payload` (with the ten numbers of a body),
-`payload_identification`.
+Reading order: `robot` (what the estimators get), `loading` with `description` (from a file, or from
+numbers, to a robot), `payload` (with the ten numbers of a body), `payload_identification`.
 """
 
 from urdf.errors import (
@@ -17,11 +16,18 @@ from urdf.errors import (
     UrdfError,
     UrdfFileError,
 )
-from urdf.loading import LWR_GEAR_RATIO, example_robot_path, load_example, load_lwr, load_urdf
+from urdf.loading import (
+    LWR_GEAR_RATIO,
+    SerialJoint,
+    build_serial_robot,
+    example_robot_path,
+    load_example,
+    load_lwr,
+    load_urdf,
+)
 from urdf.payload import NeedleTool, Payload
 from urdf.payload_identification import PayloadEstimate, identify_payload_static
 from urdf.robot import Robot
-from urdf.serial_robot import SerialJoint, build_serial_robot
 
 __all__ = [
     "LWR_GEAR_RATIO",

@@ -99,10 +99,10 @@ def identify_payload_static(
     covariance[unknown, :] = covariance[:, unknown] = 0.0
     covariance[unknown, unknown] = np.inf
     parameters = scaled * _UNITS
-    payload = Payload(mass_kg=0.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
+    mass_kg, com_m = 0.0, np.zeros(3)
     if parameters[0] >= _NO_MASS_KG:
         mass_kg, com_m = parameters[0], parameters[1:] / parameters[0]
-        payload = Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3)))
+    payload = Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3)))
     return PayloadEstimate(
         payload=payload,
         parameters=read_only(parameters),

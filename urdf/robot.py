@@ -154,11 +154,11 @@ def rigid_motion(placement: Any, name: str) -> pin.SE3:
 
 def assemble_robot(
     model: pin.Model,
-    *,
     flange_frame: str,
     tool_placement: pin.SE3 | ArrayLike | None,
     payload: Payload | NeedleTool | None,
     gravity_m_s2: ArrayLike,
+    *,
     check_inertias: bool,
 ) -> Robot:
     """Complete a model in place: set gravity, mount the tool, check that it can be simulated.
@@ -186,8 +186,14 @@ def assemble_robot(
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
         tool_frame, body = TIP_FRAME, body.payload
     robot = Robot(bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body)
-    if check_inertias:
-        _check_mass_matrix(robot)
+    mass_matrix = pin.crba(robot.model, robot.create_data(), pin.neutral(robot.model))
+    if check_inertias and np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
+        idle = [robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)]
+        raise InertiaError(
+            f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
+            f"move no inertia: {', '.join(idle) or 'none alone'}. "
+            "Give the links inertia, or lock joints"
+        )
     return robot
 
 
@@ -203,15 +209,3 @@ def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, add
     frame = model.frames[index]
     where = frame.placement * placement
     model.addFrame(pin.Frame(name, frame.parentJoint, index, where, pin.FrameType.OP_FRAME))
-
-
-def _check_mass_matrix(robot: Robot) -> None:
-    neutral = pin.neutral(robot.model)
-    mass_matrix = pin.crba(robot.model, robot.create_data(), neutral)
-    if np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        idle = [robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)]
-        raise InertiaError(
-            f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
-            f"move no inertia: {', '.join(idle) or 'none alone'}. "
-            "Give the links inertia, or lock joints"
-        )

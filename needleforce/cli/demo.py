@@ -12,7 +12,7 @@ import numpy as np
 
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Trocar
-from groundtruth.tissue_truth import Rupture
+from groundtruth.tissue import Rupture
 from needleforce import InsertionSession
 from needleforce.cli.demo_runs import (
     STANDOFF_M,

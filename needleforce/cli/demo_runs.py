@@ -13,7 +13,7 @@ import numpy as np
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
-from groundtruth.tissue_truth import Rupture
+from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture, Teleoperation
 from needleforce.control.teleoperation import Shown

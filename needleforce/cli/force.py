@@ -169,11 +169,8 @@ class ForceResult:
         gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
         longest = f"(longest {replay.longest_gap_s:.3g} s), after which the filters restarted"
         yield "gaps", f"{gaps} {limit} {longest}" if gaps else f"none {limit}"
-        found = [
-            f"{count} x {str(warning.name).lower().replace('_', ' ')}"
-            for warning, count in self.warnings.most_common()
-            if count
-        ]
+        most = [(str(warning.name), count) for warning, count in self.warnings.most_common()]
+        found = [f"{count} x {name.lower().replace('_', ' ')}" for name, count in most if count]
         yield "warnings", ", ".join(found) or "none"
         if replay.velocity_fault:
             yield "velocity", replay.velocity_fault

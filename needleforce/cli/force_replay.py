@@ -237,12 +237,8 @@ class Replay:
                 is_settled = found.status is not Status.INITIALIZING
                 if is_settled and found.warnings & SensorWarning.VELOCITY:
                     self.velocity_fault = found.message
-        return {
-            "t_s": chunk.t_s,
-            "travel_m": self._travel_m(q_rad),
-            **_columns(estimates),
-            "after_gap": np.array(gaps),
-        }
+        rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
+        return {**rows, "after_gap": np.array(gaps)}
 
     def finish(self, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log, which was read to its end or not."""
@@ -264,10 +260,9 @@ class Replay:
         positions = np.full((len(q_rad), 3), np.nan)
         for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
             self._tool.update(q_rad[k])
-            positions[k] = self._tool.pose[:3, 3]
+            positions[k] = self._tool.place_in_base_m
             if self._start_m is None:
-                self._start_m = positions[k].copy()
-                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
+                self._start_m, self._axis = positions[k].copy(), self._tool.axis_in_base
         if self._start_m is None:
             return positions[:, 0]
         # Not a matrix product, whose rounding may depend on how many rows come at a time.

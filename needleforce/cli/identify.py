@@ -51,8 +51,6 @@ def run(
 # From a log to its result.
 
 Rows = dict[str, NDArray[np.float64]]
-
-
 _UNTARED = "whose status says that the force is not tared or not settled"
 _DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
 
@@ -95,8 +93,7 @@ def identify_layers(
     hints = (f"{hint.rstrip('?')}{flip}" if "flip" in hint else hint for hint in stream.hints)
     counted = (
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
-        for reason, count in left_out.items()
-        if count
+        for reason, count in (+left_out).items()
     )
     warnings, layers = (*counted, *hints), stream.layers
     for warning in warnings:

@@ -84,12 +84,8 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         raise CommandError("--robot and --urdf name two robots; give one of them")
     if options.lock and options.urdf is None:
         raise CommandError("--lock describes a robot of --urdf FILE; give it")
-    placed = {
-        "tool_frame": options.tool_frame,
-        "tool_placement": options.tip_offset,
-        "without": options.without,
-        "payload": payload,
-    }
+    placed = {"tool_frame": options.tool_frame, "tool_placement": options.tip_offset}
+    placed |= {"without": options.without, "payload": payload}
     if options.urdf is None and options.robot not in (None, LWR):
         return urdf.load_example(options.robot, **placed)
     if options.urdf is None:
@@ -99,10 +95,9 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
                 "--urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
             )
         return urdf.load_lwr(payload=payload)
+    locked = dict(map(_locked, options.lock))
     try:
-        return urdf.load_urdf(
-            options.urdf, locked_joints=dict(map(_locked, options.lock)), **placed
-        )
+        return urdf.load_urdf(options.urdf, locked_joints=locked, **placed)
     except urdf.UnsupportedJointError as error:
         reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
         raise CommandError(reason) from error
@@ -113,9 +108,8 @@ def _locked(text: str) -> tuple[str, float]:
     try:
         return name, float(position) if equals else 0.0
     except ValueError as error:
-        raise CommandError(
-            f"--lock {text}: {position!r} is no number; expected JOINT or JOINT=POSITION"
-        ) from error
+        what = f"{position!r} is no number; expected JOINT or JOINT=POSITION"
+        raise CommandError(f"--lock {text}: {what}") from error
 
 
 def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload | NeedleTool | None:
@@ -211,12 +205,7 @@ def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> Sen
         if "friction" in table:
             raise CommandError(f"{options.config}: give joint friction with --friction FILE")
         config = decoded(SensorConfig, table, options.config, config)
-    given = {
-        "gain_per_s": options.gain,
-        "alignment": options.alignment,
-        "mode": options.mode,
-        "insertion_axis": options.insertion_axis,
-        "torque_is_gravity_compensated": options.gravity_compensated or None,
-        "friction": friction,
-    }
+    given = {"gain_per_s": options.gain, "friction": friction}
+    given |= {name: getattr(options, name) for name in ("alignment", "mode", "insertion_axis")}
+    given["torque_is_gravity_compensated"] = options.gravity_compensated or None
     return replace(config, **{name: value for name, value in given.items() if value is not None})

@@ -59,15 +59,10 @@ def signal_table(run: Run) -> dict[str, NDArray]:
     Time stamps begin at zero at the earliest; an arm that reports no velocities has none.
     """
     signals = run.signals
-    dq = {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
-    return {
-        "t_s": signals.t_s + _shift_s(run),
-        "q_rad": signals.q_rad,
-        **dq,
-        "tau_Nm": signals.tau_Nm,
-        "ft_force_N": signals.ft_wrench[:, :3],
-        "ft_torque_Nm": signals.ft_wrench[:, 3:],
-    }
+    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
+    columns |= {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
+    wrench = {"ft_force_N": signals.ft_wrench[:, :3], "ft_torque_Nm": signals.ft_wrench[:, 3:]}
+    return {**columns, "tau_Nm": signals.tau_Nm, **wrench}
 
 
 def truth_table(run: Run) -> dict[str, NDArray]:
@@ -96,9 +91,7 @@ def _shift_s(run: Run) -> float:
 
 def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
     marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
-    for rupture in run.truth.ruptures:
-        if (rupture.layer == 0) is not on_surface:
-            continue
+    for rupture in (item for item in run.truth.ruptures if (item.layer == 0) is on_surface):
         row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
         while row < len(marks) and marks[row]:
             row += 1

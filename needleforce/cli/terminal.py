@@ -45,10 +45,7 @@ def run_command(work: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    except _Terminated:
-        say("terminated")
-        return TERMINATED
-    except Exception as error:
+    except (Exception, _Terminated) as error:
         # A library in C may turn what the handler raised into an error of its own.
         if is_terminated:
             say("terminated")
@@ -57,7 +54,7 @@ def run_command(work: Callable[[], int]) -> int:
         return FAILED
 
 
-def _explained(error: Exception) -> str:
+def _explained(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
     if type(error).__module__.partition(".")[0] in _FORESEEN:
         return str(error)

@@ -29,8 +29,7 @@ _SETTLED_NS = NS_PER_S
 """When so much recording has brought no new topic, it is decided which topics are read."""
 _AS_MANY = 0.9  # a topic with this fraction of another's messages counts as equally fast
 _LEARNED = 20  # messages of a topic that are looked into
-_SHORTEST_LIMIT_S = 0.1
-_PERIODS = 5.0
+_SHORTEST_LIMIT_S, _PERIODS = 0.1, 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
 _LATE_NS = NS_PER_S  # a topic whose messages come so much later than those of others loses nothing
 

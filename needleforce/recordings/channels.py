@@ -27,7 +27,7 @@ _CODE = {"1": 1.0}
 
 # How people write the same unit; applied in this order.
 _SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))
-_SLASHES = ("_per_", "_")
+_SPELLINGS += (("_per_", "/"), ("_", "/"))
 _UNIT_PARTS = 3  # the longest unit in a name has so many parts: `mm_per_s`
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
@@ -100,8 +100,6 @@ def find_unit(text: str, units: Units) -> str | None:
     unit = text.strip()
     for written, meant in _SPELLINGS:
         unit = unit.replace(written, meant)
-    for slash in _SLASHES:
-        unit = unit.replace(slash, "/")
     return unit if unit in units else None
 
 

@@ -52,10 +52,8 @@ def optional_library(module: str, what: str) -> ModuleType:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        install = "pyarrow" if library == "pyarrow" else "rosbags mcap"
-        raise FileAccessError(
-            f"{what} need the library {library}: pip install {install}"
-        ) from error
+        needed = f"{library}: pip install {'pyarrow' if library == 'pyarrow' else 'rosbags mcap'}"
+        raise FileAccessError(f"{what} need the library {needed}") from error
 
 
 @contextmanager

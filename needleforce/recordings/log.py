@@ -84,11 +84,9 @@ class Log:
 
     def __getitem__(self, name: str) -> FloatArray:
         """Return a channel's values; `ColumnError` if the log has no such channel."""
-        if name not in self.channels:
-            raise ColumnError(
-                f"the log has no channel {name!r}; it has: {', '.join(self.channels)}"
-            )
-        return self.channels[name]
+        if name in self.channels:
+            return self.channels[name]
+        raise ColumnError(f"the log has no channel {name!r}; it has: {', '.join(self.channels)}")
 
 
 class _Source(NamedTuple):
@@ -301,7 +299,7 @@ class LogStream:
         for key, watch in self._watches.items():
             watch.update(kept[key])
         if not self._rows:
-            self._report_units()
+            self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
         self._rows += rows
         t_s = kept.pop("t_s")
         if len(t_s):
@@ -332,16 +330,12 @@ class LogStream:
             self._report((f"{what} (first: row {self._first_lost})",))
         if self._lost == self._rows:
             raise LogError(f"of {self._rows} rows none has a time stamp")
-        self._report_units()
+        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
         self._report(self._stamps.warnings())
         for key, watch in self._watches.items():
             self._report(() if key == "t_s" else watch.not_finite())
 
-    def _report_units(self) -> None:
-        for watch in self._watches.values():
-            self._report(watch.hardly_si())
-
-    def _report(self, warnings: tuple[str, ...]) -> None:
+    def _report(self, warnings: Iterable[str]) -> None:
         self._reported |= {w: False for w in warnings if w not in self._reported}
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:

@@ -100,7 +100,14 @@ class ColumnMapping:
         for name, spec in self.channels.items():
             if name not in CHANNELS:
                 raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}")
-            channels[name] = replace(spec, unit=_known_unit(name, spec.unit))
+            units, unit = CHANNELS[name].units, spec.unit
+            known = None if unit is None else find_unit(unit, units)
+            if known is None and unit is not None:
+                listed = ", ".join(units)
+                raise MappingError(
+                    f"unit {unit!r} of channel {name!r} is not known; use one of: {listed}"
+                )
+            channels[name] = replace(spec, unit=known)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         if len(set(self.joints)) < len(self.joints):
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
@@ -112,17 +119,6 @@ class ColumnMapping:
             )
         if "time" in channels:
             raise MappingError("both rate_hz and a time column are given; keep one of them")
-
-
-def _known_unit(name: str, unit: str | None) -> str | None:
-    """Return a unit as the channel spells it; `MappingError` if it is none of its."""
-    units = CHANNELS[name].units
-    known = None if unit is None else find_unit(unit, units)
-    if known is None and unit is not None:
-        raise MappingError(
-            f"unit {unit!r} of channel {name!r} is not known; use one of: {', '.join(units)}"
-        )
-    return known
 
 
 def _is_finite(value: float) -> bool:
@@ -138,11 +134,8 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
     (`depth = "z"`). At the top may stand `rate_hz`, `joints`, `reference_topic` and `payload`, see
-    `ColumnMapping`.
-
-    Raises:
-        FileAccessError: the file cannot be read.
-        MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
+    `ColumnMapping`. `FileAccessError` if the file cannot be read, `MappingError` if it is not TOML,
+    or a channel, key, unit or value in it is not valid.
     """
     place = "$"
     try:
@@ -190,7 +183,7 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
     return content
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class ChannelRequest:
     """Channels, and which columns they are, see `read_log`; a bag is read only for that.
 

@@ -38,16 +38,13 @@ SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be rea
 def read_table(
     path: str | Path, request: ChannelRequest | None = None, *, max_bytes: int = MAX_BYTES
 ) -> Table:
-    """Read a file's columns as they stand, without saying what they mean.
+    """Read a file's columns as they stand, in its own units, without saying what they mean.
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
             `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or a folder of them.
         request: what is read of a bag; of other files everything is.
         max_bytes: the most memory that the content of the file may take.
-
-    Returns:
-        The columns in the file's units.
 
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
@@ -68,7 +65,7 @@ def read_log(
     joints: Iterable[str] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Log:
-    """Read a recording into SI units: all rows of its `LogStream`.
+    """Read a recording into SI units: all rows of its `LogStream`; `warnings` say what is wrong.
 
     Args:
         path: see `read_table`.
@@ -80,24 +77,15 @@ def read_log(
         joints: names of the robot's joints; a recording that names joints is put into this order.
         max_bytes: the most memory that the content of the file may take.
 
-    Returns:
-        The log. Its `warnings` report what is wrong with the recording.
-
     Raises:
         RecordingError: see `read_table`; or time, a required or a mapped channel was not found or
             is ambiguous (`ColumnError`), a channel name is unknown or a scale does not fit its
             columns (`MappingError`), or the channels do not form a log (`LogError`).
     """
-    request = ChannelRequest(
-        mapping=mapping or ColumnMapping(),
-        required=tuple(required),
-        optional=tuple(optional),
-        joints=tuple(joints),
-    )
+    mapping, asked = mapping or ColumnMapping(), (tuple(required), tuple(optional))
+    request = ChannelRequest(mapping, *asked, joints=tuple(joints))
     tables = stream_tables(path, FollowOptions(), request, max_bytes=max_bytes)
-    return LogStream(
-        tables, request.mapping, required=request.required, optional=request.optional
-    ).joined(max_bytes)
+    return LogStream(tables, mapping, required=asked[0], optional=asked[1]).joined(max_bytes)
 
 
 def stream_tables(
@@ -156,12 +144,13 @@ def stream_tables(
 def _binary_tables(
     path: Path, options: FollowOptions, request: ChannelRequest | None, max_bytes: int
 ) -> Iterator[Table]:
+    name = path.name.lower()
     if options.follow and path.is_dir():
         raise FileAccessError(
             f"{path} is a folder, which cannot be followed while it grows; name the .mcap file in "
             "it, or read it when it is complete"
         )
-    if options.follow and not path.name.lower().endswith(".mcap"):
+    if options.follow and not name.endswith(".mcap"):
         raise FileAccessError(
             f"{path} cannot be followed while it grows; only CSV and MCAP can. Record one of them "
             "(ros2 bag record -s mcap), or read it when it is complete"
@@ -170,12 +159,10 @@ def _binary_tables(
         holds_messages = is_bag(path)
     if holds_messages:
         yield from bag_tables(path, request, options, max_bytes)
-        return
-    for suffix, read in ((".npz", read_npz), (".parquet", read_parquet)):
-        if path.name.lower().endswith(suffix):
-            yield read(path, max_bytes)
-            return
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
+    elif name.endswith((".npz", ".parquet")):
+        yield (read_npz if name.endswith(".npz") else read_parquet)(path, max_bytes)
+    else:
+        raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
 
 
 def suggest_mapping(

@@ -37,14 +37,11 @@ class Table:
         """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
-        columns = {
-            name: read_only(name, values, is_exact=True) for name, values in self.columns.items()
-        }
+        columns = {name: read_only(name, v, is_exact=True) for name, v in self.columns.items()}
         for name, values in columns.items():
             if values.ndim not in (1, 2):
-                raise FormatError(
-                    f"column {name!r} has shape {values.shape}; expected (n,) or (n, k)"
-                )
+                shape = f"has shape {values.shape}; expected (n,) or (n, k)"
+                raise FormatError(f"column {name!r} {shape}")
         object.__setattr__(self, "columns", MappingProxyType(columns))
 
     def __len__(self) -> int:
@@ -172,9 +169,8 @@ def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> FloatArray:
 
 def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     """Return seconds since `start_ns` as stamps, to the nearest nanosecond; they must be finite."""
-    return np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64) + np.int64(
-        start_ns
-    )
+    counted = np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64)
+    return counted + np.int64(start_ns)
 
 
 def exceed_float64(values: np.ndarray) -> bool:
