@@ -39,8 +39,9 @@ _SIZES_MM = {True: (1.5, 0.75), False: (0.3, 0.15)}
 _PERIODS, _BREATH_S = {True: 2.0, False: 4.0}, 7.0
 """Least number of them in the window, of breathing and of a heartbeat; a window that is shorter
 takes half a breath for a quick one."""
-_CLEARER = {True: 20.0, False: 4.0}
-"""By so much the motion must lower the error: a layer that bends looks like a slow breath."""
+_CLEARER, _CLEAR = {True: 20.0, False: 4.0}, 10.0
+"""The motion must lower the error by this factor (a layer that bends looks like a slow breath), and
+by so much."""
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
 _FAIR, _LOST, _PATIENCE = 0.5, 1.0, 8
@@ -143,7 +144,7 @@ class TissueMotion(NamedTuple):
             return self._searched(window, time_s)
         if not self.is_known:
             error = window.solved(self.fit.beats, 0.0)[2]
-            due = 0 if error > max(window.clear, 0.1 * window.count) else -1
+            due = 0 if error > max(_CLEAR, 0.1 * window.count) else -1
             return self._replace(next_s=time_s + _CHECK_S, unit=due)
         fit = window.stepped(turned(self.fit, time_s), is_prior=True)
         bad = 0 if fit.error < _FAIR * window.count else self.bad + 1
@@ -225,8 +226,6 @@ class _Window:
         self.time_s, self.depth, self.speed, self.force = window.T.copy()
         self.count, self.travel = len(window), self.depth - self.depth[0]
         self.sigma = _NOISE_N + _LAW_ERROR * np.abs(self.force)
-        # Least gain of log likelihood that shows a motion.
-        self.clear = 10.0
         grown = np.quantile(self.force[-25:], 0.8) - np.quantile(self.force[:25], 0.8)
         self.slope = max(float(grown) / max(float(self.travel[-1]), 1.0), 0.005)
         self.pace = max(float(self.speed.mean()), 0.3)
@@ -240,9 +239,8 @@ class _Window:
         friction, split, left = np.zeros((3, _LINEAR))
         friction[[2, 4]], split[[2, 4]] = (1.0, self.pace), (1.0, -COULOMB_SPEED)
         left[[1, 3]] = 1.0, -COULOMB_SPEED
-        rows = ((friction, FRACTION * slope, FRACTION_STD * slope),)
-        rows += ((split, 0.0, 0.3 * slope), (left, 0.0, 0.3 * most))
-        for row, value, std in rows:
+        known = (friction, FRACTION * slope, FRACTION_STD * slope), (split, 0.0, 0.3 * slope)
+        for row, value, std in (*known, (left, 0.0, 0.3 * most)):
             information += np.outer(row, row) / std**2
             vector += row * value / std**2
         return information, vector
@@ -251,8 +249,8 @@ class _Window:
         """Rows of the law's linear unknowns, each over its standard deviation, shape (n, 8)."""
         place, speed = displacement(beats, self.time_s - at_s)
         w, g = _contact(self.depth - place)
-        v, y, one = self.speed - speed, self.travel, np.ones(self.count)
-        rows = np.column_stack((one, w, w * y, v, v * y, g, g * y, g * y * y))
+        v, y = self.speed - speed, self.travel
+        rows = np.column_stack((np.ones_like(y), w, w * y, v, v * y, g, g * y, g * y * y))
         return rows / self.sigma[:, None]
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
@@ -266,14 +264,14 @@ class _Window:
     def is_clear(self, fit: Fit) -> bool:
         """Whether a fit is good, and shows that the tissue moves."""
         still, is_slow = self.solved(fit.beats[:0], 0.0)[2], fit.beats[:, 0] < _SLOWEST_HEART
-        periods, length_s = fit.beats[:, 0], self.count * _STEP_S
-        for hz, slow in zip(periods, is_slow, strict=True):
+        length_s = self.count * _STEP_S
+        for hz, slow in zip(fit.beats[:, 0], is_slow, strict=True):
             grid = BREATH if slow else HEART
             is_known = grid[0] - 0.03 < hz < grid[-1] + 0.1
             if not is_known or length_s < max(_PERIODS[bool(slow)] / hz, _BREATH_S * slow):
                 return False
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
-        return is_lower and still - fit.error > self.clear and fit.error < _FAIR * self.count
+        return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
     def _waves(self, hz: Array) -> list[Array]:
         """Columns of harmonics that grow with the travel, four pairs per frequency."""
@@ -306,14 +304,12 @@ class _Window:
         waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
         most = np.array([_SIZES_MM[bool(f < _SLOWEST_HEART)][0] for f in hz])[:, None]
-        fits = []
+        fits, at_s = [], float(self.time_s[-1])
         for scale in (0.5, 1.0, 2.0):
-            beats = np.zeros((len(hz), 5))
-            beats[:, 0] = hz
+            beats = np.column_stack((hz, np.zeros((len(hz), 4))))
             beats[:, 1::2] = np.clip(scale * waves[:, :, 1] / rate, -most, most)
             beats[:, 2::2] = np.clip(-scale * waves[:, :, 0] / rate, -most, most)
-            error = self.solved(beats, float(self.time_s[-1]))[2]
-            fits.append(Fit(beats, float(self.time_s[-1]), error))
+            fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
         return turned(min(fits, key=lambda fit: fit.error), time_s)
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
@@ -326,17 +322,14 @@ class _Window:
             changed.flat[k] += step
             slopes[:, k] = (self._rows(changed, at_s) - rows) @ linear / step
         stds = np.array([_stds(beat, is_prior=is_prior) for beat in beats]).ravel()
-        target = np.zeros_like(beats)
-        target[:, 0] = beats[:, 0]
-        target = beats if is_prior else target
+        target = beats if is_prior else beats * (np.arange(5) == 0)
         matrix = np.hstack((rows, slopes))
         square, vector = matrix.T @ matrix, matrix.T @ error
         square[:_LINEAR, :_LINEAR] += self.prior[0]
         pulled = slice(_LINEAR, None)
         square[pulled, pulled] += np.diag(stds**-2.0)
         vector[pulled] += (target - beats).ravel() / stds**2
-        diagonal = square[pulled, pulled].diagonal() * fit.damping
-        square[pulled, pulled] += np.diag(diagonal)
+        square[pulled, pulled] += np.diag(square[pulled, pulled].diagonal() * fit.damping)
         change = _solved(square, vector)[pulled].reshape(beats.shape)
 
         def cost(tried: Array) -> float:
@@ -358,8 +351,8 @@ class _Window:
 
 def _solved(square: Array, vector: Array) -> Array:
     """Solution of normal equations, of unknowns that nothing separates as well."""
-    square = square + np.diag(1e-9 * square.diagonal() + 1e-12)
-    return np.linalg.solve(square, vector)
+    regular: Array = square + np.diag(1e-9 * square.diagonal() + 1e-12)
+    return np.asarray(np.linalg.solve(regular, vector), dtype=np.float64)
 
 
 def _stds(beat: Array, *, is_prior: bool) -> Array:
