@@ -260,9 +260,10 @@ class Replay:
         positions = np.full((len(q_rad), 3), np.nan)
         for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
             self._tool.update(q_rad[k])
-            positions[k] = self._tool.place_in_base_m
+            positions[k] = self._tool.pose[:3, 3]
             if self._start_m is None:
-                self._start_m, self._axis = positions[k].copy(), self._tool.axis_in_base
+                self._start_m = positions[k].copy()
+                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
         if self._start_m is None:
             return positions[:, 0]
         # Not a matrix product, whose rounding may depend on how many rows come at a time.
