@@ -246,11 +246,11 @@ class SwitchingMethod:
 
 def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
     """Means of a block that is full, and noise of its depth and speed; the next one begins."""
-    filled, z, v, w, force, raw = memory[: samples.RAW_SUM + 1].tolist()
-    memory[: samples.RAW_SUM + 1] = 0.0
+    filled, z, v, w, force, raw = map(float, memory[: samples.RAW_SUM + 1])
+    memory[: samples.RAW_SUM + 1] = [0.0] * (samples.RAW_SUM + 1)
     z, v, raw = (_MM * total / filled for total in (z, v, raw))
     place = Place(time_s - 0.5 * filled, filled, z, v, w / filled, force / filled, 0.0, 0.0, raw)
-    jitter, speed_noise = (_MM * memory[samples.DEPTH_STD :]).tolist()
+    jitter, speed_noise = (_MM * float(std) for std in memory[samples.DEPTH_STD :])
     return place, jitter, speed_noise
 
 
