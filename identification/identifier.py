@@ -140,7 +140,7 @@ class Identifier:
         self.resume(snapshot)
 
     def resume(self, snapshot: Snapshot) -> None:
-        """As `restore`, of a snapshot of its own: unchecked, thus never an error and quick."""
+        """As `restore`, of a snapshot this identifier has taken itself, which needs no check."""
         self._method.restore(snapshot.state)
         self._samples = working_copy(snapshot.samples)
         self._last = snapshot.last
