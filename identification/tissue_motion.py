@@ -47,8 +47,8 @@ _NOISE_N, _LAW_ERROR = 0.02, 0.03
 _FAIR, _LOST, _PATIENCE = 0.5, 1.0, 8
 """Mean square of the errors, in those units, of a good fit, and of one to give up after so many
 steps in a row."""
-_CHECK_S, _ADAPT_S = 0.25, 0.2
-"""Between two looks whether the tissue moves, and two steps of a known motion."""
+_CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
+"""Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS = 8
 """Gauss-Newton steps of a new fit."""
 _FADE_S, _BELIEF_S = 1.0, 2.0
@@ -183,7 +183,9 @@ class TissueMotion(NamedTuple):
             # The law may have changed within the window: it begins anew.
             is_lost = self.fit.error > _LOST * window.count
             return TissueMotion(from_s=time_s) if is_lost else state
-        return state._replace(fit=best, since_s=time_s) if len(best.beats) else state
+        if len(best.beats) == 0:
+            return state._replace(next_s=time_s + _WAIT_S)
+        return state._replace(fit=best, since_s=time_s)
 
 
 def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
