@@ -85,11 +85,15 @@ def simulate(
     Args:
         scenario: A scenario or its name, see `groundtruth.scenario`.
         plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
-        seed: Of everything drawn; equal arguments give equal runs.
+        seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
+    Returns:
+        Signals and truth, apart.
+
     Raises:
-        ScenarioError, PlantModelError: There is none of that name.
+        ScenarioError: There is no scenario of that name.
+        PlantModelError: There is no plant model of that name.
         PathError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
@@ -186,9 +190,11 @@ def insert_needle(
         scenario: A scenario or its name, see `groundtruth.scenario`.
         seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
         rate_hz: Samples per second.
-        noise: What the force sensor adds.
+        noise: What the force sensor adds, see `groundtruth.force_noise`.
 
-    `ScenarioError` if there is no scenario of that name, `RunError` for an unusable rate.
+    Raises:
+        ScenarioError: There is no scenario of that name.
+        RunError: The rate is unusable.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     require_positive(RunError, rate_hz=rate_hz)

@@ -27,6 +27,8 @@ _RELAXED, _UNKNOWN = 0.6, 0.3
 and standard deviation of that part, and of friction while presliding turns."""
 _UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""
+_UNLOADING_MM = 0.5
+"""Travel over which its force goes on the way."""
 _IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _TINY = 1e-12
@@ -155,6 +157,30 @@ def switching_outputs(
 
 
 @compiled
+def _presliding(deflection: float, travel: float) -> tuple[float, float]:
+    """Presliding deflection after a travel [mm], and the part of the old one that is left.
+
+    The exact solution of Dahl's law (1968, shape exponent 1): two half steps equal one.
+    """
+    kept = math.exp(-abs(travel) / _PRESLIDING_MM)
+    aim = math.copysign(1.0, travel)
+    return aim + (deflection - aim) * kept, kept
+
+
+@compiled
+def contact_along(depth_mm: Vector) -> tuple[Vector, Vector]:
+    """Presliding deflection, and part of the tip's force that is left, along a course of depths."""
+    deflection, left = np.ones(len(depth_mm)), np.ones(len(depth_mm))
+    deepest = depth_mm[0]
+    for k in range(1, len(depth_mm)):
+        travel = depth_mm[k] - depth_mm[k - 1]
+        deflection[k] = _presliding(deflection[k - 1], travel)[0]
+        deepest = max(deepest, depth_mm[k])
+        left[k] = min(max(1.0 - (deepest - depth_mm[k]) / _UNLOADING_MM, 0.0), 1.0)
+    return deflection, left
+
+
+@compiled
 def update_switching(
     motion: tuple[float, float, float, float, float],
     force_N: float,
@@ -175,10 +201,8 @@ def update_switching(
     deadband = max(_DEADBAND * depth_std_m, _LEAST_DEADBAND_M)
     follower = depth_m - deadband if last < depth_m - deadband else min(last, depth_m + deadband)
     if follower != last:
-        # Presliding (Dahl 1968, shape exponent 1), its exact solution: two half steps equal one.
-        kept = math.exp(-_MM * abs(follower - last) / _PRESLIDING_MM)
-        aim = math.copysign(1.0, follower - last)
-        w, rest = aim + (w - aim) * kept, rest * kept
+        w, kept = _presliding(w, _MM * (follower - last))
+        rest *= kept
     if _MM * abs(speed_m_s) < _REST_SPEED:
         rest += (1.0 - rest) * -math.expm1(-dt_s / _REST_S)
     m[FILLED] += dt_s

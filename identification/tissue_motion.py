@@ -23,7 +23,7 @@ import numpy as np
 from identification.estimate import Array
 from identification.hypothesis_bank import Place
 from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_STD
-from needleforce.jit import Vector, compiled
+from identification.switching_update import contact_along
 
 _STEP_S, _SIZE = 0.05, 256
 """The window: means over so long, so many of them at most."""
@@ -53,8 +53,6 @@ _STEPS = 8
 """Gauss-Newton steps of a new fit."""
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
-_PRESLIDING_MM, _UNLOADING_MM = 0.3, 0.5
-"""Travel over which friction turns, and the tip's force goes behind the deepest point."""
 _LINEAR, _EMPTY = 8, (0.0,) * 5
 
 
@@ -89,7 +87,7 @@ class TissueMotion(NamedTuple):
         return len(self.fit.beats) > 0
 
     @property
-    def is_long(self) -> bool:
+    def _is_long(self) -> bool:
         """Whether the window is long enough to be fitted."""
         return len(self.window) >= _MARGIN + _LEAST_S / _STEP_S
 
@@ -115,7 +113,7 @@ class TissueMotion(NamedTuple):
 
         Not if the rupture before was so recent that nobody has checked: every beat may raise one.
         """
-        fit = self.fit if self.is_long else Fit()
+        fit = self.fit if self._is_long else Fit()
         return TissueMotion(from_s=time_s + _SETTLE_S, fit=fit, since_s=self.since_s)
 
     def with_block(self, block: Place, *, is_met: bool) -> "TissueMotion":
@@ -135,7 +133,7 @@ class TissueMotion(NamedTuple):
 
     def is_due(self, time_s: float) -> bool:
         """Whether there is work to do."""
-        return self.is_long and (self.unit >= 0 or time_s >= self.next_s)
+        return self._is_long and (self.unit >= 0 or time_s >= self.next_s)
 
     def worked(self, time_s: float) -> "TissueMotion":
         """Do one unit of what is due."""
@@ -197,6 +195,21 @@ def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
     return place, (rate * (b * cosine - a * sine)).sum(axis=(-2, -1))
 
 
+def _slopes(beats: Array, time_s: Array) -> tuple[Array, Array]:
+    """Derivatives of place and speed at n times by the five numbers of each beat."""
+    hertz = 2.0 * math.pi * np.array([1.0, 2.0])
+    rate = beats[:, :1] * hertz
+    phase, a, b = rate * time_s[:, None, None], beats[:, 1::2], beats[:, 2::2]
+    cosine, sine = np.cos(phase), np.sin(phase)
+    ahead, place = b * cosine - a * sine, a * cosine + b * sine
+    places, speeds = np.empty((2, len(time_s), len(beats), 5))
+    places[..., 0] = time_s[:, None] * (ahead * hertz).sum(axis=-1)
+    speeds[..., 0] = ((ahead - phase * place) * hertz).sum(axis=-1)
+    places[..., 1::2], places[..., 2::2] = cosine, sine
+    speeds[..., 1::2], speeds[..., 2::2] = -rate * sine, rate * cosine
+    return places.reshape(len(time_s), -1), speeds.reshape(len(time_s), -1)
+
+
 def turned(fit: Fit, time_s: float) -> Fit:
     """The same motion with its phases counted from another time."""
     beats, shift = fit.beats.copy(), time_s - fit.at_s
@@ -206,21 +219,6 @@ def turned(fit: Fit, time_s: float) -> Fit:
     return fit._replace(beats=beats, at_s=time_s)
 
 
-@compiled
-def _contact(depth: Vector) -> tuple[Vector, Vector]:
-    """Presliding deflection, and part of the tip's force that is left, along a course of depths."""
-    deflection, left = np.ones(len(depth)), np.ones(len(depth))
-    deepest = depth[0]
-    for k in range(1, len(depth)):
-        travel = depth[k] - depth[k - 1]
-        aim = 1.0 if travel > 0.0 else -1.0
-        kept = math.exp(-abs(travel) / _PRESLIDING_MM)
-        deflection[k] = aim + (deflection[k - 1] - aim) * kept
-        deepest = max(deepest, depth[k])
-        left[k] = min(max(1.0 - (deepest - depth[k]) / _UNLOADING_MM, 0.0), 1.0)
-    return deflection, left
-
-
 class _Window:
     """The force over the last seconds, and what of it a motion explains."""
 
@@ -228,40 +226,52 @@ class _Window:
         self.time_s, self.depth, self.speed, self.force = window.T.copy()
         self.count, self.travel = len(window), self.depth - self.depth[0]
         self.sigma = _NOISE_N + _LAW_ERROR * np.abs(self.force)
-        grown = np.quantile(self.force[-25:], 0.8) - np.quantile(self.force[:25], 0.8)
-        self.slope = max(float(grown) / max(float(self.travel[-1]), 1.0), 0.005)
+        # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
+        oldest, newest = np.sort(self.force[:25])[-5], np.sort(self.force[-25:])[-5]
+        self.slope = max(float(newest - oldest) / max(float(self.travel[-1]), 1.0), 0.005)
         self.pace = max(float(self.speed.mean()), 0.3)
+        self.powers = np.vander(self.travel, 3, increasing=True) / self.sigma[:, None]
         self.prior = self._prior()
 
     def _prior(self) -> tuple[Array, Array]:
         """Information and its vector on o, C, c, V, b, T, K, H beforehand."""
         most, slope = max(float(np.abs(self.force).max()), 0.05), self.slope
         stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
-        information, vector = np.diag(stds**-2.0), np.zeros(_LINEAR)
-        friction, split, left = np.zeros((3, _LINEAR))
-        friction[[2, 4]], split[[2, 4]] = (1.0, self.pace), (1.0, -COULOMB_SPEED)
-        left[[1, 3]] = 1.0, -COULOMB_SPEED
-        known = (friction, FRACTION * slope, FRACTION_STD * slope), (split, 0.0, 0.3 * slope)
-        for row, value, std in (*known, (left, 0.0, 0.3 * most)):
-            information += np.outer(row, row) / std**2
-            vector += row * value / std**2
-        return information, vector
+        # Growth of friction as a part of the force's; how both frictions split it, and the rest.
+        known = np.zeros((3, _LINEAR))
+        known[0, [2, 4]] = 1.0, self.pace
+        known[1, [2, 4]] = known[2, [1, 3]] = 1.0, -COULOMB_SPEED
+        known /= np.array([[FRACTION_STD * slope], [0.3 * slope], [0.3 * most]])
+        return np.diag(stds**-2.0) + known.T @ known, known[0] * FRACTION / FRACTION_STD
 
-    def _rows(self, beats: Array, at_s: float) -> Array:
+    def _rows(self, contact: tuple[Array, Array], speed: Array) -> Array:
         """Rows of the law's linear unknowns, each over its standard deviation, shape (n, 8)."""
-        place, speed = displacement(beats, self.time_s - at_s)
-        w, g = _contact(self.depth - place)
-        v, y = self.speed - speed, self.travel
-        rows = np.column_stack((np.ones_like(y), w, w * y, v, v * y, g, g * y, g * y * y))
-        return rows / self.sigma[:, None]
+        w, g = contact
+        one, line = self.powers[:, :1], self.powers[:, :2]
+        v = (self.speed - speed)[:, None]
+        return np.hstack((one, w[:, None] * line, v * line, g[:, None] * self.powers))
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
-        rows, force = self._rows(beats, at_s), self.force / self.sigma
+        place, speed = displacement(beats, self.time_s - at_s)
+        rows, force = self._rows(contact_along(self.depth - place), speed), self.force / self.sigma
         information, vector = self.prior
         linear = _solved(rows.T @ rows + information, rows.T @ force + vector)
         error = force - rows @ linear
         return rows, linear, float(error @ error), error
+
+    def _slopes(self, fit: Fit, linear: Array) -> Array:
+        """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
+        since_s, line = self.time_s - fit.at_s, self.powers[:, :2]
+        place, (places, speeds) = displacement(fit.beats, since_s)[0], _slopes(fit.beats, since_s)
+        by_w, by_v, by_g = line @ linear[1:3], line @ linear[3:5], self.powers @ linear[5:]
+        slopes = -by_v[:, None] * speeds
+        # What turns round remembers its way there: differences.
+        w, g = contact_along(self.depth - place)
+        for k, step in enumerate((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(fit.beats)):
+            turned_w, turned_g = contact_along(self.depth - place - step * places[:, k])
+            slopes[:, k] += ((turned_w - w) * by_w + (turned_g - g) * by_g) / step
+        return slopes
 
     def is_clear(self, fit: Fit) -> bool:
         """Whether a fit is good, and shows that the tissue moves."""
@@ -318,14 +328,9 @@ class _Window:
         """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
         beats, at_s = fit.beats, fit.at_s
         rows, linear, _, error = self.solved(beats, at_s)
-        size, slopes = beats.size, np.zeros((self.count, beats.size))
-        for k in range(size):
-            changed, step = beats.copy(), 1e-3 if k % 5 else 1e-4
-            changed.flat[k] += step
-            slopes[:, k] = (self._rows(changed, at_s) - rows) @ linear / step
         stds = np.array([_stds(beat, is_prior=is_prior) for beat in beats]).ravel()
         target = beats if is_prior else beats * (np.arange(5) == 0)
-        matrix = np.hstack((rows, slopes))
+        matrix = np.hstack((rows, self._slopes(fit, linear)))
         square, vector = matrix.T @ matrix, matrix.T @ error
         square[:_LINEAR, :_LINEAR] += self.prior[0]
         pulled = slice(_LINEAR, None)

@@ -194,9 +194,14 @@ class InsertionSession:
     ) -> SessionEstimate:
         """Take one sample of joint signals; see `VirtualForceSensor.update`.
 
-        Joint positions [rad], velocities [rad/s] (None, always, for a robot that sends none) and
-        measured link-side torques [Nm] have shape (n,); the time since the previous call [s] is not
-        read on the first one. A bad sample does not raise: the status reports it.
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
+            tau: Measured link-side joint torques [Nm], shape (n,).
+            dt_s: Time since the previous call [s]; not read on the first one.
+
+        Returns:
+            What is known now. A bad sample does not raise: the status reports it.
         """
         return self._follow(self._sensor.update(q, dq, tau, dt_s))
 
@@ -214,10 +219,12 @@ class InsertionSession:
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
 
+        Args:
+            ignore_contact: Tare even with contact detected, or velocities that cannot be.
+
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact
-                detected or velocities that do not fit positions (unless ``ignore_contact``);
-                nothing has then changed.
+                detected or velocities that do not fit positions; nothing has then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
@@ -230,9 +237,14 @@ class InsertionSession:
     def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
-        The plan is a `needleforce.anatomy.PlanMatch`, None to follow none; the entry is its entry
-        point in the robot's base [m], shape (3,), as `Registration.to_robot` gives it, None where
-        its depths count from the session's. `SettingError` for anything else.
+        Args:
+            plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
+            entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
+                `Registration.to_robot` gives it; None where the plan's depths count from where the
+                session's do.
+
+        Raises:
+            SettingError: For anything but a plan, or an entry that is no point.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
             raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")

@@ -63,11 +63,17 @@ class _Envelope(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
-    """Write what ``snapshot()`` of a session, a virtual sensor or an identifier returned.
+    """Write the snapshot of a session, of a virtual sensor or of an identifier.
 
-    The file appears whole or not at all; an older one of that name is replaced.
+    The file appears whole or not at all.
 
-    `SnapshotFileError` for anything but such a snapshot, `OSError` if the file cannot be written.
+    Args:
+        snapshot: What ``snapshot()`` of one of them returned.
+        path: Where to; an older file of that name is replaced.
+
+    Raises:
+        SnapshotFileError: For anything but such a snapshot.
+        OSError: If the file cannot be written.
     """
     kind = next((name for name, type_ in _KINDS.items() if type(snapshot) is type_), None)
     if kind is None:
@@ -86,9 +92,17 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
-    """Read what `write_snapshot` wrote, for ``restore`` of its kind.
+    """Read what `write_snapshot` wrote.
 
-    `SnapshotFileError` for none, a damaged one or another version, `OSError` if it cannot be read.
+    Args:
+        path: The file.
+
+    Returns:
+        The snapshot, for ``restore`` of its kind.
+
+    Raises:
+        SnapshotFileError: If it is no snapshot, damaged, or of another version.
+        OSError: If the file cannot be read.
     """
     with Path(path).open("rb") as file:
         content = file.read(MOST_BYTES + 1)

@@ -263,8 +263,9 @@ class MomentumObserver:
         data: Workspace; joint placements and Jacobians of the latest sample stand in it.
         memory: All that it remembers.
 
-    `ConfigurationError` for a gain, alignment or gap that cannot work, or friction of another
-    number of joints.
+    Raises:
+        ConfigurationError: For a gain, alignment or gap that cannot work, or friction of another
+            number of joints.
     """
 
     def __init__(
@@ -305,12 +306,19 @@ class MomentumObserver:
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
 
-        Joint positions [rad], velocities [rad/s] and measured link-side torques [Nm] have shape
-        (n,); the time since the previous sample [s] is not read on the first one. The residual is
-        the external joint torque, environment on robot [Nm], shape (n,), a new read-only array.
+        Args:
+            q: Joint positions [rad], shape (n,).
+            dq: Joint velocities [rad/s], shape (n,).
+            tau: Measured link-side joint torques [Nm], shape (n,).
+            dt_s: Time since the previous sample [s]; not read on the first one.
 
-        `SampleError` for a wrong shape, a number that is not finite or a time step that does not
-        advance; the state is then unchanged.
+        Returns:
+            Estimate of the external joint torque, environment on robot [Nm], shape (n,), a new
+            read-only array.
+
+        Raises:
+            SampleError: For a wrong shape, a number that is not finite or a time step that does
+                not advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
         # Compiled code takes contiguous arrays.
@@ -353,8 +361,10 @@ class MomentumObserver:
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
 
-        The noise is the standard deviation of ``dq`` per joint [rad/s], shape (n,); inertia at the
-        configuration about which the arm will move [rad], shape (n,), makes that of momentum of it.
+        Args:
+            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
+            q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
+                noise of velocity into noise of momentum.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
         inertia = pin.crba(self._model, self.data, check_joint_vector("q", q, self._joints))
@@ -365,8 +375,9 @@ class MomentumObserver:
     def restore(self, memory: MomentumState) -> None:
         """Go on from a `memory`, which is kept, of an observer of the same robot and settings.
 
-        `ConfigurationError` if it is of another number of joints, or damaged; nothing has then
-        changed.
+        Raises:
+            ConfigurationError: If it belongs to a robot with another number of joints, or is
+                damaged; nothing has then changed.
         """
         rows, noise, n = memory.rows, memory.noise, self._joints
         if rows.shape != (ROWS, n):

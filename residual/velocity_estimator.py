@@ -66,8 +66,6 @@ class VelocityState:
 class VelocityEstimator:
     """Causal velocity from position, with torque through the same filter.
 
-    `ConfigurationError` for a setting that cannot work.
-
     Args:
         joints: Number of joints.
         bandwidth_per_s: w of the two lags [1/s], 1e6 at most; the common delay is 2/w, the
@@ -78,6 +76,9 @@ class VelocityEstimator:
 
     Attributes:
         memory: All that it remembers; one of the same settings and joints may stand in its place.
+
+    Raises:
+        ConfigurationError: For a setting that cannot work.
     """
 
     SETTLING_LAGS = 10.0
@@ -115,7 +116,8 @@ class VelocityEstimator:
     def update(self, q: ArrayLike, tau: ArrayLike, dt_s: float) -> MatchedSample:
         """Take one sample of position [rad] and torque [Nm], each (n,).
 
-        `SampleError` for a bad one; the state is then unchanged.
+        Raises:
+            SampleError: For a bad sample; the state is then unchanged.
         """
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)

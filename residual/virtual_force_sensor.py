@@ -136,8 +136,12 @@ class VirtualForceSensor:
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
-        As `update`, with the torque of the environment on the joints [Nm], shape (n,). Forces do
-        not depend on velocities; where they are estimated, positions are as late as they are.
+        Args:
+            q: As in `update`, like ``dt_s`` and what is returned.
+            dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
+                positions, which are then as late as they are. Forces do not depend on them.
+            external_torque: Torque of the environment on the joints [Nm], shape (n,).
+            dt_s: Time since the previous call [s].
         """
         return self._absorb(True, q, dq, external_torque, dt_s)
 
@@ -146,8 +150,14 @@ class VirtualForceSensor:
 
         Call it while the arm rests or from outside the control loop: it takes a few tenths of a
         second. A contact that stands during all of the motion is noticed only if it is larger than
-        what the prior lets the model be wrong by (tens of newtons on an LWR). With
-        ``ignore_contact`` contact, torques and velocities that cannot be are no reason to refuse.
+        what the prior lets the model be wrong by (tens of newtons on an LWR).
+
+        Args:
+            ignore_contact: Take it even where contact is seen, or torques or velocities that
+                cannot be.
+
+        Returns:
+            The fitted tare.
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in
@@ -230,8 +240,9 @@ class VirtualForceSensor:
     def restore(self, state: SensorState) -> None:
         """Go on, bit for bit, from where `snapshot` was taken.
 
-        `SnapshotError`, and nothing has changed, for anything but a snapshot of such a sensor, a
-        damaged one, or one of another robot or other settings.
+        Raises:
+            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
+                or other settings; nothing has then changed.
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")

@@ -196,7 +196,7 @@ class WrenchEstimator:
 
     Sign and frames: the wrench acts on the tool at the tip, in the axes asked for; a weight hung
     there reads as a force down. The axial force is minus the force along the insertion direction,
-    so that tissue pushing back is positive. `urdf.UrdfError` for an unknown frame.
+    so that tissue pushing back is positive.
 
     Args:
         robot: The arm with its payload.
@@ -207,6 +207,9 @@ class WrenchEstimator:
         kinematics: Pose and Jacobian of the tool.
         gain: Of the last `weigh`.
         torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
+
+    Raises:
+        urdf.UrdfError: For an unknown frame.
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
@@ -229,9 +232,13 @@ class WrenchEstimator:
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(self, covariance_Nm2: Array) -> None:
-        """Set the covariance of the residual's error [Nm^2], shape (n, n), for the next `weigh`.
+        """Set how far the residual may be trusted, for the next `weigh`.
 
-        `ConfigurationError` if it has another shape or is not positive definite.
+        Args:
+            covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
+
+        Raises:
+            ConfigurationError: If it has another shape or is not positive definite.
         """
         shape = self.torque_covariance.shape
         if covariance_Nm2.shape != shape:
@@ -251,7 +258,8 @@ class WrenchEstimator:
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
 
-        `SampleError` for a wrong shape, or for numbers that are not real or not finite.
+        Raises:
+            SampleError: For a wrong shape, or for numbers that are not real or not finite.
         """
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
         residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
@@ -292,8 +300,13 @@ class WrenchEstimator:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
         The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
-        arguments are those of `wrench_step`. Returns the numbers of a `WrenchEstimate`, from
-        ``axial`` to ``residual``; `SampleError` for numbers that are not finite.
+        arguments are those of `wrench_step`.
+
+        Returns:
+            The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
+
+        Raises:
+            SampleError: For numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
         size = len(rows) - 1

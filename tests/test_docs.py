@@ -97,7 +97,8 @@ def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
 
 def test_the_two_commands_install_and_run():
     assert marked_command("run").startswith('pip install ".[bench]" && python -m benchmarks run')
-    assert marked_command("test") == 'pip install ".[test]" && python -m pytest'
+    wanted = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
+    assert marked_command("test") == wanted
 
 
 def test_every_package_has_a_row():

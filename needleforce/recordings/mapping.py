@@ -134,8 +134,11 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
     (`depth = "z"`). At the top may stand `rate_hz`, `joints`, `reference_topic` and `payload`, see
-    `ColumnMapping`. `FileAccessError` if the file cannot be read, `MappingError` if it is not TOML,
-    or a channel, key, unit or value in it is not valid.
+    `ColumnMapping`.
+
+    Raises:
+        FileAccessError: the file cannot be read.
+        MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
     """
     place = "$"
     try:

@@ -114,10 +114,13 @@ def write_table(
 ) -> None:
     """Write named columns; readers see the old file or the whole new one, never a part.
 
-    The path ends in `.csv`, `.npz`, `.parquet` or `.mcap`; columns are numbers, shape (n,) or
-    (n, k), all of the same n, by name with its unit. Floats are written so that they read back bit
-    for bit. In CSV, a two-dimensional column `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log`
-    joins them again. Labels are what formats that have room for it say beside the numbers.
+    Floats are written so that they read back bit for bit. In CSV, a two-dimensional column
+    `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
+
+    Args:
+        path: a file ending in `.csv`, `.npz`, `.parquet` or `.mcap`; replaced if it exists.
+        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+        labels: what the formats that have room for it say beside the numbers.
 
     Raises:
         FileAccessError: the file cannot be written, or its suffix is not known.
