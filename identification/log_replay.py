@@ -131,7 +131,8 @@ class ReplayStream:
         is not read.
         """
         if dt_s is None:
-            latest_s = t_s[0] if self._latest_s is None else self._latest_s
+            begin_s = t_s[np.isfinite(t_s)][:1]
+            latest_s = next(iter(begin_s), np.nan) if self._latest_s is None else self._latest_s
             # A stamp that is no number spoils its own row only.
             latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
             self._latest_s, dt_s = float(latest_s[-1]), t_s - latest_s[:-1]
