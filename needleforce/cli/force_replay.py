@@ -174,6 +174,17 @@ def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
     return rows["status"] == STATUS_CODES[status]
 
 
+def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
+    """Refuse a log of other joints; it has the same number in every channel."""
+    columns, names = q_rad.shape[1], robot.joint_names
+    if columns != len(names):
+        raise CommandError(
+            f"the log has {columns} columns per joint signal, the robot has {len(names)} "
+            f"joints: {', '.join(names)}. Name another robot with --robot or --urdf FILE, where "
+            f"--lock holds joints that are not in the log{choice}"
+        )
+
+
 class Replay:
     """Runs the sensor over a log."""
 
@@ -212,7 +223,7 @@ class Replay:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        self._require_joints(q_rad)
+        require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
             self._taring = Taring(self.sensor, self._options, t_s[0])
@@ -244,16 +255,6 @@ class Replay:
         """Take a tare whose window ends with the log, which was read to its end or not."""
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
-
-    def _require_joints(self, q_rad: NDArray[np.float64]) -> None:
-        # A log holds the same number of joints in every channel, so that one stands for all.
-        columns, names = q_rad.shape[1], self.robot.joint_names
-        if columns != len(names):
-            raise CommandError(
-                f"the log has {columns} columns per joint signal, the robot has {len(names)} "
-                f"joints: {', '.join(names)}. Choose columns with --q, --tau and so on, or lock "
-                "joints with --lock"
-            )
 
     def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the travel along the insertion axis as it stood in the first finite row [m]."""
