@@ -21,6 +21,7 @@ from residual import (
 )
 from residual.bias_model import Tare
 from residual.errors import VelocityError
+from residual.input_validation import ROUNDING_S
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -288,7 +289,7 @@ class Replay:
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s
-        if gap_s <= self.config.max_gap_s:
+        if gap_s <= self.config.max_gap_s + ROUNDING_S:
             return False
         self.gaps, self.longest_gap_s = self.gaps + 1, max(self.longest_gap_s, gap_s)
         return True
