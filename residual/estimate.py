@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from residual.input_validation import ROUNDING_S
+
 UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
 unlike infinity it can be drawn, stored and calculated with."""
@@ -135,7 +137,7 @@ MILLISECONDS_S = 0.5
 
 def long_step(dt_s: float, max_gap_s: float) -> str:
     """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
-    if dt_s <= max_gap_s:
+    if dt_s <= max_gap_s + ROUNDING_S:
         return ""
     unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
     return (

@@ -71,7 +71,7 @@ class SampleStream:
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
         self._velocity = self._guard = self._observer = None
         delay_s = self.lag_s = self.filter_lag_s = 0.0
-        alignment, gap_s = config.alignment, config.max_gap_s
+        alignment, gap_s = config.alignment, config.max_gap_s + ROUNDING_S
         if not has_velocity:
             self._velocity = VelocityEstimator(
                 n, config.velocity_bandwidth_per_s, alignment=alignment, max_gap_s=gap_s

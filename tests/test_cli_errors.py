@@ -64,7 +64,7 @@ LOGS = {
 
 OPTIONS = {
     "--tau effort": "no column 'effort'.*Columns are",
-    "--q q_rad_{1..6}": "differ in the number of joints",
+    "--q q_rad_{1..6}": "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS",
     "--mapping missing.toml": "cannot read the mapping",
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
     "--rate -5": "rate_hz = -5",

@@ -164,8 +164,10 @@ class ForceResult:
         rejected = replay.rejected
         yield "rejected", f"{rejected.total()}: {reasons_text(rejected)}" if rejected else "none"
         gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
-        longest = f"(longest {replay.longest_gap_s:.3g} s), after which the filters restarted"
-        yield "gaps", f"{gaps} {limit} {longest}" if gaps else f"none {limit}"
+        text = f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after each"
+        if 2 * self.counts[Status.INITIALIZING] > self.counts.total():
+            text += "; too few samples, or the unit of time is wrong: --time COLUMN:UNIT"
+        yield "gaps", text if gaps else f"none {limit}"
         most = [(str(warning.name), count) for warning, count in self.warnings.most_common()]
         found = [f"{count} x {name.lower().replace('_', ' ')}" for name, count in most if count]
         yield "warnings", ", ".join(found) or "none"

@@ -21,6 +21,7 @@ from residual import (
 )
 from residual.bias_model import Tare
 from residual.errors import VelocityError
+from residual.input_validation import ROUNDING_S
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -188,6 +189,17 @@ def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
     return rows["status"] == STATUS_CODES[status]
 
 
+def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
+    """Refuse a log of other joints; it has the same number in every channel."""
+    columns, names = q_rad.shape[1], robot.joint_names
+    if columns != len(names):
+        raise CommandError(
+            f"the log has {columns} columns per joint signal, the robot has {len(names)} "
+            f"joints: {', '.join(names)}. Name another robot with --robot or --urdf FILE, where "
+            f"--lock holds joints that are not in the log{choice}"
+        )
+
+
 class Replay:
     """Runs the sensor over a log."""
 
@@ -231,7 +243,7 @@ class Replay:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        self._require_joints(q_rad)
+        require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
             self._taring = Taring(self, self._options, t_s[0])
@@ -263,16 +275,6 @@ class Replay:
         """Take a tare whose window ends with the log, which was read to its end or not."""
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
-
-    def _require_joints(self, q_rad: NDArray[np.float64]) -> None:
-        # A log holds the same number of joints in every channel, so that one stands for all.
-        columns, names = q_rad.shape[1], self.robot.joint_names
-        if columns != len(names):
-            raise CommandError(
-                f"the log has {columns} columns per joint signal, the robot has {len(names)} "
-                f"joints: {', '.join(names)}. Choose columns with --q, --tau and so on, or lock "
-                "joints with --lock"
-            )
 
     def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the travel along the insertion axis as it stood in the first finite row [m]."""
@@ -306,7 +308,7 @@ class Replay:
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s
-        if gap_s <= self.config.max_gap_s:
+        if gap_s <= self.config.max_gap_s + ROUNDING_S:
             return False
         self.gaps, self.longest_gap_s = self.gaps + 1, max(self.longest_gap_s, gap_s)
         return True
