@@ -33,7 +33,7 @@ whoever records an insertion starts before contact, but not long before."""
 
 _WINDOW = "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
-_VELOCITY = "say unit and factor of the velocities, as in --dq dq_*:deg/s or dq_*:rad/s:-1"
+_UNITS = "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
 _AS_OPTIONS = {
     "ignore_contact=True": "--force-tare",
     "set torque_is_gravity_compensated=True": "give --gravity-compensated",
@@ -76,11 +76,20 @@ def _log_time(option: str, text: str, first_s: float) -> float:
     return first_s + value if text.strip().startswith("+") else value
 
 
+def reasons_text(rejected: Counter[str]) -> str:
+    """Return how often samples were rejected for which reasons; empty if none were."""
+    reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(4)]
+    if others := len(rejected) - len(reasons):
+        reasons.append(f"{others} other reasons")
+    return "; ".join(reasons)
+
+
 class Taring:
     """Starts the tare recording and takes the tare when their times come."""
 
-    def __init__(self, sensor: VirtualForceSensor, options: SensorOptions, first_s: float) -> None:
-        self._sensor, self._options, self._first_s = sensor, options, first_s
+    def __init__(self, replay: "Replay", options: SensorOptions, first_s: float) -> None:
+        self._sensor, self._options, self._first_s = replay.sensor, options, first_s
+        self._rejected, self._rejected_before = replay.rejected, Counter[str]()
         self._window: TareWindow | None = None
         if options.tare is not None:
             self._window = tare_window(options.tare, first_s)
@@ -88,6 +97,7 @@ class Taring:
         self._must_start = self._window is not None
         self._has_settled = False
         self.done: TareWindow | None = None
+        self.doubt = ""  # what may be wrong with the signals it was taken from
 
     def before(self, t_s: float) -> None:
         """Act before the sample of time ``t_s`` [s] is given to the sensor."""
@@ -96,7 +106,7 @@ class Taring:
             return
         if self._must_start and t_s >= window.start_s:
             self._sensor.start_tare_recording()
-            self._must_start = False
+            self._must_start, self._rejected_before = False, self._rejected.copy()
         if t_s > window.end_s:
             self._tare(window)
 
@@ -120,8 +130,13 @@ class Taring:
                 self._require_inside(window, last_s)
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
-                f"motion were seen, so it cannot be tared; {_CHOICES}"
+                f"motion were seen, so it cannot be tared{self._rejections()}; {_CHOICES}"
             )
+
+    def _rejections(self) -> str:
+        rejected = self._rejected - self._rejected_before
+        text = f"; {rejected.total()} samples were rejected: {reasons_text(rejected)}"
+        return text if rejected else ""
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
         is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
@@ -138,18 +153,17 @@ class Taring:
     def _tare(self, window: TareWindow) -> None:
         what = f"no tare from {window}"
         if not self._has_settled:
-            raise CommandError(
-                f"{what}: the filters had not settled by then; choose a window that ends later"
-            )
+            why = self._rejections() or "; choose a window that ends later"
+            raise CommandError(f"{what}: the filters had not settled by then{why}")
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
             reason = str(error)
             for words, option in _AS_OPTIONS.items():
                 reason = reason.replace(words, option)
-            choices = _VELOCITY if isinstance(error, VelocityError) else f"Or {_CHOICES}"
+            choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
-        self.done = replace(window, tare=tare)
+        self.done, self.doubt = replace(window, tare=tare), self._sensor.doubt
 
 
 # The sensor over the rows of a log, of which any number may come at a time.
@@ -220,6 +234,11 @@ class Replay:
         """The tare, if one was taken."""
         return None if self._taring is None else self._taring.done
 
+    @property
+    def doubt(self) -> str:
+        """What may be wrong with the signals it was taken from, in words; often empty."""
+        return "" if self._taring is None else self._taring.doubt
+
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
@@ -227,7 +246,7 @@ class Replay:
         require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
-            self._taring = Taring(self.sensor, self._options, t_s[0])
+            self._taring = Taring(self, self._options, t_s[0])
             self._used_s = t_s[0]
         sensor, taring, estimates, gaps = self.sensor, self._taring, [], []
         update = sensor.update_external_torque if self.is_external else sensor.update
