@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
-from residual.errors import Array, VelocityError
+from residual.errors import Array, VelocityError, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -66,6 +66,8 @@ STILL = 1e-3
 
 LIMIT_MARGIN_RAD = 0.01
 """Half a degree from its limit a joint counts as being there."""
+TURN_RAD = 2.0 * math.pi
+"""Further from a limit than this no joint is, in radians."""
 LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
@@ -75,8 +77,8 @@ MOST_MISMATCH = 4.0
 """The covariance holds for the arm that was tared; four times its standard deviation does not
 happen by chance in all joints together."""
 NO_TARE = (
-    " No tare would hold: correct the velocities and move in free air anew, or ignore_contact=True "
-    "if you know better"
+    " No tare would hold: correct the signals and move in free air anew, or ignore_contact=True if "
+    "you know better"
 )
 
 
@@ -165,7 +167,7 @@ def velocity_fault(match: VelocityMatch) -> str:
             is_sure |= bool(match.beyond[i] > least**2 * own[i])
     if not is_sure:
         return ""
-    return "; ".join(f"dq at joint index {found} {fault}" for fault, found in joints.items())
+    return "; ".join(f"dq at {named_joints(found)} {fault}" for fault, found in joints.items())
 
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
@@ -178,7 +180,7 @@ def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
     other = int(np.argmin(left))
     if left[other] > NEAR**2 * square_dq:
         return ""
-    return f"is the rate of q at joint index {other}: is the order of the joints another?"
+    return f"is the rate of q at {named_joints([other])}: is the order of the joints another?"
 
 
 def _late(match: VelocityMatch, i: int) -> str:
@@ -330,8 +332,18 @@ class ConsistencyMonitor:
     @property
     def limit(self) -> str:
         """Which joints are at a position limit, in words; empty if none is."""
-        at_limit = list(self.state.at_limit)
-        return f"joint index {at_limit} is at its position limit" if at_limit else ""
+        if not self.state.at_limit:
+            return ""
+        joints = named_joints(self.state.at_limit)
+        if self.seems_in_degrees:
+            return f"q is turns beyond the position limits at {joints}: is it in degrees?"
+        return f"at a position limit: {joints}"
+
+    @property
+    def seems_in_degrees(self) -> bool:
+        """Whether a position was beyond its limits by more than a turn when last weighed."""
+        q = self._wrench.gain.rows[0]
+        return bool(((q < self._lower - TURN_RAD) | (q > self._upper + TURN_RAD)).any())
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""

@@ -1,5 +1,6 @@
 """Errors of the `residual` package: one base, each leaf also a standard exception."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,6 +10,12 @@ if TYPE_CHECKING:
     from residual.estimate import SensorWarning
 
 Array = NDArray[np.float64]
+
+
+def named_joints(indices: Iterable[int]) -> str:
+    """Joints as messages name them, counted from 1 like the columns of a log: ``joints 2, 4``."""
+    numbers = [str(int(i) + 1) for i in indices]
+    return f"{'joint' if len(numbers) == 1 else 'joints'} {', '.join(numbers)}"
 
 
 class ResidualError(Exception):

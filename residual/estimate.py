@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from residual.input_validation import ROUNDING_S
+
 UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
 unlike infinity it can be drawn, stored and calculated with."""
@@ -78,7 +80,8 @@ class WrenchEstimate(NamedTuple):
         damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: Whether it may be used.
-        message: The reason, when the status is not OK or there is a warning.
+        message: The reason, when the status is not OK or there is a warning, or that no signal
+            changes any more. It counts joints from 1.
         model_mismatch: Normalised residual: joint torque that no wrench of the assumed kind
             explains, rms over what its covariance allows: about 1 when all is well; 0 where the
             mode has as many unknowns as there are joints.
@@ -121,6 +124,7 @@ FORGOTTEN = (
     "a time step of minutes has come while free motion was recorded, a pause or a clock that was "
     "set; what was recorded before it is forgotten: move in free air again, then tare"
 )
+NO_CHANGE = "neither positions nor torques have changed for a second: is the source dead?"
 OTHER_KIND = (
     "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
     "one of the two, or start_tare_recording() first"
@@ -133,7 +137,7 @@ MILLISECONDS_S = 0.5
 
 def long_step(dt_s: float, max_gap_s: float) -> str:
     """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
-    if dt_s <= max_gap_s:
+    if dt_s <= max_gap_s + ROUNDING_S:
         return ""
     unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
     return (

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
-from residual.errors import Array, SuspectSampleError
-from residual.estimate import SensorWarning
+from residual.errors import Array, SuspectSampleError, named_joints
+from residual.estimate import NO_CHANGE, SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
     NoiseProbe,
@@ -66,8 +66,12 @@ LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
 SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
+MOST_LOAD = 10.0
+"""Times the effort limit: no sensor reads beyond, other units do."""
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
+STILL_S = 1.0
+"""A signal that has not changed for this long may be missing."""
 LOADED_RATIO = 0.9
 """Fraction of the effort limit from which every torque is watched."""
 
@@ -262,19 +266,34 @@ class FaultDetector:
         memory.age_s = 0.0
         memory.warning = ""
         if stuck and not memory.torque.repeats:
-            memory.warning = f"tau at joint index {stuck} repeats bit for bit: check its sensor"
+            memory.warning = f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
         elif memory.torque.seems_stuck or memory.motion.seems_stuck:
             memory.warning = (
                 "all joints still repeat bit for bit; no longer held back, the arm may rest"
             )
+        elif memory.held_s >= STILL_S and (memory.alone.still_s >= STILL_S).all():
+            memory.warning = NO_CHANGE
+
+    @property
+    def doubt(self) -> str:
+        """Which torques may be missing, as they have long stayed the same; empty if none have."""
+        alone = self.memory.alone
+        still = alone.still_s >= STILL_S
+        if not still.any() or self.memory.warning == NO_CHANGE:
+            return self.memory.warning if still.any() else ""
+        joints, for_s = named_joints(np.flatnonzero(still)), alone.still_s[still].min()
+        return f"tau at {joints} has not changed for {for_s:.3g} s, others have: is it missing?"
 
     def _check_saturated(self, now: Array) -> None:
-        limit = SATURATED_RATIO * self._limit_Nm
-        clipped = [int(i) for i in np.flatnonzero(np.abs(now[-self._joints :]) >= limit)]
-        if clipped:
+        load = np.abs(now[-self._joints :]) / self._limit_Nm
+        clipped = np.flatnonzero(load >= SATURATED_RATIO)
+        if clipped.size:
+            what = (
+                "is it in mNm?" if load.max() > MOST_LOAD else "the true one may be anything beyond"
+            )
             raise SuspectSampleError(
-                f"tau is at the effort limit at joint index {clipped}: the true torque may be "
-                "anything beyond; unload the arm, or correct the limits of the robot's description",
+                f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
+                "or correct the limits of the robot's description",
                 SensorWarning.SATURATED,
             )
 
@@ -308,10 +327,10 @@ class FaultDetector:
         memory.missed_s, memory.rejected = dt_s, now
         if memory.stayed_s >= STAYED_S - ROUNDING_S:
             return has_moved
-        jumped = [int(i) for i in np.flatnonzero(beyond.any(axis=0))]
+        jumped = named_joints(np.flatnonzero(beyond.any(axis=0)))
         raise SuspectSampleError(
-            f"a signal jumped further than an arm can at joint index {jumped}; held back "
-            f"unless it stays for {STAYED_S:g} s",
+            f"a signal jumped further than an arm can at {jumped}; held back unless it stays for "
+            f"{STAYED_S:g} s",
             SensorWarning.SPIKE,
         )
 

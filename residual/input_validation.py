@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from residual.errors import Array, ConfigurationError, SampleError
+from residual.errors import Array, ConfigurationError, SampleError, named_joints
 
 MOST_PLAUSIBLE = 1e9
 """No joint signal in SI units comes near it; beyond it products overflow."""
@@ -90,8 +90,8 @@ def check_joint_vector(name: str, value: object, joints: int) -> Array:
     if math.hypot(*array.tolist()) < MOST_PLAUSIBLE:
         return array
     if not np.isfinite(array).all():
-        bad = [int(i) for i in np.flatnonzero(~np.isfinite(array))]
-        raise SampleError(f"{name} is not finite at joint index {bad}; skip this sample")
+        bad = named_joints(np.flatnonzero(~np.isfinite(array)))
+        raise SampleError(f"{name} is not finite at {bad}; skip this sample")
     most = np.abs(array).max(initial=0.0)
     if most > MOST_PLAUSIBLE:
         raise SampleError(f"{name} reaches {most:.3g}, expected SI units below {MOST_PLAUSIBLE:g}")
@@ -234,10 +234,10 @@ def known_limits(limits: Array, instead: float) -> Array:
     Files write 0, Pinocchio infinity or the largest float for "unknown". `ConfigurationError` for a
     limit that no motor has.
     """
-    absurd = [int(i) for i in np.flatnonzero((limits > 0.0) & (limits < LEAST_LIMIT))]
-    if absurd:
+    absurd = np.flatnonzero((limits > 0.0) & (limits < LEAST_LIMIT))
+    if absurd.size:
         raise ConfigurationError(
-            f"effort limits at joint index {absurd} are {limits[absurd].tolist()}, expected at "
+            f"effort limits at {named_joints(absurd)} are {limits[absurd].tolist()}, expected at "
             f"least {LEAST_LIMIT:g} Nm, or 0 where it is unknown: correct the robot's description"
         )
     return np.where((limits > 0.0) & (limits < MOST_PLAUSIBLE), limits, instead)

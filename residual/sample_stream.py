@@ -71,7 +71,7 @@ class SampleStream:
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
         self._velocity = self._guard = self._observer = None
         delay_s = self.lag_s = self.filter_lag_s = 0.0
-        alignment, gap_s = config.alignment, config.max_gap_s
+        alignment, gap_s = config.alignment, config.max_gap_s + ROUNDING_S
         if not has_velocity:
             self._velocity = VelocityEstimator(
                 n, config.velocity_bandwidth_per_s, alignment=alignment, max_gap_s=gap_s
@@ -178,8 +178,16 @@ class SampleStream:
 
     @property
     def warning(self) -> str:
-        """What seems frozen in samples that are taken all the same; empty if nothing does."""
+        """What seems frozen in samples that are taken all the same; empty if nothing does.
+
+        `NO_CHANGE` is no more than a note: a simulation without noise may rest.
+        """
         return "" if self._guard is None else self._guard.memory.warning
+
+    @property
+    def doubt(self) -> str:
+        """Which signals may be missing, in words; empty if none may."""
+        return "" if self._guard is None else self._guard.doubt
 
     def restore(self, memory: StreamState) -> None:
         """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""

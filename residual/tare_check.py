@@ -149,8 +149,9 @@ def explain_residual(
                     return f"the residual is {factor:.2f} times gravity's torque g(q): {reason}"
     order = () if is_external else _order_of_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
     if order:
-        moved = [f"{i} reads as {j}'s" for i, j in enumerate(order) if i != j]
-        return f"joints seem to be exchanged: tau at joint index {', '.join(moved)}"
+        pairs = [(i + 1, j + 1) for i, j in enumerate(order) if i != j]
+        moved = [f"tau of joint {i} reads as joint {j}'s" for i, j in pairs]
+        return f"joints seem to be exchanged: {', '.join(moved)}"
     return _mass_at_flange(basis, blocks, scale) if is_refused else ""
 
 

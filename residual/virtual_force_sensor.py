@@ -15,6 +15,7 @@ from residual.consistency_checks import ConsistencyMonitor, MonitorState
 from residual.errors import Array, SampleError, SnapshotError, SuspectSampleError, TareError
 from residual.estimate import (
     INITIALIZING,
+    NO_CHANGE,
     NOT_TARED,
     OTHER_KIND,
     SensorWarning,
@@ -111,6 +112,17 @@ class VirtualForceSensor:
         """
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
+    @property
+    def doubt(self) -> str:
+        """What may be wrong with the signals of late, as a question; empty if nothing seems to be.
+
+        Positions in degrees, or signals that do not change and may be missing: a tare that is
+        refused begins with it, one that is taken does not depend on it.
+        """
+        if self._monitor.seems_in_degrees:
+            return self._monitor.limit
+        return "" if self._stream is None else self._stream.doubt or self._offset.doubt
+
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
         return self._monitor.recheck(last)
@@ -173,8 +185,12 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            hint = long_step(self.elapsed_s, self._config.max_gap_s)
-            raise TareError("; ".join(filter(None, (str(error), hint)))) from None
+            doubt = "" if self.tared else self.doubt
+            reason = f"{doubt} If not, {error}" if doubt else str(error)
+            hints = [long_step(self.elapsed_s, self._config.max_gap_s)]
+            if self.rejected and not self._offset.has_motion:
+                hints += [f"{self.rejected} samples were rejected, the last one: {self._refusal}"]
+            raise TareError("; ".join(filter(None, (reason, *hints)))) from None
         self._weigh()
         self._follows = False
         return tare
@@ -199,7 +215,7 @@ class VirtualForceSensor:
         self._restart()
         self._last: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
-        self.rejected = 0
+        self.rejected, self._refusal = 0, ""
 
     def _restart(self) -> None:
         """Forget what a stream of samples has left behind."""
@@ -337,7 +353,7 @@ class VirtualForceSensor:
         """Status, message and warnings of a sample that is not simply a good one."""
         offset, monitor = self._offset, self._monitor
         warnings = monitor.warnings
-        if stream.warning:
+        if stream.warning not in ("", NO_CHANGE):
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
@@ -346,14 +362,15 @@ class VirtualForceSensor:
             return Status.INITIALIZING, gap or INITIALIZING, warnings
         if not offset.memory.tared:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
-            limit = monitor.limit
-            return Status.NOT_TARED, "; ".join(filter(None, (reason, limit))), warnings
+            texts = reason, stream.warning, monitor.limit
+            return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
         message = "; ".join(filter(None, (stream.warning, offset.warning, monitor.message)))
         return Status.OK, message, warnings
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last valid estimate again; the time of a bad sample still passes."""
         self.rejected += 1
+        self._refusal = str(error)
         last = self._last
         if last is None:
             last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])

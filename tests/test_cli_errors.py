@@ -22,6 +22,8 @@ def folder(lwr, tmp_path_factory):
     (folder / "empty.csv").write_bytes(b"")
     (folder / "cut.csv").write_bytes(whole[: whole.index(b"\n") + 1000])
     write_insertion(folder / "early.npz", lwr, contact_s=1.2)
+    columns = insertion(lwr)
+    write_table(folder / "milli.npz", {**columns, "tau_Nm": 1e3 * columns["tau_Nm"]})
     turned = {name: values.T for name, values in insertion(lwr).items()}
     np.savez(folder / "transposed.npz", **turned)
     write_insertion(folder / "no_torque.csv", lwr, seconds=0.1, only=("t_s", "q_rad"))
@@ -54,6 +56,7 @@ LOGS = {
     "cut.csv": "the log ends before",
     "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
     "early.npz": "no tare from .*needle.*--force-tare.*--tare START:END.*--no-tare",
+    "milli.npz": "2 s of free motion .* samples were rejected: .* x tau .* is it in mNm",
     "transposed.npz": "q_rad has 7 rows of 4000: is it transposed?",
     "six.csv": "6 columns per joint signal, the robot has 7 joints: lwr_joint_1.*lwr_joint_7.*--q",
     "n" * 300 + ".csv": "name too long",
@@ -61,7 +64,7 @@ LOGS = {
 
 OPTIONS = {
     "--tau effort": "no column 'effort'.*Columns are",
-    "--q q_rad_{1..6}": "differ in the number of joints",
+    "--q q_rad_{1..6}": "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS",
     "--mapping missing.toml": "cannot read the mapping",
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
     "--rate -5": "rate_hz = -5",

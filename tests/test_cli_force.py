@@ -130,6 +130,20 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_pa
     assert "1 longer than 0.1 s (longest 0.151 s)" in printed
 
 
+@pytest.mark.parametrize(
+    ("step_s", "gaps"),
+    [
+        (0.1, "none longer than 0.1 s"),  # but for rounding
+        (0.10002, "longer than 0.1 s (longest 0.10002 s): filters restart after each; too few"),
+    ],
+)
+def test_gaps_are_not_decided_by_rounding(run, lwr, tmp_path, step_s, gaps):
+    columns, path = insertion(lwr), tmp_path / "slow.npz"
+    thinned = {name: columns[name][::10] for name in ("q_rad", "tau_Nm")}
+    write_table(path, {"t_s": np.arange(400) * step_s, **thinned})
+    assert gaps in run(str(path), "--no-tare")[1]
+
+
 def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, tmp_path):
     columns = insertion(lwr)
     columns["tau_Nm"][3500, 2] += 80.0
@@ -165,7 +179,12 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
     write_table(log, columns)
     assert main(["force", log, *TARE]) == 2
     refused = capsys.readouterr().err
-    for text in ("is 57.3 times the rate of q: is it in deg/s?", "--force-tare", "--dq dq_*:deg/s"):
+    for text in (
+        "is 57.3 times the rate of q: is it in deg/s?",
+        "--force-tare",
+        "Say unit and factor",
+        "--dq dq_*:deg/s",
+    ):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
     assert "velocity" not in printed.replace("velocity from the log", "")

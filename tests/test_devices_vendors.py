@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from vendor_emulators import ArmSettings, emulate_franka, emulate_ur
 
+from needleforce.cli import main
 from needleforce.devices import DeviceSettingError, FrankaArm, LinkError, MissingClientError, UrArm
 from needleforce.devices.emulators import Emulator
 
@@ -57,6 +58,38 @@ def test_a_ur_arm_is_read_and_its_currents_become_torques():
         assert row.size == 1
         assert np.array_equal(sample.tau_Nm, constants * settings.effort[row[0]])
     assert sum(sample.missed for sample in found) == arm.report.missed
+
+
+@pytest.mark.parametrize("has_constants", [True, False])
+def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
+    has_constants, tmp_path, capsys
+):
+    pytest.importorskip("rtde_receive")
+    settings, constants = rows(6, 500.0), np.arange(1.0, 7.0)
+    path = tmp_path / "ur.npz"
+    given = ["--motor-constants", *map(str, constants)] if has_constants else []
+    with Emulator(emulate_ur, settings):
+        ur = ["ur:127.0.0.1", "--seconds", "0.2", *given]
+        assert main(["record", *ur, "-o", str(path)]) == 0
+        assert has_constants or main(["live", *ur]) == 2
+    said, table = capsys.readouterr().err, np.load(path)
+    assert "'ur10e'; --robot or --urdf names another" in said
+    assert len(table["current_A"]) > 50
+    assert ("give --motor-constants" in said) != has_constants
+    if has_constants:
+        assert np.array_equal(table["tau_Nm"], constants * table["current_A"])
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["sim:gel-25-constant", "--robot", "panda"], "simulates an LWR 4+"),
+        (["fri", "--motor-constants", *"123456"], "describes a ur:ADDRESS, not fri"),
+    ],
+)
+def test_options_that_an_arm_would_not_read_are_refused(options, why, capsys):
+    assert main(["live", *options]) == 2
+    assert why in capsys.readouterr().err
 
 
 def test_an_arm_that_is_not_there_is_said_so():

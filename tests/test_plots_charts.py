@@ -73,6 +73,14 @@ def test_labels_units_and_legend_are_in_the_figure(tmp_path):
     assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
+@pytest.mark.parametrize("name", ["force", "a force of a name as long as that"])
+def test_a_legend_ends_within_the_figure(name):
+    axes = drawn_axes(chart(*(curve([0.0, 1.0], label=f"{name} {k}") for k in range(9))))
+    figure = axes[0].figure
+    assert figure.legends[0].get_window_extent().width <= figure.bbox.width
+    assert len(figure.legends) == 1
+
+
 @pytest.mark.parametrize(
     ("suffix", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")]
 )

@@ -112,6 +112,7 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         (b"PK\x03\x04\x00\x00\x01", "it is npz, not text; give it as a file"),
         (b"#a\n\x00\x01", "only comments.*goes on with NUL bytes"),
         (b"\x00" * 9, "it is not text"),
+        ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),
     ],
 )
 def test_what_cannot_be_read_is_refused_with_file_and_reason(read, text, message):

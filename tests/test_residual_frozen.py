@@ -95,7 +95,7 @@ def test_one_torque_that_stays_the_same_is_reported_and_not_refused(lwr):
     assert all(e.status is Status.OK for e in found)
     assert not any(SensorWarning.FROZEN in e.warnings for e in found[:400])
     assert all(SensorWarning.FROZEN in e.warnings for e in found[600:])
-    assert "joint index [1]" in found[-1].message
+    assert "at joint 2" in found[-1].message
     assert SensorWarning.FROZEN not in feed(sensor, rows[1000:1100])[-1].warnings
 
 
@@ -112,10 +112,16 @@ def test_nothing_is_refused_for_ever(lwr):
 
 
 def test_signals_without_noise_may_repeat_themselves(lwr):
-    sensor = VirtualForceSensor(lwr)
-    found = [sensor.update(MIDDLE, np.zeros(7), np.zeros(7), 1e-3) for _ in range(1000)]
-    assert found[-1].status is Status.NOT_TARED
-    assert not found[-1].warnings
+    sensor, tau = VirtualForceSensor(lwr), swing(lwr, seconds=0.1)[-1][0]
+    for status in (Status.NOT_TARED, Status.OK):
+        found = [sensor.update(MIDDLE, np.zeros(7), tau, 1e-3) for _ in range(1500)]
+        assert found[-1].status is status
+        assert not any(e.warnings for e in found)
+        assert "is the source dead?" in found[-1].message
+        if status is Status.NOT_TARED:
+            sensor.tare()
+    assert "is the source dead?" in sensor.doubt
+    assert sensor.update(MIDDLE, np.zeros(7), tau + 1e-3, 0.1).message == ""
 
 
 # A source slower than the clock repeats its samples, then jumps: that is no spike.

@@ -21,7 +21,7 @@ def test_a_spike_is_held_back_and_the_next_sample_is_taken(lwr, which, size, wit
     held = sensor.update(*spiked, 1e-3)
     assert held.status is Status.REJECTED
     assert SensorWarning.SPIKE in held.warnings
-    assert "joint index [2]" in held.message
+    assert "at joint 3" in held.message
     assert held.axial == before.axial
     after = feed(sensor, rows[51:200])
     assert all(e.status is Status.OK and not e.warnings for e in after)
@@ -90,7 +90,7 @@ def test_a_saturated_torque_is_held_back(lwr, slowly):
     last = sensor.update(q, dq, np.where(limit > 0, limit, tau), 1e-3)
     assert last.status is Status.REJECTED
     assert SensorWarning.SATURATED in last.warnings
-    assert "joint index [3]" in last.message
+    assert "at joint 4" in last.message
     assert abs(feed(sensor, rows[300:700])[-1].axial) < 0.1
 
 
@@ -104,7 +104,7 @@ def test_a_joint_at_its_limit_is_reported(lwr):
     found = feed(sensor, rows[2000:])
     named = next(e for e in found if SensorWarning.JOINT_LIMIT in e.warnings)
     assert named.status is Status.NOT_TARED
-    assert "joint index [5] is at its position limit" in named.message
+    assert "at a position limit: joint 6" in named.message
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])

@@ -95,7 +95,7 @@ def test_an_effort_limit_that_is_none_counts_as_unknown(effort):
 def test_what_no_sensor_can_work_with_is_refused_at_construction(joint):
     with pytest.raises(UnsupportedJointError, match="joint 'joint_0' has"):
         robot_of(joint, 1)
-    with pytest.raises(ConfigurationError, match=r"effort limits at joint index \[0, 1\]"):
+    with pytest.raises(ConfigurationError, match=r"effort limits at joints 1, 2"):
         VirtualForceSensor(with_limits(1e-300))
 
 
@@ -206,7 +206,11 @@ WRONG = {
         "torque_is_gravity_compensated=False",
     ),
     "wrong sign": (lambda g, tau: -tau, {}, "wrong sign"),
-    "two joints": (lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]], {}, "1 reads as 3's, 3 reads as"),
+    "two joints": (
+        lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]],
+        {},
+        "joint 2 reads as joint 4's, tau of joint 4",
+    ),
 }
 
 
@@ -220,6 +224,34 @@ def test_a_refused_tare_names_what_the_torques_look_like(lwr, kind, preset):
     with pytest.raises(TareError, match=words):
         sensor.tare()
     sensor.tare(ignore_contact=True)
+
+
+OTHERS = np.arange(7) != 3
+
+
+@pytest.mark.parametrize(
+    ("bend", "words"),
+    [
+        (lambda q, tau: (np.degrees(q), tau), "beyond the position limits .* is it in degrees"),
+        (lambda q, tau: (q * OTHERS, tau), "q at joint 4 has not changed, others have"),
+        (lambda q, tau: (q, tau * OTHERS), "tau at joint 4 has not changed for 2"),
+    ],
+)
+def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
+    q, _, tau = signals(lwr, 3.0)
+    sensor = VirtualForceSensor(lwr)
+    q, tau = bend(q, tau)
+    feed(sensor, [(q_k, None, tau_k) for q_k, tau_k in zip(q, tau, strict=True)])
+    with pytest.raises(TareError, match=f"{words}.* If not, the sensor reads"):
+        sensor.tare()
+
+
+def test_a_tare_without_data_says_what_was_rejected(lwr):
+    sensor, (q, dq, tau) = VirtualForceSensor(lwr), signals(lwr, 1.0)
+    feed(sensor, zip(q, dq, tau * np.nan, strict=True))
+    words = "1000 samples were rejected, the last one: tau is not finite at joints 1, 2"
+    with pytest.raises(TareError, match=words):
+        sensor.tare()
 
 
 @pytest.mark.parametrize(

@@ -102,21 +102,21 @@ DEGREES = 180.0 / np.pi
 WRONG = {
     "deg/s": (lambda q, dq: (q, DEGREES * dq), "is 57.3 times the rate of q: is it in deg/s"),
     "q in degrees": (lambda q, dq: (DEGREES * q, dq), "is 0.0175 times the rate .*q in degrees"),
-    "sign": (lambda q, dq: (q, -dq), r"\[1, 3, 5\] is -1 times the rate .* sign the other one"),
+    "sign": (lambda q, dq: (q, -dq), r"joints 2, 4, 6 is -1 times the rate .* sign the other one"),
     "deg/s and sign": (lambda q, dq: (q, -DEGREES * dq), "is -57.3 times .*is its sign .* deg/s"),
     "rpm": (lambda q, dq: (q, 30.0 / np.pi * dq), "is 9.55 times .*revolutions per minute"),
     "gear": (lambda q, dq: (q, 100.0 * dq), "is 100 times the rate of q: .* before its gear"),
     "not sent": (lambda q, dq: (q, 0.0 * dq), "stands still while q moves"),
     "stale": (lambda q, dq: (q, 0.0 * dq + dq[1500]), "does not follow q: .* stale"),
     "late by 0.5 s": (lambda q, dq: (q, late(dq, 0.5)), "is 0.5 s behind q"),
-    "reversed order": (lambda q, dq: (q, dq[:, ::-1]), r"\[1\] is the rate of q at joint index 5"),
+    "reversed order": (lambda q, dq: (q, dq[:, ::-1]), r"joint 2 is the rate of q at joint 6"),
     "two joints swapped": (
         lambda q, dq: (q, dq[:, [0, 1, 2, 5, 4, 3, 6]]),
-        r"\[3\] is the rate of q at joint index 5.*\[5\] is the rate of q at joint index 3",
+        r"joint 4 is the rate of q at joint 6.*joint 6 is the rate of q at joint 4",
     ),
     "one joint's sign": (
         lambda q, dq: (q, dq * np.where(np.arange(7) == 3, -1.0, 1.0)),
-        r"^dq at joint index \[3\] is -1 times",
+        r"^dq at joint 4 is -1 times",
     ),
 }
 

@@ -1,6 +1,7 @@
 """The insertion in a browser page, beside a loop, and in 3D Slicer."""
 
 import json
+import re
 import subprocess
 import sys
 import time
@@ -224,12 +225,43 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypa
         assert page.wait_for("document.querySelectorAll('canvas').length > 0")
 
 
+@pytest.mark.parametrize(
+    ("joints", "torque", "options", "code", "why"),
+    [
+        (6, 1.0, [], 2, "error: the log has 6 columns per joint signal, the robot has 7 joints"),
+        (7, 1.0, ["--tare", "-3"], 2, "error: --tare -3: expected seconds of free motion"),
+        (7, 1.0, ["--tare", "100"], 0, r"warning: no tare in 2.001 s \(--tare 100 asks"),
+        (7, 1e3, [], 0, "warning: 19.. samples rejected: 19.. x tau is at the effort limit"),
+        (7, -1.0, ["--tare", "1"], 0, "no tare at 1.0 s: .* wrong sign; negate it. Tare in free"),
+        (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
+    ],
+)
+def test_a_recording_that_cannot_be_tared_is_said_so(
+    joints, torque, options, code, why, tmp_path, monkeypatch, capsys
+):
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+
+    monkeypatch.chdir(tmp_path)
+    table = signal_table(short_run())
+    signals = {name: table[name][:2001, :joints] for name in ("q_rad", "dq_rad_s", "tau_Nm")}
+    signals["tau_Nm"] = torque * signals["tau_Nm"]
+    write_table("a.npz", {"t_s": table["t_s"][:2001], **signals})
+    assert main(["view", "a.npz", *options, "--export", "a.html", "--port", "8271"]) == code
+    said, warned = capsys.readouterr()
+    assert said == ("" if code else "a.html\n")
+    assert re.search(why, warned)
+    assert "ignore_contact" not in warned
+
+
 def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
     monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
     assert (
         main(["live", "sim:gel-25-constant", "--view", "--port", "8261", "--seconds", "0.5"]) == 0
     )
-    assert "http://127.0.0.1:8261 shows the scene" in capsys.readouterr().err
+    said, warned = capsys.readouterr()
+    assert "layer 0" in said
+    assert "http://127.0.0.1:8261 shows the scene" in warned
 
 
 def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):

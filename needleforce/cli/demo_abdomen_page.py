@@ -163,14 +163,15 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
     plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
     plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
-    for layer in made.plan[:-1]:
-        plane.plot([-8.0, 8.0], [1e3 * layer.exit_m] * 2, color="white", linewidth=1.0)
-    for depth, _ in made.states:
-        plane.plot([-5.0, 5.0], [1e3 * (depth - made.shift_m)] * 2, color="yellow", linewidth=2.0)
+    planned_mm = [1e3 * layer.exit_m for layer in made.plan[:-1]]
+    found_mm = [1e3 * (depth - made.shift_m) for depth, _ in made.states]
+    plane.hlines(planned_mm, -8.0, 8.0, color="white", lw=1.0, label="planned boundary")
+    plane.hlines(found_mm, -5.0, 5.0, color="yellow", lw=2.0, label="detected rupture")
     plane.set(
         xlabel="across the needle [mm]", ylabel="along the needle [mm]", title="Plan and insertion"
     )
-    plane.legend(loc="lower right", fontsize=8)
+    legend = {"facecolor": "0.3", "labelcolor": "white", "fontsize": 8, "ncols": 4}
+    figure.legend(loc="outside lower center", **legend)
     figure.savefig(path, dpi=130)
     plt.close(figure)
     return path

@@ -13,7 +13,7 @@ from needleforce import plots
 from needleforce.cli import log as logs
 from needleforce.cli import options as cli
 from needleforce.cli import robot as robots
-from needleforce.cli.force_replay import Replay, Rows, has_status, tare_window
+from needleforce.cli.force_replay import Replay, Rows, has_status, reasons_text, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers
 from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, write_out
@@ -161,19 +161,20 @@ class ForceResult:
         span = f"{self.counts.total()} in {self._last_s - self._first_s:.4g} s"
         counts = [f"{count} {status.value}" for status in Status if (count := self.counts[status])]
         yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
-        reasons = [f"{count} x {reason}" for reason, count in replay.rejected.most_common(4)]
-        if others := len(replay.rejected) - len(reasons):
-            reasons.append(f"{others} other reasons")
-        total = replay.rejected.total()
-        yield "rejected", f"{total}: {'; '.join(reasons)}" if reasons else "none"
+        rejected = replay.rejected
+        yield "rejected", f"{rejected.total()}: {reasons_text(rejected)}" if rejected else "none"
         gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
-        longest = f"(longest {replay.longest_gap_s:.3g} s), after which the filters restarted"
-        yield "gaps", f"{gaps} {limit} {longest}" if gaps else f"none {limit}"
+        text = f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after each"
+        if 2 * self.counts[Status.INITIALIZING] > self.counts.total():
+            text += "; too few samples, or the unit of time is wrong: --time COLUMN:UNIT"
+        yield "gaps", text if gaps else f"none {limit}"
         most = [(str(warning.name), count) for warning, count in self.warnings.most_common()]
         found = [f"{count} x {name.lower().replace('_', ' ')}" for name, count in most if count]
         yield "warnings", ", ".join(found) or "none"
         if replay.velocity_fault:
             yield "velocity", replay.velocity_fault
+        if replay.doubt:
+            yield "signals", replay.doubt
         yield "tare", self._tare()
         yield "axial force", self._force()
         lag = "that of the robot's own estimate"

@@ -21,6 +21,7 @@ from residual import (
 )
 from residual.bias_model import Tare
 from residual.errors import VelocityError
+from residual.input_validation import ROUNDING_S
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -32,7 +33,7 @@ whoever records an insertion starts before contact, but not long before."""
 
 _WINDOW = "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
-_VELOCITY = "say unit and factor of the velocities, as in --dq dq_*:deg/s or dq_*:rad/s:-1"
+_UNITS = "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
 _AS_OPTIONS = {
     "ignore_contact=True": "--force-tare",
     "set torque_is_gravity_compensated=True": "give --gravity-compensated",
@@ -75,11 +76,20 @@ def _log_time(option: str, text: str, first_s: float) -> float:
     return first_s + value if text.strip().startswith("+") else value
 
 
+def reasons_text(rejected: Counter[str]) -> str:
+    """Return how often samples were rejected for which reasons; empty if none were."""
+    reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(4)]
+    if others := len(rejected) - len(reasons):
+        reasons.append(f"{others} other reasons")
+    return "; ".join(reasons)
+
+
 class Taring:
     """Starts the tare recording and takes the tare when their times come."""
 
-    def __init__(self, sensor: VirtualForceSensor, options: SensorOptions, first_s: float) -> None:
-        self._sensor, self._options, self._first_s = sensor, options, first_s
+    def __init__(self, replay: "Replay", options: SensorOptions, first_s: float) -> None:
+        self._sensor, self._options, self._first_s = replay.sensor, options, first_s
+        self._rejected, self._rejected_before = replay.rejected, Counter[str]()
         self._window: TareWindow | None = None
         if options.tare is not None:
             self._window = tare_window(options.tare, first_s)
@@ -87,6 +97,7 @@ class Taring:
         self._must_start = self._window is not None
         self._has_settled = False
         self.done: TareWindow | None = None
+        self.doubt = ""  # what may be wrong with the signals it was taken from
 
     def before(self, t_s: float) -> None:
         """Act before the sample of time ``t_s`` [s] is given to the sensor."""
@@ -95,7 +106,7 @@ class Taring:
             return
         if self._must_start and t_s >= window.start_s:
             self._sensor.start_tare_recording()
-            self._must_start = False
+            self._must_start, self._rejected_before = False, self._rejected.copy()
         if t_s > window.end_s:
             self._tare(window)
 
@@ -119,8 +130,13 @@ class Taring:
                 self._require_inside(window, last_s)
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
-                f"motion were seen, so it cannot be tared; {_CHOICES}"
+                f"motion were seen, so it cannot be tared{self._rejections()}; {_CHOICES}"
             )
+
+    def _rejections(self) -> str:
+        rejected = self._rejected - self._rejected_before
+        text = f"; {rejected.total()} samples were rejected: {reasons_text(rejected)}"
+        return text if rejected else ""
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
         is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
@@ -137,18 +153,17 @@ class Taring:
     def _tare(self, window: TareWindow) -> None:
         what = f"no tare from {window}"
         if not self._has_settled:
-            raise CommandError(
-                f"{what}: the filters had not settled by then; choose a window that ends later"
-            )
+            why = self._rejections() or "; choose a window that ends later"
+            raise CommandError(f"{what}: the filters had not settled by then{why}")
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
             reason = str(error)
             for words, option in _AS_OPTIONS.items():
                 reason = reason.replace(words, option)
-            choices = _VELOCITY if isinstance(error, VelocityError) else f"Or {_CHOICES}"
+            choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
-        self.done = replace(window, tare=tare)
+        self.done, self.doubt = replace(window, tare=tare), self._sensor.doubt
 
 
 # The sensor over the rows of a log, of which any number may come at a time.
@@ -172,6 +187,17 @@ because of a gap in time before the row; of shape (n,) but where stated.
 def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
     """Return which rows have a status, shape (n,)."""
     return rows["status"] == STATUS_CODES[status]
+
+
+def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
+    """Refuse a log of other joints; it has the same number in every channel."""
+    columns, names = q_rad.shape[1], robot.joint_names
+    if columns != len(names):
+        raise CommandError(
+            f"the log has {columns} columns per joint signal, the robot has {len(names)} "
+            f"joints: {', '.join(names)}. Name another robot with --robot or --urdf FILE, where "
+            f"--lock holds joints that are not in the log{choice}"
+        )
 
 
 class Replay:
@@ -208,14 +234,19 @@ class Replay:
         """The tare, if one was taken."""
         return None if self._taring is None else self._taring.done
 
+    @property
+    def doubt(self) -> str:
+        """What may be wrong with the signals it was taken from, in words; often empty."""
+        return "" if self._taring is None else self._taring.doubt
+
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        self._require_joints(q_rad)
+        require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
-            self._taring = Taring(self.sensor, self._options, t_s[0])
+            self._taring = Taring(self, self._options, t_s[0])
             self._used_s = t_s[0]
         sensor, taring, estimates, gaps = self.sensor, self._taring, [], []
         update = sensor.update_external_torque if self.is_external else sensor.update
@@ -244,16 +275,6 @@ class Replay:
         """Take a tare whose window ends with the log, which was read to its end or not."""
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
-
-    def _require_joints(self, q_rad: NDArray[np.float64]) -> None:
-        # A log holds the same number of joints in every channel, so that one stands for all.
-        columns, names = q_rad.shape[1], self.robot.joint_names
-        if columns != len(names):
-            raise CommandError(
-                f"the log has {columns} columns per joint signal, the robot has {len(names)} "
-                f"joints: {', '.join(names)}. Choose columns with --q, --tau and so on, or lock "
-                "joints with --lock"
-            )
 
     def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the travel along the insertion axis as it stood in the first finite row [m]."""
@@ -287,7 +308,7 @@ class Replay:
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s
-        if gap_s <= self.config.max_gap_s:
+        if gap_s <= self.config.max_gap_s + ROUNDING_S:
             return False
         self.gaps, self.longest_gap_s = self.gaps + 1, max(self.longest_gap_s, gap_s)
         return True

@@ -1,6 +1,5 @@
 """`needleforce record` and `needleforce live`: an arm's joint signals into a file, or watched."""
 
-import math
 import sys
 import time
 from collections.abc import Iterator
@@ -13,6 +12,7 @@ import numpy as np
 
 from groundtruth import simulate
 from needleforce.cli.live_commands import LiveOptions, WatchOptions
+from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
@@ -20,7 +20,6 @@ from needleforce.devices import ArmSample, FrankaArm, FriArm, ReplayArm, UrArm, 
 from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 from needleforce.session import InsertionSession, SessionEstimate
-from residual import Status, TareError
 from urdf import Robot
 
 CHUNK = 500
@@ -29,13 +28,25 @@ PANEL_s, LINE_s = 0.1, 1.0
 """Between two pictures on a terminal, and two lines elsewhere."""
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 """What each kind of arm is unless it is described."""
+NO_TORQUES = (
+    "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
+    "docs/panda.md has those of one arm, and its friction"
+)
 
 
 @contextmanager
-def arm_named(text: str, options: RobotOptions) -> Iterator[tuple[Any, Robot]]:
+def arm_named(
+    text: str, options: RobotOptions, constants_Nm_A: tuple[float, ...] | None = None
+) -> Iterator[tuple[Any, Robot]]:
     """Open the arm that a user names, with its model; it is closed in the end."""
     kind, _, rest = text.partition(":")
+    if constants_Nm_A is not None and kind != "ur":
+        raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {text}")
     if kind == "sim":
+        if options not in (RobotOptions(), RobotOptions(robot="lwr")):
+            raise CommandError(
+                f"{text} simulates an LWR 4+ with its needle; leave the options of the robot out"
+            )
         with progress_bar("simulating"):
             run = simulate(rest or "stack-glove-constant", plant="clean")
         signals = run.signals
@@ -49,11 +60,13 @@ def arm_named(text: str, options: RobotOptions) -> Iterator[tuple[Any, Robot]]:
         )
     if options.robot is None and options.urdf is None:
         options = replace(options, robot=ROBOTS[kind])
+        say(f"{text} is taken for the arm {options.robot!r}; --robot or --urdf names another")
     robot = robot_from_options(options, None)
     if kind == "fri":
         arm: Any = FriArm(port=int(rest)) if rest else FriArm()
     else:
-        arm = FrankaArm(rest) if kind == "franka" else UrArm(rest)
+        is_ur = kind == "ur"
+        arm = UrArm(rest, torque_constant_Nm_A=constants_Nm_A) if is_ur else FrankaArm(rest)
     with arm:
         if arm.joints != robot.nv:
             raise CommandError(
@@ -79,25 +92,28 @@ def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
 def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions) -> int:
     """Write the joint signals of an arm as they come; return the exit code."""
     with (
-        arm_named(arm_name, robot) as (arm, model),
+        arm_named(arm_name, robot, options.motor_constants) as (arm, model),
         open_table(
             output, is_live=True, labels=lambda: Labels(joint_names=model.joint_names)
         ) as to,
     ):
-        t_s, rows, samples = 0.0, 0, _until(arm, options)
+        has_torque, t_s, rows, samples = True, 0.0, 0, _until(arm, options)
         while chunk := [sample for _, sample in zip(range(CHUNK), samples, strict=False)]:
             times = t_s + np.cumsum([sample.dt_s for sample in chunk])
             if rows == 0:
                 times -= chunk[0].dt_s
             to.append({"t_s": times, **_columns(chunk)})
             t_s, rows = float(times[-1]), rows + len(chunk)
+            has_torque = chunk[0].tau_Nm is not None
     say(f"{rows} samples, {t_s:.3f} s in {output}; {arm.report}")
+    if not has_torque:
+        say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0
 
 
 def _columns(chunk: list[ArmSample]) -> dict[str, Any]:
     names = {"q_rad": "q_rad", "dq_rad_s": "dq_rad_s", "tau_Nm": "tau_Nm"}
-    names["external_Nm"] = "tau_ext_Nm"
+    names |= {"external_Nm": "tau_ext_Nm", "current_A": "current_A"}
     found = {}
     for field, name in names.items():
         values = [getattr(sample, field) for sample in chunk]
@@ -109,8 +125,8 @@ def _columns(chunk: list[ArmSample]) -> dict[str, Any]:
 class _Watch:
     """What a session knows, as a panel on a terminal or a line a second elsewhere."""
 
-    def __init__(self, session: InsertionSession, arm: Any) -> None:
-        self._session, self._arm, self._next_s = session, arm, 0.0
+    def __init__(self, arm: Any) -> None:
+        self._arm, self._next_s = arm, 0.0
         self._events: list[str] = []
 
     def show(self, now: SessionEstimate, live: Any) -> None:
@@ -129,7 +145,7 @@ class _Watch:
 
     def _lines(self, now: SessionEstimate) -> list[str]:
         wrench, found = now.wrench, now.identification
-        depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {len(self._session.layers) + 1}"
+        depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {found.layer}"
         return [
             f"{now.time_s:8.1f} s  {now.status}",
             f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N",
@@ -163,15 +179,6 @@ def _plan_words(plan: Any) -> str:
     return f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
 
 
-def _plan(watched: WatchOptions) -> Any:
-    """The plan that is named, None without one."""
-    if watched.plan is None:
-        return None
-    from needleforce.cli.live_view import read_plan
-
-    return read_plan(watched.plan)
-
-
 @contextmanager
 def _page(
     kind: str, watched: WatchOptions, model: Robot, plan: Any, robot: RobotOptions
@@ -180,7 +187,6 @@ def _page(
     if not watched.view:
         yield None
         return
-    from needleforce.cli.live_view import description
     from needleforce.scene import SceneError, open_viewer
     from needleforce.scene.nodes import EMPTY
 
@@ -200,31 +206,22 @@ def watch_arm(
     arm_name: str, options: LiveOptions, watched: WatchOptions, robot: RobotOptions
 ) -> int:
     """Watch force and layers of an arm; return the exit code."""
-    if not 0.0 < options.tare < math.inf:
-        raise CommandError(f"--tare {options.tare}: expected seconds of free motion")
-    plan, kind = _plan(watched), arm_name.partition(":")[0]
+    tare, kind = SessionTare(watched.tare), arm_name.partition(":")[0]
+    plan = None if watched.plan is None else read_plan(watched.plan)
     with (
-        arm_named(arm_name, robot) as (arm, model),
+        arm_named(arm_name, robot, options.motor_constants) as (arm, model),
         _page(kind, watched, model, plan, robot) as page,
     ):
         session = InsertionSession(model)
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m)
-        view, tare_at_s = _Watch(session, arm), options.tare
+        view = _Watch(arm)
         with _panel() as panel:
             for sample in _until(arm, options):
                 if sample.tau_Nm is None:
-                    raise CommandError(
-                        f"{arm_name} sends no joint torques; record it, or see docs/panda.md for "
-                        "a UR's motor constants"
-                    )
+                    raise CommandError(f"{arm_name}: {NO_TORQUES}")
                 now = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-                if not session.tared and now.status is Status.NOT_TARED and now.time_s > tare_at_s:
-                    tare_at_s = now.time_s + options.tare
-                    try:
-                        session.tare()
-                    except TareError as error:
-                        say(f"no tare: {error}")
+                tare.after(session, now)
                 view.show(now, panel)
                 if page is not None:
                     page.put(now, sample.q_rad)

@@ -4,12 +4,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Parameter
+from cyclopts import Group, Parameter
 
-from needleforce.cli.options import LOG, OUTPUT, TARE, RobotOptions, app
+from needleforce.cli.options import LOG, TARE, RobotOptions, app
+
+OUTPUT = Group("Output", sort_key=2)
 
 LWR = RobotOptions()
 """The arm unless another is named."""
+
+
+Constants = tuple[float, float, float, float, float, float]
 
 
 @Parameter(name="*", group=LOG)
@@ -19,9 +24,9 @@ class LiveOptions:
 
     seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
     """Stop after so long; else at Ctrl-C or when the arm stays away."""
-    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Of `live`: tare after so many seconds of motion without contact, and again after as many
-    where that is refused."""
+    motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None
+    """Of ur: joint torque per motor current of each joint [Nm/A]; a UR sends no torques
+    (docs/panda.md)."""
 
 
 @Parameter(name="*", group=OUTPUT)
@@ -34,7 +39,10 @@ class WatchOptions:
     view: Annotated[bool, Parameter(negative="")] = False
     """Open the scene in a browser page beside the session."""
     port: Annotated[int, Parameter(metavar="N")] = 8080
-    """Its port; another is taken if it is busy."""
+    """Its port (default: 8080); another is taken if it is busy."""
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
+    """Tare after so many seconds of motion without contact (default: 4), and again after as many
+    where that is refused."""
 
 
 @Parameter(name="*", group=LOG)
@@ -44,14 +52,17 @@ class ViewOptions:
 
     anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
     """Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see docs/scene.md."""
+    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
+    """TOML file that says which columns are which, as `needleforce force --print-config` writes."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact."""
+    """Tare after so many seconds of motion without contact (default: 4), and again after as many
+    where that is refused."""
     export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
     """Write the scene as one page (.html) with the insertion as a film, and end."""
     host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"
-    """Where the page is served."""
+    """Where the page is served (default: 127.0.0.1, this machine alone)."""
     port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
-    """Its port; another is taken if it is busy."""
+    """Its port (default: 8080); another is taken if it is busy."""
 
 
 ArmName = Annotated[
@@ -60,7 +71,8 @@ ArmName = Annotated[
         name="ARM",
         group=LOG,
         help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), franka:ADDRESS, "
-        "ur:ADDRESS, or sim:SCENARIO for a simulated one.",
+        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka is taken for a panda and a "
+        "ur for a ur10e unless --robot or --urdf names another.",
     ),
 ]
 
@@ -130,8 +142,13 @@ def demo_command(
     ],
     /,
     *,
-    report: Annotated[Path | None, Parameter(metavar="DIR", group=OUTPUT)] = None,
-    figure: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None,
+    report: Annotated[
+        Path | None, Parameter(metavar="DIR", group=OUTPUT, help="Folder for a page.")
+    ] = None,
+    figure: Annotated[
+        Path | None,
+        Parameter(metavar="FILE", group=OUTPUT, help="Its first picture: .png, .svg or .pdf."),
+    ] = None,
     data: Annotated[
         Path | None,
         Parameter(

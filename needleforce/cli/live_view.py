@@ -1,5 +1,9 @@
 """`needleforce view`: a recording in the scene, with anatomy and plan."""
 
+import math
+import sys
+from collections import Counter
+from contextlib import redirect_stdout
 from importlib.resources import files
 from pathlib import Path
 from time import sleep
@@ -9,19 +13,25 @@ import msgspec
 import numpy as np
 
 from needleforce.anatomy import AnatomyError, Layer, PlanMatch, read_labels
+from needleforce.cli.force_replay import reasons_text, require_joints
 from needleforce.cli.live_commands import ViewOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
-from needleforce.recordings import read_log
+from needleforce.recordings import load_mapping, read_log
 from needleforce.scene import PlanScene, Viewer, view_row
 from needleforce.scene.nodes import EMPTY
-from needleforce.session import InsertionSession
+from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
 from urdf import Robot, example_robot_path
 
 LEAST_VOXELS = 500
 PLAN = "plan.json"
+_WITHOUT_OPTIONS = {
+    ", or ignore_contact=True if you know better": "",
+    "set torque_is_gravity_compensated=True": "give needleforce force --gravity-compensated",
+}
+"""What a refused tare advises in code, where there is no option for it."""
 Point = tuple[float, float, float]
 
 
@@ -52,24 +62,47 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     layers: tuple[_LayerOfFile, ...] = ()
 
 
+class SessionTare:
+    """Tares a session after so much motion without contact, and again where that is refused."""
+
+    def __init__(self, every_s: float) -> None:
+        if not 0.0 < every_s < math.inf:
+            raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
+        self._every_s = self._next_s = every_s
+
+    def after(self, session: InsertionSession, now: SessionEstimate) -> None:
+        """Tare if it is time, after an update."""
+        if session.tared or now.status is not Status.NOT_TARED or now.time_s <= self._next_s:
+            return
+        self._next_s = now.time_s + self._every_s
+        try:
+            session.tare()
+        except TareError as error:
+            reason = str(error)
+            for words, here in _WITHOUT_OPTIONS.items():
+                reason = reason.replace(words, here)
+            say(f"no tare at {now.time_s:.1f} s: {reason}")
+
+
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     """Show a recording until Ctrl-C, or write it as one page; return the exit code."""
-    model = robot_from_options(robot, None)
+    model = robot_from_options(robot, options.mapping)
     plan = None if options.anatomy is None else read_plan(options.anatomy)
-    rows = replayed(recording, model, options.tare, plan)
+    rows = replayed(recording, model, options, plan)
     scene, shapes = EMPTY if plan is None else plan.scene, description(robot)
-    viewer = Viewer(model, scene, urdf_path=shapes, host=options.host, port=options.port)
+    with redirect_stdout(sys.stderr):  # viser's banner is no result
+        viewer = Viewer(model, scene, urdf_path=shapes, host=options.host, port=options.port)
     viewer.append(rows)
     viewer.show()
     if options.export is not None:
         write_out(f"{viewer.export(options.export)}\n")
+    else:
+        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
+        with stop_request() as is_asked:
+            while not is_asked():
+                sleep(0.2)
+    with redirect_stdout(sys.stderr):
         viewer.stop()
-        return 0
-    write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
-    with stop_request() as is_asked:
-        while not is_asked():
-            sleep(0.2)
-    viewer.stop()
     return 0
 
 
@@ -83,11 +116,13 @@ def description(options: RobotOptions) -> Path | None:
 
 
 def replayed(
-    recording: Path, model: Robot, tare_s: float, plan: Planned | None = None
+    recording: Path, model: Robot, options: ViewOptions, plan: Planned | None = None
 ) -> np.ndarray:
-    """Rows of the session over a recording of joint signals."""
-    log = read_log(recording, required=["q", "tau"], optional=["dq"])
-    session, rows, tare_at_s = InsertionSession(model), [], tare_s
+    """Rows of the session over a recording of joint signals; says what is wrong with it."""
+    tare, session, rows = SessionTare(options.tare), InsertionSession(model), []
+    rejected, mapping = Counter[str](), load_mapping(options.mapping) if options.mapping else None
+    log = read_log(recording, mapping, required=["q", "tau"], optional=["dq"])
+    require_joints(log["q_rad"], model)
     if plan is not None:
         session.follow(plan.match, plan.entry_in_base_m)
     q, tau = log["q_rad"], log["tau_Nm"]
@@ -96,17 +131,22 @@ def replayed(
     with progress_bar("estimating") as progress:
         for k, dt_s in enumerate(steps.tolist()):
             now = session.update(q[k], dq[k], tau[k], dt_s)
-            if not session.tared and now.status is Status.NOT_TARED and now.time_s > tare_at_s:
-                tare_at_s = now.time_s + tare_s
-                try:
-                    session.tare()
-                except TareError as error:
-                    say(f"no tare at {now.time_s:.1f} s: {error}")
+            tare.after(session, now)
+            if now.status is Status.REJECTED:
+                rejected[now.wrench.message.split(";")[0]] += 1
             found = now.identification
             if k % 10 == 0 or found.rupture is not None or found.retracted is not None:
                 rows.append(view_row(now, q[k]))
             if k % 1000 == 0:
                 progress(k / len(q))
+    warnings = [f"{rejected.total()} samples rejected: {reasons_text(rejected)}"] * bool(rejected)
+    if not session.tared:
+        warnings.append(
+            f"no tare in {steps.sum():.4g} s (--tare {options.tare:g} asks for so many seconds of "
+            "motion without contact): forces carry errors of the model and of the torque sensors"
+        )
+    for text in (*log.warnings, *warnings):
+        say(f"warning: {text}")
     return np.array(rows)
 
 

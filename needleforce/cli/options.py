@@ -104,7 +104,7 @@ class Output:
     figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
     """Figure: .png, .svg or .pdf."""
     over: Over = "time"
-    """Draw the figure over time, or over the depth of the needle."""
+    """Draw the figure over time (default), or over the depth of the needle."""
     start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
     """Start of the figure on its own axis, in seconds or, with --over depth, millimetres."""
     end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
@@ -144,11 +144,13 @@ class SensorOptions:
     """How joint signals become a force."""
 
     gain: Annotated[float | None, Parameter(metavar="K")] = None
-    """Observer gain K in 1/s (lag 1/K)."""
+    """Observer gain K in 1/s (lag 1/K; default: 70)."""
     alignment: Literal["hold", "trapezoid"] | None = None
-    """Torques are commands held until the next sample (hold), or a sensor's samples (trapezoid)."""
+    """Torques are commands held until the next sample (hold), or a sensor's samples (trapezoid,
+    default)."""
     mode: Literal["axial", "point", "full"] | None = None
-    """Contact: force along the needle (axial), 3-D force at the tip (point), 6-D wrench (full)."""
+    """Contact: force along the needle (axial), 3-D force at the tip (point, default), 6-D wrench
+    (full)."""
     insertion_axis: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
     """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
     published: bool = False
@@ -180,7 +182,7 @@ class IdentificationOptions:
     """How forces become layers."""
 
     method: Method = "multilayer"
-    """Ours, or the method as published with the multi-layer or the Kelvin-Voigt model."""
+    """Ours (multilayer, default), or as published with the multi-layer or Kelvin-Voigt model."""
     ignore_status: bool = False
     """Use also rows that `needleforce force` has marked as not tared, initializing or doubtful."""
 

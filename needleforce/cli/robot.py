@@ -83,7 +83,7 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots; give one of them")
     if options.lock and options.urdf is None:
-        raise CommandError("--lock describes a robot of --urdf FILE; give it")
+        raise CommandError("--lock holds joints of a robot of --urdf FILE; known robots have none")
     placed = {"tool_frame": options.tool_frame, "tool_placement": options.tip_offset}
     placed |= {"without": options.without, "payload": payload}
     if options.urdf is None and options.robot not in (None, LWR):

@@ -58,6 +58,7 @@ class ArmSample(NamedTuple):
         external_Nm: The arm's own estimate of the external torques, shape (n,), or None.
         missed: Cycles since the previous sample that brought nothing valid.
         accepts_commands: Whether the arm would move now.
+        current_A: Motor currents of an arm without torque sensors, shape (n,), or None.
     """
 
     dt_s: float
@@ -67,6 +68,7 @@ class ArmSample(NamedTuple):
     external_Nm: Array | None
     missed: int
     accepts_commands: bool
+    current_A: Array | None = None
 
 
 @dataclass(slots=True)

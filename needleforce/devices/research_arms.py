@@ -110,9 +110,9 @@ class FrankaArm(_ReadOnlyArm):
 
 
 class UrArm(_ReadOnlyArm):
-    """A UR e-Series arm through RTDE: 500 Hz, motor currents times a constant.
+    """A UR e-Series arm through RTDE: 500 Hz; torques are motor currents times a constant.
 
-    Without torque constants there are no torques: see docs/panda.md for what a UR can give.
+    Without the constants there are currents only: see docs/panda.md for what a UR can give.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class UrArm(_ReadOnlyArm):
                 tau = None if self._constant is None else self._constant * current
                 sample = self._sample(time_s, q, dq, tau, None)
                 if sample is not None:
-                    yield sample
+                    yield sample._replace(current_A=current)
             else:  # the client holds the newest only: look oftener than it comes
                 sleep(POLLS * self._period_s)
         if self._is_open:

@@ -189,7 +189,7 @@ SETTINGS: dict[Any, Any] = {
 }
 """Of matplotlib; must hold while a chart is drawn and while it is saved."""
 BAND_OPACITY, AREA_POINTS = 0.2, 1000
-LETTERS = 54  # of a legend's row, and of a title's line, at the usual width
+LETTERS = 54  # of a title's line at the usual width
 LEGEND_ROW_IN = 0.17
 CUT_PLACES = 40  # marks of cut curves along an edge at most
 _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
@@ -204,7 +204,8 @@ def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
     from matplotlib.figure import Figure
 
-    figure = Figure(layout="constrained", facecolor="white")
+    size_in = chart.width_in, chart.height_in
+    figure = Figure(size_in, layout="constrained", facecolor="white")
     heights = [panel.height for panel in chart.panels]
     grid = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
     places = list(grid[:, 0])
@@ -228,7 +229,7 @@ def draw(chart: Chart) -> "Figure":
     figure.suptitle(what, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     # The pad leaves room for the values of cut peaks above the panel.
     places[0].set_title("\n".join(which), loc="left", fontsize=8.5, color="#444444", pad=10.0)
-    rows = _legend(figure, places, chart, room)
+    rows = _legend(figure, places, chart)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
 
@@ -294,7 +295,7 @@ def _mark_what_is_cut(
         axes.annotate(text, (place, edge), (side_x, 2.0), textcoords="offset points", **small)
 
 
-def _legend(figure: "Figure", places: list["Axes"], chart: Chart, room: float) -> int:
+def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
     """One legend for all panels, below them, where it hides nothing; returns its rows."""
     shown: dict[str, Any] = {}
     for axes in places:
@@ -304,14 +305,14 @@ def _legend(figure: "Figure", places: list["Axes"], chart: Chart, room: float) -
         return 0
     marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
     labels = sorted(shown, key=lambda label: label in marks)
-    for columns in (4, 3, 2, 1):
-        rows = -(-len(labels) // columns)
-        parts = [labels[k : k + rows] for k in range(0, len(labels), rows)]
-        if sum(max(map(len, part)) + 6 for part in parts) <= room + 12:
-            break
     handles = [shown[label] for label in labels]
-    figure.legend(handles, labels, loc="outside lower left", ncols=columns)
-    return rows
+    for columns in (4, 3, 2, 1):
+        legend = figure.legend(handles, labels, loc="outside lower left", ncols=columns)
+        if legend.get_window_extent().width <= figure.bbox.width:
+            break
+        if columns > 1:
+            legend.remove()
+    return -(-len(labels) // columns)
 
 
 FORMATS: dict[str, dict[str, Any]] = {

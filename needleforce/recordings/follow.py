@@ -165,6 +165,8 @@ class TextLines:
         if head in BINARY:
             kind = BINARY[head][1:]
             raise FormatError(f"it is {kind}, not text; give it as a file, under its own suffix")
+        if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise FormatError("it is UTF-16 text; save it as UTF-8 (in Excel: CSV UTF-8)")
         yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
 
     def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:

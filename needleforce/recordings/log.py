@@ -290,7 +290,7 @@ class LogStream:
         rows = len(next(iter(values.values())))
         values["t_s"] = self._time_s(table, values, rows)
         if not self._rows:
-            _check_sizes(values)
+            _check_sizes(values, self._sources)
         keep = np.isfinite(values["t_s"])
         if not keep.all():
             self._first_lost = self._first_lost or self._rows + int(np.argmin(keep)) + 1
@@ -367,7 +367,7 @@ def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
     )
 
 
-def _check_sizes(values: Mapping[str, FloatArray]) -> None:
+def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:
     """Refuse channels that differ in length or in the number of joints."""
     shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
@@ -380,5 +380,12 @@ def _check_sizes(values: Mapping[str, FloatArray]) -> None:
         raise LogError(f"channels differ in length, in rows: {lengths}{''.join(turned)}")
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
-        widths = ", ".join(f"{key} {width}" for key, width in joints.items())
-        raise LogError(f"channels differ in the number of joints: {widths}")
+        listed = "; ".join(
+            f"{source.channel.name} has {joints[key]} ({', '.join(source.columns)})"
+            for key, source in sources.items()
+            if key in joints
+        )
+        raise LogError(
+            f"channels differ in the number of joints: {listed}. Name the columns of all joints, "
+            "as in --q COLUMNS --tau COLUMNS, or in a mapping"
+        )
