@@ -131,8 +131,7 @@ class ReplayStream:
         is not read.
         """
         if dt_s is None:
-            begin_s = t_s[np.isfinite(t_s)][:1]
-            latest_s = next(iter(begin_s), np.nan) if self._latest_s is None else self._latest_s
+            latest_s = t_s[0] if self._latest_s is None else self._latest_s
             # A stamp that is no number spoils its own row only.
             latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
             self._latest_s, dt_s = float(latest_s[-1]), t_s - latest_s[:-1]
@@ -140,7 +139,8 @@ class ReplayStream:
         if not self._has_begun:
             steps_s = dt_s[1:HEAD_ROWS]
             forward = steps_s[steps_s > 0.0]
-            dt_s[0] = float(np.median(forward)) if forward.size else 1e-3
+            begin = int(np.argmax(np.isfinite(t_s)))
+            dt_s[: begin + 1] = float(np.median(forward)) if forward.size else 1e-3
             self._has_begun = True
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
