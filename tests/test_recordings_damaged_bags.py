@@ -147,9 +147,7 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
     assert "/j: messages that do not fit their type, left out: 1" in log.warnings
 
 
-@pytest.mark.parametrize(
-    ("storage", "compression"), [("mcap", None), ("mcap", "STORAGE"), ("sqlite3", None)]
-)
+@pytest.mark.parametrize(("storage", "compression"), KINDS.values())
 def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(tmp_path, storage, compression):
     folder = tmp_path / "it's x"
     write_bag(folder, insertion_rows(50), storage=storage, compression=compression)

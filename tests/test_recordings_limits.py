@@ -1,9 +1,6 @@
 """Hostile and damaged files end in one of our errors, soon and within bounded memory."""
 
 import gzip
-import io
-import os
-import threading
 import time
 import tomllib
 import tracemalloc
@@ -181,14 +178,3 @@ def test_names_from_a_file_stay_comments_in_the_mapping_of_it(tmp_path):
     assert content["force"]["columns"] == "force"
     folder = write_bag(tmp_path / "bag", [(f"/{evil}", k, number(k)) for k in range(9)])
     assert tomllib.loads(suggest_mapping(folder, ["depth"])) == {}
-
-
-def test_a_table_is_written_into_a_pipe_that_stays_one(tmp_path):
-    path, found = tmp_path / "pipe.csv", io.BytesIO()
-    os.mkfifo(path)
-    reader = threading.Thread(target=lambda: found.write(path.read_bytes()))
-    reader.start()
-    write_table(path, {"t": [1.0, 2.0]})
-    reader.join()
-    assert found.getvalue() == b"t\n1.0\n2.0\n"
-    assert path.is_fifo()

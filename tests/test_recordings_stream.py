@@ -40,23 +40,16 @@ def text_of(rows):
 
 
 def streamed(tables):
-    """Time, channels and warnings of a stream, joined."""
-    stream = LogStream(tables, **ASKED)
-    chunks = list(stream)
-    t_s = np.concatenate([chunk.t_s for chunk in chunks])
-    channels = {
-        key: np.concatenate([chunk.channels[key] for chunk in chunks]) for key in chunks[0].channels
-    }
-    return t_s, channels, stream.take_warnings()
+    """The log of a stream."""
+    return LogStream(tables, **ASKED).joined()
 
 
 def assert_same(found, log):
-    t_s, channels, warnings = found
-    np.testing.assert_array_equal(t_s, log.t_s)
-    assert list(channels) == list(log.channels)
-    for key, values in channels.items():
+    np.testing.assert_array_equal(found.t_s, log.t_s)
+    assert list(found.channels) == list(log.channels)
+    for key, values in found.channels.items():
         np.testing.assert_array_equal(values, log[key])
-    assert set(warnings) == set(log.warnings)
+    assert set(found.warnings) == set(log.warnings)
 
 
 @settings(max_examples=30)
@@ -110,11 +103,11 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
         return len(asked) > 3
 
     patience = FollowOptions(follow=True, should_stop=should_stop)
-    t_s, _, warnings = streamed(stream_tables(path, patience))
-    assert t_s.tolist() == [0.0, 1.0]
-    assert "cut short" not in "".join(warnings)
-    _, _, warnings = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)))
-    assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in warnings
+    found = streamed(stream_tables(path, patience))
+    assert found.t_s.tolist() == [0.0, 1.0]
+    assert "cut short" not in "".join(found.warnings)
+    found = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)))
+    assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
 
 
 def test_a_followed_file_that_has_become_shorter_is_refused(tmp_path):
@@ -138,7 +131,7 @@ COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0
 
 
 def piped(data, path, size):
-    """Time and force of a recording that comes through a pipe."""
+    """The log of a recording that comes through a pipe."""
     os.mkfifo(path)
 
     def write():
@@ -149,10 +142,9 @@ def piped(data, path, size):
     writer = threading.Thread(target=write)
     writer.start()
     tables = stream_tables(path, FollowOptions())
-    chunks = list(LogStream(tables, required=["depth", "force"]))
+    log = LogStream(tables, required=["depth", "force"]).joined()
     writer.join()
-    t_s = np.concatenate([chunk.t_s for chunk in chunks])
-    return t_s, np.concatenate([chunk.channels["force_N"] for chunk in chunks])
+    return log
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
@@ -162,10 +154,8 @@ def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size
     write_table(path, COLUMNS)
     data = path.read_bytes()
     packed = gzip.compress(data) if suffix.endswith("gz") else data
-    t_s, force_N = piped(packed, tmp_path / "pipe", size)
-    log = read_log(path, required=["depth", "force"])
-    np.testing.assert_array_equal(t_s, log.t_s)
-    np.testing.assert_array_equal(force_N, log["force_N"])
+    found = piped(packed, tmp_path / "pipe", size)
+    assert_same(found, read_log(path, required=["depth", "force"]))
 
 
 @pytest.mark.parametrize(
@@ -186,13 +176,14 @@ def test_a_pipe_without_a_recording_is_refused(tmp_path, monkeypatch, data, mess
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
-def test_a_table_goes_into_a_pipe(tmp_path, suffix):
+def test_a_table_goes_into_a_pipe_that_stays_one(tmp_path, suffix):
     pipe, path = tmp_path / f"pipe.{suffix}", tmp_path / f"log.{suffix}"
     os.mkfifo(pipe)
     writer = threading.Thread(target=write_table, args=(pipe, COLUMNS))
     writer.start()
     path.write_bytes(pipe.read_bytes())
     writer.join()
+    assert pipe.is_fifo()
     np.testing.assert_array_equal(read_log(path)["force_N"], COLUMNS["force_N"])
 
 

@@ -19,7 +19,7 @@ from needleforce.recordings import (
     write_log,
     write_table,
 )
-from needleforce.recordings.output import check_outputs, open_table
+from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
 SUFFIXES = ("csv", "npz")
@@ -126,15 +126,6 @@ def test_rows_with_other_columns_are_refused(tmp_path, later):
         with pytest.raises(LogError, match="do not fit those before"):
             table.append(later)
     assert len(read_table(tmp_path / "t.csv").columns["t"]) == 3
-
-
-def test_the_log_that_is_being_read_is_no_place_to_write(tmp_path):
-    path = tmp_path / "log.csv"
-    write_table(path, {"t": T_S})
-    (tmp_path / "link.csv").symlink_to(path)
-    check_outputs({"-o": tmp_path / "other.csv"}, path)
-    with pytest.raises(FileAccessError, match="it is the log itself"):
-        check_outputs({"-o": tmp_path / "link.csv"}, path)
 
 
 @pytest.fixture

@@ -212,6 +212,8 @@ class Replay:
         self._start_m: NDArray[np.float64] | None = None
         self._axis = self._tool.axis_in_base
         self._taring: Taring | None = None
+        self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
+        self.doubt = ""  # and what may be wrong with the signals it was taken from, in words
         # Of the clock of the first rows, which runs on when the log's clock is set back.
         self._latest_s, self._used_s, self._shift_s = -math.inf, 0.0, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
@@ -228,16 +230,6 @@ class Replay:
             return f"{what}, from the robot's own external torque"
         velocity = "velocity from the log" if self._has_velocity else "velocity estimated"
         return f"{what}, K = {config.slowest_gain_per_s:g} 1/s, {velocity}"
-
-    @property
-    def tare(self) -> TareWindow | None:
-        """The tare, if one was taken."""
-        return None if self._taring is None else self._taring.done
-
-    @property
-    def doubt(self) -> str:
-        """What may be wrong with the signals it was taken from, in words; often empty."""
-        return "" if self._taring is None else self._taring.doubt
 
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
@@ -275,6 +267,7 @@ class Replay:
         """Take a tare whose window ends with the log, which was read to its end or not."""
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
+            self.tare, self.doubt = self._taring.done, self._taring.doubt
 
     def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the travel along the insertion axis as it stood in the first finite row [m]."""
