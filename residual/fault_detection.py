@@ -280,11 +280,7 @@ class FaultDetector:
         load = np.abs(now[-self._joints :]) / self._limit_Nm
         clipped = np.flatnonzero(load >= SATURATED_RATIO)
         if clipped.size:
-            what = (
-                "it seems to be in mNm"
-                if load.max() > MOST_LOAD
-                else "the true one may be far beyond"
-            )
+            what = "it seems to be in mNm" if load.max() > MOST_LOAD else "the true one may be more"
             raise SuspectSampleError(
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",
