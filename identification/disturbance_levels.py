@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.estimate import Array
+from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01
@@ -97,6 +98,7 @@ class DisturbanceLevels(NamedTuple):
     levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
+    step_s: float = STEP_S  # length of the last one: longer where samples are rare
 
     @property
     def noise(self) -> float:
@@ -104,8 +106,11 @@ class DisturbanceLevels(NamedTuple):
         white, colour, heart, breath = self.levels.tolist()
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
-    def at_most(self, heart: float, breath: float, part: float) -> "DisturbanceLevels":
+    def beside(self, tissue: TissueMotion, time_s: float) -> "DisturbanceLevels":
         """With what is left of heartbeat and breathing once most of the motion is known."""
+        if not tissue.is_known:
+            return self
+        heart, breath, part = tissue.limits(time_s)
         # Where tissue overtakes the needle the force is as quick as coloured noise.
         most = np.array([math.inf, heart + breath, heart, breath])
         return self._replace(
@@ -126,7 +131,7 @@ class DisturbanceLevels(NamedTuple):
         levels = self.levels
         if count % 10.0 == 0.0 and seen[0] > 10.0:
             levels = _levels(squares, seen, _DESIGN, speed)
-        return DisturbanceLevels(past, count, squares, seen, levels)
+        return DisturbanceLevels(past, count, squares, seen, levels, step_s=filled)
 
 
 @compiled

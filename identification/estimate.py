@@ -122,7 +122,7 @@ class Estimate(NamedTuple):
         status: What became of the sample; anything but `OK` and `TIME_GAP` was not used.
         rupture_state: State of the rupture machine.
         in_contact: Whether the needle has met the first layer (and not lost contact again).
-        layer: Number of the layer the tip is in, from 1; 0 before contact.
+        layer: Number of the layer the tip is in, from 1; 0 in free air in front of the tissue.
         enhanced_force_N: Axial force less the friction of the layers already traversed. Its
             deviation, as that of the tip force, holds the noise of the force too.
         tip_force_N: Axial force less all shaft friction, the current layer's included.
@@ -163,6 +163,15 @@ class Estimate(NamedTuple):
     identified_layer: LayerEstimate | None
     retracted: Rupture | None = None
 
+    @property
+    def has_events(self) -> bool:
+        """Whether this sample raised a rupture, identified a layer or retracted an alarm."""
+        return not (self.rupture is self.identified_layer is self.retracted is None)
+
+    def without_events(self) -> "Estimate":
+        """The same, its events over."""
+        return self._replace(**Events()._asdict()) if self.has_events else self
+
 
 Outputs = tuple[Any, ...]
 """The fields of an `Estimate` from ``in_contact`` up to the events."""
@@ -181,8 +190,8 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
     return layers[-1].layer if layers else 0
 
 
-Sample = tuple[float, float, float, float, float, float, float, float, float]
+Sample = tuple[float, float, float, float, float, float, float, float, float, float]
 """A checked sample as a method gets it; every number is finite: time on the caller's clock, see
 `Identifier.update`; interval since the previous sample that was used, positive; depth, jumps
 removed; its rate; standard deviations of the noise of both; axial force; the standard deviation of
-its slow error; the depth before it was filtered."""
+its slow error; the depth before it was filtered; time since the reset, which never goes back."""

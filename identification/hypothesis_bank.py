@@ -18,7 +18,7 @@ from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02
 """Least travel between new hypotheses."""
-HAZARD = 0.03
+HAZARD = 0.02
 """Ruptures per mm of travel, beforehand."""
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 2.0])
 """Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
@@ -95,7 +95,7 @@ class Bank(NamedTuple):
 class Place(NamedTuple):
     """Where the tip is at the middle of a block, as far as all hypotheses agree."""
 
-    time_s: float  # on the caller's clock
+    time_s: float  # since the reset
     dt_s: float  # length of the block
     depth: float  # [mm]
     speed: float  # [mm/s]
@@ -104,6 +104,7 @@ class Place(NamedTuple):
     usual_speed: float  # of the last ten seconds [mm/s]
     noise: float  # standard deviation of a block's force [N]
     raw: float = 0.0  # unfiltered depth [mm]
+    lag_s: float = 0.0  # by which the speed may be late
 
 
 def first_bank() -> Bank:
@@ -131,6 +132,16 @@ class BankMemory:
     def bank(self) -> Bank:
         """The hypotheses as they are now, not to be kept."""
         return Bank(*(part[: self.size] for part in self.store))
+
+    @property
+    def likeliest(self) -> tuple[list[float], list[float]]:
+        """Unknowns of the likeliest hypothesis, and what it takes for certain."""
+        return self.store[0][0].tolist(), self.store[3][0].tolist()
+
+    def weigh(self, place: Place, *, is_advancing: bool) -> None:
+        """Weigh down what no tissue does, see `hypothesis_filter`."""
+        now = (place.depth, place.speed, place.dt_s, place.noise)
+        law.weigh(self.store, self.size, now, is_advancing)
 
     def spawn(self, place: Place, before: float, tissue_speed: float) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.
@@ -183,7 +194,8 @@ def _events(
         return
     ends = (1.0 - PARTIAL_FRACTION) * chance / len(RELEASES_MM)
     further = ends * (1.0 - AIR_FRACTION)
-    yield law.EXIT, law.LAYER, False, RELEASES_MM, further
+    kept = KEPT_PROBABILITY if kind == law.LAYER else 0.0
+    yield law.EXIT, law.LAYER, False, RELEASES_MM, further * (1.0 - kept)
     if kind == law.LAYER:
         yield law.EXIT, law.LAYER, True, RELEASES_MM, further * KEPT_PROBABILITY
         yield law.EXIT, law.AIR, False, RELEASES_MM, ends * AIR_FRACTION

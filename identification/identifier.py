@@ -92,12 +92,15 @@ class Identifier:
                 reported [s]; None for the sum of ``dt_s`` since the reset.
             force_std_N: Standard deviation of the force's slow error, as a virtual sensor states it
                 [N]. What it grows by after the contact is no part of the friction, and widens its
-                deviation. Not finite or below zero counts as not stated.
+                deviation. No number, below zero or beyond any
+                plausible force counts as not stated.
         """
         is_measured = speed_m_s is not None
         speed = speed_m_s if is_measured else 0.0
-        if not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float) or (
-            time_s is not None and not (type(time_s) is float and math.isfinite(time_s))
+        if (
+            not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float)
+            or type(force_std_N) is not float
+            or (time_s is not None and not (type(time_s) is float and math.isfinite(time_s)))
         ):
             raw = (depth_m, speed, force_N, dt_s)
             return self._update_raw(raw, is_measured, time_s, force_std_N)
@@ -111,14 +114,14 @@ class Identifier:
             return self._reject(samples.STATUSES[number], time_s)
         if not method.takes_filtered_travel:
             motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
-        std = float(force_std_N) if 0.0 <= force_std_N < math.inf else 0.0
-        found = method.update((time_s, elapsed_s, *motion, force_N, std, place_m))
-        estimate = self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
+        std = force_std_N if 0.0 <= force_std_N <= self._limits[-1] else 0.0
+        found = method.update((time_s, elapsed_s, *motion, force_N, std, place_m, clock_s))
         if found[_EVENTS:] != _NO_EVENTS:
             shift_m = float(self._samples[samples.SHIFT])
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
-            estimate = self._last = _new(Estimate, (*estimate[:_EVENTS], *events))
-        return estimate
+            found = (*found[:_EVENTS], *events)
+        self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
+        return self._last
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
@@ -146,7 +149,7 @@ class Identifier:
         self._last = snapshot.last
 
     def _update_raw(
-        self, values: tuple[Any, ...], is_measured: bool, time_s: object, force_std_N: float
+        self, values: tuple[Any, ...], is_measured: bool, time_s: object, force_std_N: object
     ) -> Estimate:
         """As `update`, for values of any type; the speed is measured or estimated."""
         numbers: list[Any] = [samples.as_scalar(value) for value in values]
@@ -154,7 +157,8 @@ class Identifier:
         if time is not None and math.isfinite(time) and None not in numbers:
             numbers[1] = numbers[1] if is_measured else None
             clock_s = None if time_s is None else time
-            return self.update(*numbers, time_s=clock_s, force_std_N=force_std_N)
+            std = samples.as_scalar(force_std_N) or 0.0
+            return self.update(*numbers, time_s=clock_s, force_std_N=std)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
         samples.take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)
@@ -166,7 +170,7 @@ class Identifier:
 
     def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
         """A sample that is not used: the last estimate, its events over."""
-        self._last = self._last._replace(time_s=time_s, status=status, **Events()._asdict())
+        self._last = self._last.without_events()._replace(time_s=time_s, status=status)
         return self._last
 
 
@@ -206,6 +210,8 @@ def _check_array(array: Any, initial: Any, place: str) -> None:
     is_array = isinstance(array, np.ndarray) and array.dtype == np.float64
     if not is_array or not array.flags.c_contiguous:
         raise InvalidSnapshotError(f"{place} is {array!r:.80}, expected an array of floats")
+    if not np.isfinite(array).all():
+        raise InvalidSnapshotError(f"{place} has numbers that are not finite: {array!r:.80}")
     # Of a history that is empty at first the rows are free, and so are hypotheses.
     free = initial is None or not len(initial) or ".bank." in place
     if initial is not None and array.shape[free:] != initial.shape[free:]:

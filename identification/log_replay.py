@@ -139,7 +139,8 @@ class ReplayStream:
         if not self._has_begun:
             steps_s = dt_s[1:HEAD_ROWS]
             forward = steps_s[steps_s > 0.0]
-            dt_s[0] = float(np.median(forward)) if forward.size else 1e-3
+            begin = int(np.argmax(np.isfinite(t_s)))
+            dt_s[: begin + 1] = float(np.median(forward)) if forward.size else 1e-3
             self._has_begun = True
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()

@@ -44,6 +44,12 @@ class RupturedLayer(NamedTuple):
     mean_speed_m_s: float  # Average speed in it
     rupture: Rupture  # How it ended
 
+    @property
+    def damage(self) -> str:
+        """What is wrong with a restored one, if anything; checked before compiled code reads it."""
+        shape = np.shape(self.windows)
+        return "" if shape[1:] == NO_WINDOWS.shape[1:] else f"its windows have the shape {shape}"
+
 
 class PublishedState(NamedTuple):
     """All that the published method remembers; immutable."""
@@ -73,7 +79,8 @@ class PublishedMethod:
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
-        self._keep(state)
+        self._state, self._memory = state, state.memory[:]
+        self._coefficients = published_coefficients(state, self._config)
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -96,16 +103,12 @@ class PublishedMethod:
             return (self._state.rupture_state, *outputs, None, None, None)
         before, self._memory = self.state, memory
         state = published_step(self.state, sample, self._config)
-        self._keep(state)
+        self.restore(state)
         ruptured = state.ruptured if before.ruptured is None else None
         rupture = None if ruptured is None else ruptured.rupture
         outputs = published_outputs(depth_m, speed_m_s, force_N, self._memory, self._coefficients)
         layer = None if state.layers is before.layers else state.layers[-1]
         return (state.rupture_state, *outputs, rupture, layer, None)
-
-    def _keep(self, state: PublishedState) -> None:
-        self._state, self._memory = state, state.memory[:]
-        self._coefficients = published_coefficients(state, self._config)
 
 
 def _fresh_memory(config: PublishedConfig) -> PublishedMemory:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import Bank, BankMemory, Place
-from identification.switching_update import NO_ANSWER
+from identification.switching_update import IDENTIFIED, NO_ANSWER
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
@@ -24,10 +24,11 @@ _LEAST_WEIGHT = 1e-3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
-_EARLY_FALL, _LARGE_FALL = 0.12, 0.3
-"""Of the force: no robot brakes so hard within a tenth of a second; and a fall that is large."""
-_SPEED_LAG_S = 0.1
-"""By which a speed that nobody measures may be late: of the sensor and of the travel filter."""
+_EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
+"""Of the force, no robot brakes so hard before its speed is known: a fall, and one per second; and
+a fall that is large."""
+_SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
+"""By which a speed that nobody measures may be late: of the sensor, and of the travel filter."""
 _LEAST_SLOWED = 0.02
 """Part of the speed lost that is no noise of a filtered speed."""
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
@@ -37,8 +38,6 @@ _RECENT_S = 0.5
 """For so long travel since the rupture shows the speed better than a noisy speed does."""
 _LEAST_PROBABILITY = 0.3
 """Hypotheses with the last rupture must be so likely, together, to say what it was."""
-_IDENTIFIED = 0.25
-"""A value is identified if its standard deviation is no more of it."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 _TIP = slice(law.RELEASED, law.KEPT + 1)
@@ -119,6 +118,15 @@ def _counted(
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 
+def speed_lag(depth_std: float, speed_std: float) -> float:
+    """By how much the speed may be late [s], from the noise that the travel filter leaves in both.
+
+    That of the depth is noise of the speed over about as long as the filter is slow.
+    """
+    lag_s = _LAGS * depth_std / max(speed_std, 1e-9)
+    return min(max(lag_s, _SPEED_LAG_S), _MOST_LAG_S)
+
+
 def may_be_braking(
     bank: Bank, evaluation: Evaluation, place: Place, time_s: float, tissue: TissueMotion
 ) -> bool:
@@ -131,7 +139,7 @@ def may_be_braking(
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
     rupture_s, since_s = float(record[law.RUPTURE_S]), time_s - float(record[law.RUPTURE_S])
-    if since_s < _SPEED_LAG_S and fall < _EARLY_FALL * force:
+    if since_s < place.lag_s and fall < max(_EARLY_FALL, _FALL_RATE * since_s) * force:
         return True
     speed, before = place.speed, float(record[law.RUPTURE_SPEED])
     travel = place.raw - float(record[law.RUPTURE_MM])
@@ -147,15 +155,19 @@ def may_be_braking(
 
 
 def rupture_of(
-    bank: Bank, pick: int, layer: int, probability: float, alarm: tuple[float, float]
+    bank: Bank, pick: int, layer: int, probability: float, alarm: tuple[float, float, float]
 ) -> Rupture:
-    """The rupture that hypothesis `pick` knows of, alarmed at a time and depth."""
+    """The rupture that hypothesis `pick` knows of.
+
+    `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
+    """
     record = bank.records[pick]
+    since_s = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0)
     return Rupture(
         layer=layer,
         alarm_s=alarm[0],
         alarm_depth_m=alarm[1],
-        time_s=min(float(record[law.RUPTURE_S]), alarm[0]),
+        time_s=alarm[0] - since_s,
         depth_m=float(record[law.RUPTURE_MM]) / _MM,
         force_N=float(record[law.RUPTURE_FORCE]),
         speed_m_s=float(record[law.RUPTURE_SPEED]) / _MM,
@@ -210,7 +222,7 @@ def layer_left(
         value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2].tolist()
         value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
-        fields[f"{name}_identified"] = deviation <= _IDENTIFIED * value
+        fields[f"{name}_identified"] = deviation <= IDENTIFIED * value
     layer = LayerEstimate(
         layer=rupture.layer,
         is_final=False,
@@ -238,7 +250,7 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
         friction_std_N=std,
         friction_Ns_per_m2=per_length * friction,
         friction_std_Ns_per_m2=per_length * std,
-        friction_identified=std <= _IDENTIFIED * friction,
+        friction_identified=std <= IDENTIFIED * friction,
         coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
         viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
     )

@@ -43,7 +43,9 @@ _SIGNIFICANT = 4.0
 _MOST_SURPRISE = 5.0
 """Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
 _GAP_S = 0.25
-"""After a longer step the filter starts anew."""
+"""After a step longer than this, and than ten usual ones, the filter starts anew."""
+_FASTEST_M_S = 0.1
+"""Of a needle that nobody has seen move."""
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
 """At its first sample: 0.1 mm, and a tenth of a metre per second."""
 
@@ -118,8 +120,9 @@ def _check_motion(
     change = depth - m[_RAW_DEPTH] if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / sign_memory_s)
-    # A needle that has stopped in a gap has moved in it as well.
-    is_jump = abs(surprise) > jump_m + max(abs(speed), abs(m[_SPEED])) * dt
+    # A needle that has stopped in a gap has moved in it as well, or in it alone.
+    fastest = max(abs(speed), abs(m[_SPEED]), _FASTEST_M_S if dt > gap else 0.0)
+    is_jump = abs(surprise) > jump_m + fastest * dt
     by_depth, by_speed = keep * m[_BY_DEPTH], keep * m[_BY_SPEED]
     if is_jump:
         m[SHIFT] += surprise
@@ -134,7 +137,8 @@ def _check_motion(
     elif has_depth and elapsed > gap:
         status = _TIME_GAP
     usual = m[_USUAL_DT] if m[_USUAL_DT] != 0.0 else dt_s
-    m[_USUAL_DT] = usual + 0.05 * (dt_s - usual)
+    if dt_s <= gap:
+        m[_USUAL_DT] = usual + 0.05 * (dt_s - usual)
     m[TIME] += dt_s
     return status, elapsed
 
@@ -247,7 +251,7 @@ def _learn_smooth_noise(
 ) -> None:
     """Use the mean of a block, for the noise whose numbers begin at a place, and for its least."""
     learn_noise(memory, at, value, dt_s, floor)
-    variance, last = memory[at + _VARIANCE], memory[least] * math.exp(dt_s / _RISE_S)
+    variance, last = memory[at + _VARIANCE], memory[least] * math.exp(min(dt_s / _RISE_S, 50.0))
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
         return
     is_mean = memory[at + _SEEN] >= _FIRST  # of few blocks the least is too small
@@ -282,7 +286,7 @@ def filter_travel(
     m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(_noise(m, OF_DEPTH, LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
-    if m[_VAR_DEPTH] == 0.0 or dt_s > _GAP_S:
+    if m[_VAR_DEPTH] == 0.0 or dt_s > max(_GAP_S, 10.0 * m[_USUAL_DT]):
         for k in range(_DEPTH, OF_DEPTH):
             m[k] = 0.0
         m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)

@@ -17,7 +17,6 @@ from identification.config import MultilayerConfig
 from identification.disturbance_levels import (
     BEATS,
     COLOUR_S,
-    STEP_S,
     DisturbanceLevels,
     transitions,
 )
@@ -58,8 +57,8 @@ _TAKEN_BACK = 0.9
 """Probability of fewer ruptures at which an alarm is taken back."""
 _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
 """Travel after a rupture at which its layer is reported."""
-_REVISE = 10.0
-"""Blocks between two revisions of the layers left."""
+_REVISE_S = 0.1
+"""Time between two revisions of the layers left."""
 _MOTION_MM = 0.1
 """Of tissue with the heart, one standard deviation, if its beat is not known better."""
 _FAR_MM = 1e9
@@ -84,7 +83,7 @@ class SwitchingState(NamedTuple):
     levels: DisturbanceLevels = DisturbanceLevels()
     tissue: TissueMotion = TissueMotion()  # its motion by itself
     course: Course = Course()
-    place: Place = Place(*(0.0,) * 9)  # middle of the last block
+    place: Place = Place(*(0.0,) * 10)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
     answer: Array = samples.NO_ANSWER  # see `switching_update`
     ruptures: int = 0  # in the hypotheses that the last report followed
@@ -146,13 +145,13 @@ class SwitchingMethod:
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
-        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         state = self._state
         if state.tissue.is_known:
-            sample = _in_tissue(sample, state.tissue)
+            sample = _in_tissue(sample, state.tissue, sample[-1])
         dt_s, motion, force_N = sample[1], (*sample[2:6], sample[8]), sample[6]
         is_full, outputs = samples.update_switching(
             motion, force_N, dt_s, self._memory, self._answer, self._left
@@ -177,25 +176,30 @@ class SwitchingMethod:
         return (self._state.rupture_state, *outputs, *self._state.events)
 
     def _work(self, sample: Sample) -> None:
+        before, clock_s = self._state.tissue, sample[-1]
         if self._state.stage == _SPAWN:
             self._branch()
         elif self._state.stage == _FOLLOW:
-            tissue = self._state.tissue.worked(sample[0])
-            self._state = self._state._replace(stage=_NOTHING, tissue=tissue)
+            self._state = self._state._replace(stage=_NOTHING, tissue=before.worked(clock_s))
         else:
             if self._state.stage == _PRUNE:
                 self._bank.prune(self._state.place)
-            state = report(self._state, self._bank, sample[0], sample[2], self._config)
-            is_due = state.tissue.is_due(sample[0])
+            state = report(self._state, self._bank, sample, self._config)
+            is_due = state.tissue.is_due(clock_s)
             self._state = state._replace(stage=_FOLLOW) if is_due else state
+        if self._state.tissue.fit is not before.fit:
+            # The needle stays where it is in the tissue that is now known to be elsewhere.
+            by_mm = before.at(clock_s)[0] - self._state.tissue.at(clock_s)[0]
+            samples.shift_depth(self._memory, by_mm / _MM)
+            course = self._state.course
+            course = course._replace(deepest=course.deepest + by_mm, spawned=course.spawned + by_mm)
+            self._state = self._state._replace(course=course)
 
     def _absorb(self, sample: Sample) -> None:
-        """Let every hypothesis law.predict the force of the block, and learn from it."""
+        """Let every hypothesis predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
-        if state.tissue.is_known:
-            levels = levels.at_most(*state.tissue.limits(sample[0]))
-        place, jitter, speed_noise = _block(sample[0], memory)
+        place, jitter, speed_noise = _block(sample[-1], memory)
         filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
         # Friction at a noisy speed would seem to be the same at all speeds: only a change that
         # noise does not explain is one.
@@ -205,29 +209,31 @@ class SwitchingMethod:
             course.usual_speed * math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM), v
         )
         fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
-        is_gap = filled > _GAP_S
+        is_gap = filled > max(_GAP_S, 10.0 * state.place.dt_s)
         is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
         is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
-        place = place._replace(speed=steady, usual_speed=usual, noise=levels.noise)
+        left = levels.beside(state.tissue, sample[-1])
+        place = place._replace(speed=steady, usual_speed=usual, noise=left.noise)
         course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
-        _predict(bank, place, fresh, levels, state.tissue)
-        facts = bank.store[3][: bank.size]
-        is_met = bool((facts[:, law.KIND] != law.AIR).any() or (facts[:, law.RUPTURES] > 0.0).any())
-        stage = _REPORT
+        _predict(bank, place, fresh, left, state.tissue)
+        is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, _REPORT
         if (is_advancing or not is_met) and not is_gap:
             course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
             levels = levels.with_force(force, filled, v)
-            place = place._replace(noise=levels.noise)
+            left = levels.beside(state.tissue, sample[-1])
+            place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.
             speed_std = math.hypot(2.0 * speed_noise, steady - state.place.speed)
-            _learn(bank, place, levels, course.resumed, (jitter, speed_std))
+            _learn(bank, place, left, course.resumed, (jitter, speed_std))
             stage = _SPAWN if is_advancing else _PRUNE
             if not is_advancing:
-                _weigh(bank, place, is_advancing=False)
+                bank.weigh(place, is_advancing=False)
         else:
             course, levels = course._replace(resumed=1.0), levels.restarted()
         in_air = state.force_std_in_air if is_met else sample[7]
-        tissue = state.tissue.with_block(place._replace(speed=v), is_met=state.answer[0, 0] > 0.0)
+        tissue = state.tissue
+        if not is_gap:
+            tissue = tissue.with_block(place._replace(speed=v), is_met=is_met)
         state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
         self._state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
 
@@ -236,11 +242,12 @@ class SwitchingMethod:
         state, bank = self._state, self._bank
         place, course = state.place, state.course
         is_fast = place.speed > _HALF * place.usual_speed
-        if is_fast and place.depth - course.spawned >= STEP_MM:
-            begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, state.levels))
-            course = course._replace(spawned=place.depth)
-        _weigh(bank, place, is_advancing=True)
+        begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
+        if is_fast and begin.depth - course.spawned >= STEP_MM:
+            left = state.levels.beside(state.tissue, place.time_s)
+            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, left))
+            course = course._replace(spawned=begin.depth)
+        bank.weigh(place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)
 
 
@@ -249,18 +256,19 @@ def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
     filled, z, v, w, force, raw = map(float, memory[: samples.RAW_SUM + 1])
     memory[: samples.RAW_SUM + 1] = [0.0] * (samples.RAW_SUM + 1)
     z, v, raw = (_MM * total / filled for total in (z, v, raw))
-    place = Place(time_s - 0.5 * filled, filled, z, v, w / filled, force / filled, 0.0, 0.0, raw)
     jitter, speed_noise = (_MM * float(std) for std in memory[samples.DEPTH_STD :])
-    return place, jitter, speed_noise
+    # A filter that leaves so much noise in both is as slow as their ratio.
+    lag_s = reports.speed_lag(jitter, speed_noise)
+    at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
+    return Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s), jitter, speed_noise
 
 
-def _in_tissue(sample: Sample, tissue: TissueMotion) -> Sample:
+def _in_tissue(sample: Sample, tissue: TissueMotion, clock_s: float) -> Sample:
     """A sample as the tissue, which moves, meets it."""
-    time_s, dt_s, depth_m, speed_m_s, depth_std, speed_std, force_N, force_std, place_m = sample
-    place, speed = tissue.at(time_s)
+    time_s, dt_s, depth_m, speed_m_s = sample[:4]
+    place, speed = tissue.at(clock_s)
     depth_m, speed_m_s = depth_m - place / _MM, speed_m_s - speed / _MM
-    place_m -= place / _MM
-    return time_s, dt_s, depth_m, speed_m_s, depth_std, speed_std, force_N, force_std, place_m
+    return time_s, dt_s, depth_m, speed_m_s, *sample[4:8], sample[8] - place / _MM, clock_s
 
 
 def left_layers(state: SwitchingState) -> Array:
@@ -273,16 +281,11 @@ def left_layers(state: SwitchingState) -> Array:
     return found
 
 
-def _weigh(bank: BankMemory, place: Place, *, is_advancing: bool) -> None:
-    now = (place.depth, place.speed, place.dt_s, place.noise)
-    law.weigh(bank.store, bank.size, now, is_advancing)
-
-
 def _predict(
     bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels, tissue: TissueMotion
 ) -> None:
     # Errors of the law are the same for all: what claims less would be believed more.
-    best = bank.store[0][0].tolist()
+    best, fact = bank.likeliest
     slope = best[law.STIFFNESS] + best[law.OWN_COULOMB] + best[law.OWN_VISCOUS] * place.speed
     slope = max(slope, 0.004)
     held = fresh * (_HELD_DRIFT * min(max(best[law.HELD], 0.02), 2.0 * slope)) ** 2
@@ -291,7 +294,7 @@ def _predict(
         abs(place.force - best[law.OFFSET] - left) + law.LEFT_ERROR * abs(left)
     )
     _, colour, heart, breath = levels.levels.tolist()
-    if bank.store[3][0, law.KIND] != law.AIR and not tissue.is_known:
+    if fact[law.KIND] != law.AIR and not tissue.is_known:
         # Before a few beats have been seen nobody knows whether the tissue moves.
         heart = max(heart, (_MOTION_MM * slope) ** 2)
     turns = transitions(place.dt_s, fresh, law.LAW_MM, (heart, breath, error * error))
@@ -306,9 +309,10 @@ def _learn(
     resumed: float,
     noise: tuple[float, float],
 ) -> None:
-    (depth_std, speed_std), best, fact = noise, bank.store[0][0].tolist(), bank.store[3][0].tolist()
+    (depth_std, speed_std), (best, fact) = noise, bank.likeliest
     damping = best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(place.depth - fact[law.ROOT], 0.0)
-    variance = max(float(levels.levels[0]) * STEP_S / place.dt_s, 1e-8) + (damping * speed_std) ** 2
+    white = float(levels.levels[0]) * levels.step_s / place.dt_s
+    variance = max(white, 1e-8) + (damping * speed_std) ** 2
     if fact[law.KIND] != law.AIR:
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
         variance += (loose * (place.force - best[law.OFFSET])) ** 2
@@ -318,7 +322,7 @@ def _learn(
 
 def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
     """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
-    best, fact = bank.store[0][0].tolist(), bank.store[3][0].tolist()
+    best, fact = bank.likeliest
     travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
     slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
     slope += best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
@@ -331,11 +335,7 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
 
 
 def report(
-    state: SwitchingState,
-    memory: BankMemory,
-    time_s: float,
-    depth_m: float,
-    config: MultilayerConfig,
+    state: SwitchingState, memory: BankMemory, sample: Sample, config: MultilayerConfig
 ) -> SwitchingState:
     """Raise or take back an alarm, report the layer left, answer for the next samples."""
     bank, place = memory.bank, state.place
@@ -348,14 +348,15 @@ def report(
     if (
         is_likely
         and _is_settled(state.course, bank, evaluation.pick, place)
-        and not reports.may_be_braking(bank, evaluation, place, time_s, state.tissue)
+        and not reports.may_be_braking(bank, evaluation, place, sample[-1], state.tissue)
     ):
-        state = _raise_alarm(state, bank, (time_s, depth_m), evaluation)
+        state = _raise_alarm(state, bank, sample, evaluation)
     elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
         state = _take_back(state, state.alarm, evaluation)
     elif state.alarm is not None:
         state = _report_layer(state, bank, state.alarm)
-    speed = 0.0 if state.alarm is None else _MM * state.alarm.speed_m_s
+    last = state.alarm or (state.layers[-1].rupture if state.layers else None)
+    speed = 0.0 if last is None else _MM * last.speed_m_s
     ruptures = layers_traversed(state.layers) + state.is_open
     return state._replace(answer=reports.answer_at(memory, place, ruptures, speed))
 
@@ -372,20 +373,21 @@ def _is_settled(course: Course, bank: Bank, pick: int, place: Place) -> bool:
 
 
 def _raise_alarm(
-    state: SwitchingState, bank: Bank, at: tuple[float, float], evaluation: reports.Evaluation
+    state: SwitchingState, bank: Bank, sample: Sample, evaluation: reports.Evaluation
 ) -> SwitchingState:
     events, layers = state.events, state.layers
     if layers and not layers[-1].is_final:
         layers = (*layers[:-1], replace(layers[-1], is_final=True))
         events = events._replace(identified_layer=layers[-1])
     number = layers_traversed(layers) + 1
+    at = (sample[0], sample[2], sample[-1])
     rupture = reports.rupture_of(bank, evaluation.pick, number, evaluation.more, at)
     return state._replace(
         alarm=rupture,
         ruptures=int(bank.facts[evaluation.pick, law.RUPTURES]),
         layers=layers,
         rupture_state=RuptureState.DETECTED,
-        tissue=state.tissue.restarted(at[0]),
+        tissue=state.tissue.restarted(sample[-1]),
         events=events._replace(rupture=rupture),
     )
 
@@ -420,7 +422,7 @@ def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> Switchin
             rupture_state=RuptureState.FRICTION_IDENTIFIED,
         )
     is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
-    if not is_due and state.levels.steps % _REVISE != 0.0:
+    if not is_due and state.place.time_s % _REVISE_S >= state.place.dt_s:
         return state
     friction = state.friction_left(bank)
     layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)

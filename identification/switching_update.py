@@ -29,7 +29,7 @@ _UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""
 _UNLOADING_MM = 0.5
 """Travel over which its force goes on the way."""
-_IDENTIFIED = 0.25
+IDENTIFIED = 0.25
 """A value is identified if its standard deviation is no more of it."""
 _TINY = 1e-12
 _NOWHERE_M = -1e9
@@ -97,13 +97,21 @@ def _per_speed(answer: Matrix, first: int, speed: float) -> tuple[float, float]:
 @compiled
 def _forces(
     depth_m: float, speed: float, force: float, memory: Vector, answer: Matrix, layers: Matrix
-) -> tuple[float, float, float, float, float, float]:
-    """Enhanced force, tip force and shaft friction, each with its standard deviation [N]."""
+) -> tuple[float, float, float, float, float, float, float]:
+    """Enhanced force, tip force and shaft friction, each with its standard deviation [N].
+
+    The last number is the force that all this predicts.
+    """
     w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
-    force -= mean[_OFFSET]
+    offset = mean[_OFFSET]
+    force -= offset
     std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET])
-    if answer[0][IN_CONTACT] == 0.0 or depth_m < answer[0][CONTACT_M]:
-        return force, std, force, std, 0.0, 0.0
+    further = _MM * depth_m - answer[0][DEPTH]
+    tip = answer[0][TIP_FORCE] + mean[_STIFFNESS] * further
+    if answer[0][IN_CONTACT] == 0.0:
+        return force, std, force, std, 0.0, 0.0, offset + tip
+    if depth_m < answer[0][CONTACT_M]:
+        return force, std, force, std, 0.0, 0.0, offset
     is_unloaded = depth_m < memory[_DEEPEST] - _UNLOADED_M
     coulomb_fraction = viscous_fraction = 1.0
     if is_unloaded and len(layers) > 0:
@@ -116,14 +124,27 @@ def _forces(
     variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
     left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance)
     if is_unloaded:
-        return force - left, left_std, 0.0, std, force, std
-    further = _MM * depth_m - answer[0][DEPTH]
+        own = w * max(mean[COULOMB] - mean[LEFT_COULOMB] + mean[_OWN_COULOMB] * further, 0.0)
+        own += speed * max(mean[VISCOUS] - mean[LEFT_VISCOUS] + mean[_OWN_VISCOUS] * further, 0.0)
+        return force - left, left_std, 0.0, std, force, std, offset + left + own
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
     tip_std = _with_offset(answer, COULOMB, w, speed, variance)
-    friction_std = math.sqrt(max(variance, 0.0))
-    return force - left, left_std, force - friction, tip_std, friction, friction_std
+    std, predicted = math.sqrt(max(variance, 0.0)), offset + friction + tip
+    return force - left, left_std, force - friction, tip_std, friction, std, predicted
+
+
+@compiled
+def _layer(depth_m: float, answer: Matrix, layers: Matrix) -> int:
+    """Number of the layer that the tip is in, 0 in free air before the first."""
+    if depth_m < answer[0][CONTACT_M]:
+        return 0
+    number = int(answer[0][LAYER_NUMBER])
+    for k in range(len(layers)):
+        if depth_m < layers[k][0] + layers[k][1]:
+            number -= 1
+    return number
 
 
 @compiled
@@ -136,11 +157,7 @@ def switching_outputs(
     [N] and viscous friction [N/(mm/s)] of their whole length.
     """
     speed, mean = _MM * speed_m_s, answer[1]
-    enhanced, enhanced_std, tip, tip_std, friction, friction_std = _forces(
-        depth_m, speed, force_N, memory, answer, layers
-    )
-    predicted = mean[_OFFSET] + friction + answer[0][TIP_FORCE]
-    predicted += mean[_STIFFNESS] * (_MM * depth_m - answer[0][DEPTH])
+    forces = _forces(depth_m, speed, force_N, memory, answer, layers)
     speed = max(abs(speed), _REST_SPEED)
     b, b_std = _per_speed(answer, _OWN_COULOMB, speed)
     if answer[0][CUMULATIVE_SPEED] != 0.0:
@@ -149,11 +166,10 @@ def switching_outputs(
     k, k_std = _MM * mean[_STIFFNESS], _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS])
     b, b_std = _MM * _MM * b, _MM * _MM * b_std
     in_contact = answer[0][IN_CONTACT] > 0.0
-    forces = (enhanced, enhanced_std, tip, tip_std, friction, friction_std, predicted)
-    stiffness = (k, k_std, in_contact and k_std <= _IDENTIFIED * abs(k))
-    damping = (b, b_std, in_contact and b_std <= _IDENTIFIED * abs(b), _MM * d, _MM * d_std)
+    stiffness = (k, k_std, in_contact and k_std <= IDENTIFIED * abs(k))
+    damping = (b, b_std, in_contact and b_std <= IDENTIFIED * abs(b), _MM * d, _MM * d_std)
     # Numba knows no starred parts of a tuple.
-    return (in_contact, int(answer[0][LAYER_NUMBER])) + forces + stiffness + damping  # noqa: RUF005
+    return (in_contact, _layer(depth_m, answer, layers)) + forces + stiffness + damping  # noqa: RUF005
 
 
 @compiled
@@ -165,6 +181,12 @@ def _presliding(deflection: float, travel: float) -> tuple[float, float]:
     kept = math.exp(-abs(travel) / _PRESLIDING_MM)
     aim = math.copysign(1.0, travel)
     return aim + (deflection - aim) * kept, kept
+
+
+def shift_depth(memory: WrittenVector, by_m: float) -> None:
+    """Count depth from elsewhere."""
+    memory[_FOLLOWER] += by_m
+    memory[_DEEPEST] += by_m
 
 
 @compiled

@@ -51,6 +51,8 @@ _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS = 8
 """Gauss-Newton steps of a new fit."""
+_UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1
+"""Of a search."""
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
 _LINEAR, _EMPTY = 8, (0.0,) * 5
@@ -80,6 +82,11 @@ class TissueMotion(NamedTuple):
     found: Array = np.zeros((3, 3))  # of breath, heart, heart with it: error, frequencies
     tried: Fit = Fit()  # being fitted in a search
     best: Fit = Fit()  # so far in that search
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with a restored one, if anything."""
+        return "" if self.unit in range(-1, _UNITS) else f"there is no unit {self.unit!r:.80}"
 
     @property
     def is_known(self) -> bool:
@@ -141,11 +148,11 @@ class TissueMotion(NamedTuple):
         if self.unit >= 0:
             return self._searched(window, time_s)
         if not self.is_known:
-            error = window.solved(self.fit.beats, 0.0)[2]
-            due = 0 if error > max(_CLEAR, 0.1 * window.count) else -1
+            due = 0 if window.still > max(_CLEAR, 0.1 * window.count) else -1
             return self._replace(next_s=time_s + _CHECK_S, unit=due)
         fit = window.stepped(turned(self.fit, time_s), is_prior=True)
-        bad = 0 if fit.error < _FAIR * window.count else self.bad + 1
+        is_good = fit.error < min(_FAIR * window.count, window.still)
+        bad = 0 if is_good else self.bad + 1
         unit = 0 if bad >= _PATIENCE else -1
         return self._replace(fit=fit, bad=bad, next_s=time_s + _ADAPT_S, unit=unit)
 
@@ -178,8 +185,8 @@ class TissueMotion(NamedTuple):
         if self.is_known:
             if best.error < 0.5 * self.fit.error:
                 return state._replace(fit=best)
-            # The law may have changed within the window: it begins anew.
-            is_lost = self.fit.error > _LOST * window.count
+            # The law may have changed within the window, or the motion have ended: it begins anew.
+            is_lost = self.fit.error > min(_LOST * window.count, window.still)
             return TissueMotion(from_s=time_s) if is_lost else state
         if len(best.beats) == 0:
             return state._replace(next_s=time_s + _WAIT_S)
@@ -273,9 +280,14 @@ class _Window:
             slopes[:, k] += ((turned_w - w) * by_w + (turned_g - g) * by_g) / step
         return slopes
 
+    @property
+    def still(self) -> float:
+        """Sum of squares of the error if the tissue does not move."""
+        return self.solved(Fit().beats, 0.0)[2]
+
     def is_clear(self, fit: Fit) -> bool:
         """Whether a fit is good, and shows that the tissue moves."""
-        still, is_slow = self.solved(fit.beats[:0], 0.0)[2], fit.beats[:, 0] < _SLOWEST_HEART
+        still, is_slow = self.still, fit.beats[:, 0] < _SLOWEST_HEART
         length_s = self.count * _STEP_S
         for hz, slow in zip(fit.beats[:, 0], is_slow, strict=True):
             grid = BREATH if slow else HEART
@@ -306,13 +318,13 @@ class _Window:
         return found / scale, float(error @ error)
 
     def scanned(self, hz: Array) -> float:
-        """Error that waves of these frequencies leave."""
-        return self._linear(hz)[1]
+        """Mean square of the error that waves of these frequencies leave."""
+        return self._linear(hz)[1] / self.count
 
     def first_fit(self, hz: Array, time_s: float) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
         found, y = self._linear(hz)[0], float(self.travel[-1])
-        damping = self.slope * FRACTION * y / (COULOMB_SPEED + self.pace) + 1e-3
+        damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
         waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
         most = np.array([_SIZES_MM[bool(f < _SLOWEST_HEART)][0] for f in hz])[:, None]

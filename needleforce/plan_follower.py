@@ -36,7 +36,7 @@ class PlanMemory(NamedTuple):
 
     fingerprint: str  # of plan and entry; empty without a plan
     entry_depth_m: float = 0.0  # depth of the plan's entry
-    ruptures_m: tuple[float, ...] = ()
+    ruptures: tuple[tuple[float, float], ...] = ()  # time of the alarm, depth [m]
     depth_m: float | None = None  # None: not read yet
     deepest_m: float = 0.0
 
@@ -64,18 +64,18 @@ class PlanFollower:
         """Take events to the plan, and read it where there was one or the tip has moved."""
         if self._plan is None:
             return
-        last, ruptures_m = self.memory, self.memory.ruptures_m
+        last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture
         if found.retracted is not None:
-            wrong_m = found.retracted.depth_m
-            ruptures_m = tuple(one for one in ruptures_m if one != wrong_m)
+            wrong_s = found.retracted.alarm_s
+            ruptures = tuple(one for one in ruptures if one[0] != wrong_s)
         # A needle that is pushed in again may rupture what it has ruptured before.
-        if found.rupture is not None and found.rupture.depth_m >= max(ruptures_m, default=-np.inf):
-            ruptures_m = (*ruptures_m, found.rupture.depth_m)
-        is_same = ruptures_m == last.ruptures_m
+        if rupture is not None and all(rupture.depth_m >= depth_m for _, depth_m in ruptures):
+            ruptures = (*ruptures, (rupture.alarm_s, rupture.depth_m))
+        is_same = ruptures == last.ruptures
         if is_same and last.depth_m is not None and abs(depth_m - last.depth_m) < STEP_m:
             return
         deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
-        memory = PlanMemory(last.fingerprint, last.entry_depth_m, ruptures_m, depth_m, deepest_m)
+        memory = PlanMemory(last.fingerprint, last.entry_depth_m, ruptures, depth_m, deepest_m)
         self.resume(memory, self.read(memory))
 
     def read(self, memory: PlanMemory) -> "PlanState | None":
@@ -84,7 +84,7 @@ class PlanFollower:
             return None
         return self._plan.state(
             memory.depth_m,
-            memory.ruptures_m,
+            tuple(depth_m for _, depth_m in memory.ruptures),
             deepest_m=memory.deepest_m,
             entry_depth_m=memory.entry_depth_m,
         )

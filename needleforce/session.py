@@ -114,7 +114,6 @@ _TAKEN_BACK_S = 0.25
 """A push on the arm grows for so long before it is known as one."""
 # Looking up a name of an enumeration takes as long as a call, so it is done once.
 _OK, _REJECTED = Status.OK, Status.REJECTED
-_NO_EVENTS = None, None, None
 _USED = tuple(status for status in SampleStatus if status.is_used)
 
 
@@ -306,7 +305,7 @@ class InsertionSession:
         self._is_started = snapshot.sensor.last is not None
         self._travel, self._unused_s = snapshot.travel, snapshot.unused_s
         self._time_s, self._earlier = snapshot.time_s, snapshot.earlier
-        self._identification = _without_events(snapshot.identifier.last)
+        self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
 
     def _try_out(self, snapshot: SessionSnapshot) -> "PlanState | None":
@@ -362,7 +361,7 @@ class InsertionSession:
             if wrench.warnings & SensorWarning.MODEL_MISMATCH:
                 return self._skip(wrench, elapsed_s)
         self._identification = found
-        self._keep_checkpoint(has_events=_events(found) != _NO_EVENTS)
+        self._keep_checkpoint(has_events=found.has_events)
         self._plan.follow(found, travel[2])
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
@@ -379,8 +378,9 @@ class InsertionSession:
         The first with a push on the arm also takes back what that has done before it was known.
         """
         self._unused_s += elapsed_s
-        if self._unused_s == elapsed_s and wrench.warnings & SensorWarning.MODEL_MISMATCH:
-            before = self._earlier[0]
+        before = self._earlier[0]
+        used_s = self._time_s - self._unused_s - before.time_s
+        if used_s > 0.5 * elapsed_s and wrench.warnings & SensorWarning.MODEL_MISMATCH:
             self._identifier.resume(before.identifier)  # checks take longer than a tick
             self._identification = before.identifier.last
             self._unused_s, self._earlier = self._time_s - before.time_s, (before, before)
@@ -388,16 +388,6 @@ class InsertionSession:
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
-        last = self._identification
-        if _events(last) != _NO_EVENTS:
-            last = self._identification = _without_events(last)
+        last = self._identification = self._identification.without_events()
         at = (False, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))
-
-
-def _events(estimate: Estimate) -> tuple[object, object, object]:
-    return estimate.rupture, estimate.identified_layer, estimate.retracted
-
-
-def _without_events(estimate: Estimate) -> Estimate:
-    return estimate._replace(rupture=None, identified_layer=None, retracted=None)

@@ -4,6 +4,7 @@ import copy
 import json
 import pickle
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,7 +97,7 @@ def test_another_plan_or_none_is_refused_and_changes_nothing(whole):
         (MATCH, ENTRY_m, stopped_after(TARE), r"without a plan: follow\(None\)"),
         (
             *(MATCH, ENTRY_m),
-            snapshot._replace(plan=snapshot.plan._replace(ruptures_m=(0.03, 0.01))),
+            snapshot._replace(plan=snapshot.plan._replace(ruptures=((2.0, 0.03), (1.0, 0.01)))),
             "damaged",
         ),
     ]:
@@ -128,15 +129,16 @@ def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
         follower.follow(quiet, 0.0125)
     unmoved = right.state
     wrong.follow(quiet._replace(rupture=alarm), 0.0125)
-    assert wrong.memory.ruptures_m == (0.012,)
+    assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.state != unmoved
-    wrong.follow(quiet._replace(retracted=alarm), 0.0125)
+    # The depth may have been counted anew since.
+    wrong.follow(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125)
     assert (wrong.memory, wrong.state) == (right.memory, unmoved)
     # Above a rupture there is no other one: the needle has been pushed in again.
     wrong.follow(quiet._replace(rupture=alarm), 0.0125)
     shallow = SimpleNamespace(depth_m=0.005)
     wrong.follow(quiet._replace(rupture=shallow), 0.005)
-    assert wrong.memory.ruptures_m == (0.012,)
+    assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.memory.deepest_m == 0.0125
 
 

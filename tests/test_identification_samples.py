@@ -181,6 +181,31 @@ def test_travel_before_a_stop_within_a_gap_is_no_jump():
     assert depth_m == pytest.approx(8e-3)
 
 
+def test_travel_within_a_gap_is_no_jump_but_a_new_zero_of_the_depth_is():
+    rows = [(0.0, 0.0, 0.0, 1e-3)] * 50
+    for there_m, kept_m, status in ((8e-3, 8e-3, "TIME_GAP"), (0.5, 0.0, "DEPTH_JUMP")):
+        seen, _, depth_m = check_rows([*rows, (there_m, 0.0, 0.0, 3.0), (there_m, 0.0, 0.0, 1e-3)])
+        assert (seen[-2], seen[-1].is_used) == (SampleStatus[status], True)
+        assert depth_m == pytest.approx(kept_m)
+
+
+def test_a_gap_does_not_make_the_next_one_usual():
+    rows = [(0.0, 0.0, 0.0, dt_s) for dt_s in (*[1e-3] * 50, 100.0, *[1e-3] * 20, 10.0)]
+    seen, _, _ = check_rows(rows)
+    assert [status for status in seen if status is not SampleStatus.OK] == [
+        SampleStatus.TIME_GAP,
+        SampleStatus.TIME_GAP,
+    ]
+
+
+@pytest.mark.parametrize("std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400])
+def test_a_deviation_that_is_none_counts_as_not_stated(std):
+    found, other = Identifier(), Identifier()
+    for k in range(300):
+        row = (1e-5 * k, 1e-2, 0.01 * (k % 3), 1e-3, 0.001 * k)
+        assert found.update(*row, std) == other.update(*row)
+
+
 def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
     """2.5 s of it are a gap, not one sample of a millisecond."""
     rows = [(2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)]

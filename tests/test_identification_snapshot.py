@@ -107,6 +107,8 @@ def in_tissue():
         (MULTILAYER, "bank.facts", lambda facts: facts + 7.0),
         (MULTILAYER, "bank.log_weights", lambda weights: weights.astype(int)),
         (MULTILAYER, "levels", lambda _: None),
+        (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
+        (MULTILAYER, "tissue.unit", lambda _: 10**6),
         (PUBLISHED, "memory.rls", lambda rls: (*rls[:4], -1.0)),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],

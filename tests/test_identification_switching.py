@@ -149,7 +149,12 @@ def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
     identifier, estimates = run(rows)
     assert len(identifier.layers) == 2
     assert all(layer.is_final for layer in identifier.layers)
-    withdrawn = [one for one, row in zip(estimates, rows, strict=True) if row[1] < 0.0][1000:]
+    out = [(one, row) for one, row in zip(estimates, rows, strict=True) if row[1] < 0.0][1000:]
+    withdrawn = [one for one, _ in out]
+    missing = [row[2] - one.predicted_force_N for one, row in out]
+    assert np.sqrt(np.mean(np.square(missing))) < 0.1
+    for depth_m, layer in ((30e-3, 2), (10e-3, 1), (-2e-3, 0)):
+        assert {one.layer for one, row in out if abs(row[0] - depth_m) < 1e-3} == {layer}
     assert of(withdrawn, "rupture") == []
     assert {one.tip_force_N for one in withdrawn[:3000]} == {0.0}
     left = [one.enhanced_force_N for one in withdrawn[:5000]]
@@ -182,6 +187,17 @@ def test_a_gap_in_time_is_no_rupture():
     assert first.status is SampleStatus.TIME_GAP
     _, estimates = run(late[1:], identifier)
     assert of(estimates, "rupture") == []
+
+
+@pytest.mark.parametrize("rate_hz", [1000, 50, 20])
+def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
+    every = 1000 // rate_hz
+    rows = [(*row[:3], 1e-3 * every) for row in straight(seed=8, noise_N=0.02)[::every]]
+    identifier, _ = run(rows)
+    levels = identifier.snapshot().state.levels
+    samples = max(round(0.01 * rate_hz), 1)
+    assert levels.levels[0] == pytest.approx(0.02**2 / samples, rel=0.5)
+    assert levels.step_s == pytest.approx(samples / rate_hz)
 
 
 @pytest.mark.parametrize("probability", [0.3, 1.0, np.nan, -1.0])

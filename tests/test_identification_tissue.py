@@ -9,21 +9,28 @@ from groundtruth import insert_needle, scenario
 from groundtruth.scenarios import TissueMotion as TrueMotion
 from identification import Identifier
 from identification.hypothesis_bank import Place
+from identification.switching_update import contact_along
 from identification.tissue_motion import Fit, TissueMotion, displacement, turned
 
 HEART = ((0.2e-3, 1.3, 0.4), (0.08e-3, 2.6, 1.0))
 BREATH = ((1.2e-3, 0.28, 2.0), (0.3e-3, 0.56, 0.5))
 
 
+CLOCK_S = -25.0
+
+
 def insertion(waves, name="gel-25-constant", seed=5):
-    """Estimates of an insertion in tissue that moves, its truth, and the motion in use."""
+    """Estimates of an insertion in tissue that moves, its truth, and the motion in use.
+
+    The caller's clock begins below zero; that of the motion is the time since the first sample.
+    """
     chosen = replace(scenario(name, 0), tissue_motion=TrueMotion(waves=waves) if waves else None)
     run, found, motions = insert_needle(chosen, seed=seed), [], []
     identifier = Identifier()
     samples = zip(run.depth_m.tolist(), run.speed_m_s.tolist(), run.force_N.tolist(), strict=True)
     for k, sample in enumerate(samples):
         if run.tare_end_s < run.t_s[k] < run.scenario.motion.withdrawal_start_s:
-            found.append(identifier.update(*sample, 1e-3, float(run.t_s[k])))
+            found.append(identifier.update(*sample, 1e-3, CLOCK_S + float(run.t_s[k])))
             motions.append(identifier.snapshot().state.tissue if k % 500 == 0 else None)
     return run, found, [motion for motion in motions if motion is not None]
 
@@ -44,13 +51,14 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     assert known
     assert known[-1].fit.beats[0, 0] == pytest.approx(hz, abs=0.01)
     true = TrueMotion(waves=waves)
-    rupture_s = run.truth.ruptures[0].onset_s
-    last = [motion for motion in known if motion.fit.at_s < rupture_s][-1]
-    times = last.fit.at_s + np.linspace(0.0, 1.0 / hz, 50)
-    place = displacement(last.fit.beats, times - last.fit.at_s)[0]
-    error = place - 1e3 * true.at(times)[0]
+    rupture_s, begin_s = run.truth.ruptures[0].onset_s, found[0].time_s - CLOCK_S - 1e-3
+    last = [motion for motion in known if motion.fit.at_s + begin_s < rupture_s][-1]
+    times = np.linspace(0.0, 1.0 / hz, 50)
+    place = displacement(last.fit.beats, times)[0]
+    error = place - 1e3 * true.at(begin_s + last.fit.at_s + times)[0]
     assert np.std(error) < 0.3 * np.std(place)
     alarms_s = [each.rupture.alarm_s for each in found if each.rupture is not None]
+    alarms_s = [each - CLOCK_S for each in alarms_s]
     near = [each for each in alarms_s if abs(each - rupture_s) < 3.0]
     assert len(near) == 1
     assert 0.0 < near[0] - rupture_s < 0.2
@@ -60,6 +68,26 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
 def test_tissue_at_rest_stays_at_rest(name):
     _, _, motions = insertion((), name)
     assert not any(motion.is_known for motion in motions)
+
+
+def test_a_motion_that_has_ended_is_given_up():
+    times = np.arange(1, 800) * 0.05
+    moving = 0.2 * np.cos(2.0 * np.pi * 1.3 * np.minimum(times, 15.0))
+    depths = 3.0 * times
+    speeds = np.gradient(depths - moving, times)
+    (deflections, left), noise = contact_along(depths - moving), np.random.default_rng(0)
+    forces = (0.1 + 0.02 * depths) * deflections + (5e-3 + 2e-3 * depths) * speeds
+    forces += (0.2 + 0.03 * depths) * left + noise.normal(0.0, 0.01, len(times))
+    motion, known = TissueMotion(), []
+    for time_s, depth, force in zip(times.tolist(), depths.tolist(), forces.tolist(), strict=True):
+        place, speed = motion.at(time_s)
+        block = Place(time_s, 0.05, depth - place, 3.0 - speed, 1.0, force, 3.0, 0.01)
+        motion = motion.with_block(block, is_met=True)
+        for _ in range(5):
+            motion = motion.worked(time_s) if motion.is_due(time_s) else motion
+        known.append(motion.is_known)
+    assert known[int(14.0 / 0.05)]
+    assert not any(known[int(32.0 / 0.05) :])
 
 
 def test_a_motion_that_a_second_rupture_contradicts_is_forgotten():

@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from insertion_run import insert, resumed_after, samples, short_run, tare_index, time_steps
+from insertion_run import insert, resumed_after, same, samples, short_run, tare_index, time_steps
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
@@ -254,6 +254,19 @@ def test_what_a_push_did_before_it_was_known_is_taken_back():
     same = [n for n, samples in enumerate(history) if np.array_equal(samples, taken)]
     assert k - 520 < same[-1] <= k - 250  # as if nothing had come since
     assert session.snapshot().unused_s == pytest.approx(1e-3 * (k - same[-1]), abs=2e-3)
+
+
+def test_a_push_that_begins_in_a_tick_that_is_not_used_is_taken_back_once():
+    session, rows = resumed_after(INSIDE, 900)
+    for row in rows[:700]:
+        session.update(*row)
+    used = session.snapshot()
+    wrench = session.update(*rows[700]).wrench._replace(status=Status.OK)
+    for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
+        session._follow(wrench._replace(warnings=warning))
+    found = session.snapshot()
+    assert same(found.identifier, used.earlier[0].identifier)
+    assert found.unused_s == pytest.approx(found.time_s - used.earlier[0].time_s)
 
 
 def test_a_rupture_after_a_push_on_the_elbow_is_found():
