@@ -100,15 +100,10 @@ HEADER = b"\x01" + pack("<QII", 8, 0, 0)
 END = b"\x0f" + pack("<QI", 4, 0)
 
 
-def recorded(folder, rows, compression=None):
-    """The bytes of a bag."""
-    return data_file(write_bag(folder, rows, compression=compression)).read_bytes()
-
-
-def without_chunks(path):
+def without_chunks(folder):
     """The same messages as a recorder writes them that makes no chunks."""
     builder = RecordBuilder()
-    with path.open("rb") as stream:
+    with data_file(folder).open("rb") as stream:
         for record in StreamReader(stream).records:
             if isinstance(record, Schema | Channel | Message):
                 record.write(builder)

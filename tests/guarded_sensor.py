@@ -21,10 +21,15 @@ def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
     return q, dq, tau
 
 
+def rows_of(q, dq, tau):
+    """Arguments of `update`, sample by sample; dq is None for a robot that sends none."""
+    return list(zip(q, [None] * len(q) if dq is None else dq, tau, strict=True))
+
+
 def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
     """A tared sensor and the samples that come next."""
     q, dq, tau = signals(robot, 2.0 + more, **kinds)
-    rows = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in range(len(q))]
+    rows = rows_of(q, dq if with_velocity else None, tau)
     key = robot, config, with_velocity, more, *map(str, kinds.values())
     if key not in TARED:
         sensor = VirtualForceSensor(robot, config)
@@ -38,6 +43,11 @@ def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
 
 TARED = {}
 """States of sensors that were tared before, by all that they depend on."""
+
+
+def tared_sensor(robot, config=DEFAULT, *, with_velocity=True):
+    """A sensor that was tared without noise."""
+    return tared(robot, config, with_velocity=with_velocity, noisy=False, more=0.0)[0]
 
 
 def feed(sensor, rows, dt_s=1e-3):

@@ -5,8 +5,6 @@ from functools import lru_cache
 import numpy as np
 import pinocchio as pin
 
-from residual import DEFAULT, VirtualForceSensor
-
 JOINTS = 7
 BIAS = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
 MIDDLE = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
@@ -46,27 +44,3 @@ def _swing(robot, amplitude, middle, force_at_tip_in_base, *, seconds, rate_hz=1
         ]
     )
     return times, q, dq, tau
-
-
-def tared_sensor(robot, config=DEFAULT, *, with_velocity=True):
-    """A sensor that has seen two seconds of free motion and was tared."""
-    sensor = VirtualForceSensor(robot, config)
-    sensor.restore(_tared_state(robot, config, with_velocity))
-    return sensor
-
-
-@lru_cache(maxsize=20)
-def _tared_state(robot, config, with_velocity):
-    sensor = VirtualForceSensor(robot, config)
-    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03)
-    for k in range(len(q)):
-        sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - BIAS, 1e-3)
-    sensor.tare()
-    return sensor.snapshot()
-
-
-def push(robot, sensor, force, *, with_velocity=True):
-    _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
-    for k in range(len(q)):
-        estimate = sensor.update(q[k], dq[k] if with_velocity else None, tau[k] - BIAS, 1e-3)
-    return q[-1], estimate

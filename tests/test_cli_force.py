@@ -20,11 +20,14 @@ def log(lwr, tmp_path_factory):
 
 @pytest.fixture
 def run(tmp_path, capsys):
-    """Run the command with an output file; return its columns and what it printed."""
+    """Run the command on a log or its columns; return the columns of forces and the summary."""
 
-    def run(*argv, name="forces.csv"):
-        path = tmp_path / name
-        code = main(["force", *argv, "-o", str(path)])
+    def run(log, *argv):
+        if isinstance(log, dict):
+            write_table(tmp_path / "log.npz", log)
+            log = str(tmp_path / "log.npz")
+        path = tmp_path / "forces.csv"
+        code = main(["force", log, *argv, "-o", str(path)])
         printed = capsys.readouterr()
         assert code == 0, printed.err
         return read_table(path).columns, printed.out
@@ -56,12 +59,12 @@ def test_axial_force_is_the_true_one_with_its_standard_deviation(log, run, optio
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
-def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run, lwr, tmp_path):
+def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run, lwr):
     columns, printed = run(log, *TARE, "--published")
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
     assert "K = 5 1/s" in printed
-    bare = write_insertion(tmp_path / "bare.npz", lwr, only=("t_s", "q_rad", "tau_Nm"))
-    columns, printed = run(str(bare), *TARE)
+    columns = insertion(lwr)
+    columns, printed = run({name: columns[name] for name in ("t_s", "q_rad", "tau_Nm")}, *TARE)
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.1)
     assert "velocity estimated" in printed
 
@@ -100,25 +103,23 @@ def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
     assert "tare         none" in printed
 
 
-def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr, tmp_path):
-    path = str(write_insertion(tmp_path / "late.npz", lwr, start_s=1000.0))
-    relative, _ = run(path, "--tare", "+0:+2.5")
-    absolute, _ = run(path, "--tare", ":1002.5")
+def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr):
+    late = insertion(lwr, start_s=1000.0)
+    relative, _ = run(late, "--tare", "+0:+2.5")
+    absolute, _ = run(late, "--tare", ":1002.5")
     np.testing.assert_array_equal(relative["axial_N"], absolute["axial_N"])
     assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    late = str(write_insertion(tmp_path / "epoch.npz", lwr, start_s=1.7e9))
-    assert "1700000000 to 1700000002.5 s" in run(late, "--tare", "+0:+2.5")[1]
+    printed = run(insertion(lwr, start_s=1.7e9), "--tare", "+0:+2.5")[1]
+    assert "1700000000 to 1700000002.5 s" in printed
 
 
-def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_path):
+def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr):
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
     columns["tau_Nm"][3300] = np.inf
     columns["t_s"][1500] = columns["t_s"][1490]
     keep = np.r_[0:2600, 2750:4000]
-    path = tmp_path / "broken.npz"
-    write_table(path, {name: values[keep] for name, values in columns.items()})
-    found, printed = run(str(path), *TARE)
+    found, printed = run({name: values[keep] for name, values in columns.items()}, *TARE)
     rejected = np.flatnonzero(found["force_status"] == 3)
     np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
     assert np.isnan(found["axial_N"][rejected]).all()
@@ -137,19 +138,17 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr, tmp_pa
         (0.10002, "longer than 0.1 s (longest 0.10002 s): filters restart after each; too few"),
     ],
 )
-def test_gaps_are_not_decided_by_rounding(run, lwr, tmp_path, step_s, gaps):
-    columns, path = insertion(lwr), tmp_path / "slow.npz"
+def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
+    columns = insertion(lwr)
     thinned = {name: columns[name][::10] for name in ("q_rad", "tau_Nm")}
-    write_table(path, {"t_s": np.arange(400) * step_s, **thinned})
-    assert gaps in run(str(path), "--no-tare")[1]
+    assert gaps in run({"t_s": np.arange(400) * step_s, **thinned}, "--no-tare")[1]
 
 
-def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, tmp_path):
+def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr):
     columns = insertion(lwr)
     columns["tau_Nm"][3500, 2] += 80.0
     columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
-    write_table(tmp_path / "log.npz", columns)
-    found, printed = run(str(tmp_path / "log.npz"), *TARE)
+    found, printed = run(columns, *TARE)
     warnings = found["force_warnings"].astype(int)
     assert warnings[3500] & SensorWarning.SPIKE
     assert found["force_status"][3500] == 3
@@ -160,11 +159,10 @@ def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr, t
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
-def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr, tmp_path):
-    columns, path = insertion(lwr), tmp_path / "reset.npz"
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_no_more(run, lwr):
+    columns = insertion(lwr)
     columns["t_s"][2600:] -= columns["t_s"][2600]
-    write_table(path, columns)
-    found, _ = run(str(path), *TARE)
+    found, _ = run(columns, *TARE)
     rejected = np.flatnonzero(found["force_status"] == 3)
     assert 2600 in rejected
     assert 3 <= len(rejected) <= 110
@@ -195,16 +193,13 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
 ):
     columns, data = insertion(lwr), lwr.create_data()
     gravity = [pin.computeGeneralizedGravity(lwr.model, data, q) for q in columns["q_rad"]]
-    logs = {"whole": columns["tau_Nm"], "negated": -columns["tau_Nm"]}
-    logs["free"] = columns["tau_Nm"] - np.array(gravity)
-    for name, tau_Nm in logs.items():
-        write_table(tmp_path / f"{name}.npz", columns | {"tau_Nm": tau_Nm})
-    expected, _ = run(str(tmp_path / "whole.npz"), *TARE)
-    for name, advice, cure in (
-        ("free", "give --gravity-compensated", ["--gravity-compensated"]),
-        ("negated", "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
+    expected, _ = run(columns, *TARE)
+    for tau_Nm, advice, cure in (
+        (columns["tau_Nm"] - gravity, "give --gravity-compensated", ["--gravity-compensated"]),
+        (-columns["tau_Nm"], "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
     ):
-        log = str(tmp_path / f"{name}.npz")
+        log = str(tmp_path / "wrong.npz")
+        write_table(log, columns | {"tau_Nm": tau_Nm})
         assert main(["force", log, *TARE]) == 2
         assert advice in capsys.readouterr().err
         found, _ = run(log, *TARE, *cure)
@@ -214,21 +209,19 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
 def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
-    arm = load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02})
-    path = str(write_insertion(tmp_path / "arm.npz", arm, axial_N=3.0))
+    arm = insertion(load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02}), axial_N=3.0)
     robot = ["--urdf", str(urdf), "--tool-frame", "tip"]
-    columns, printed = run(path, *robot, "--lock", "gripper=0.02", *TARE)
+    columns, printed = run(arm, *robot, "--lock", "gripper=0.02", *TARE)
     assert "arm, 2 joints, payload 0 kg" in printed
     assert np.isfinite(columns["axial_N"]).all()
     offset = ["--without", "finger", "--tip-offset", "0", "0", "0.1"]
-    columns, printed = run(path, *robot, *offset, "--no-tare")
+    columns, printed = run(arm, *robot, *offset, "--no-tare")
     assert "arm, 2 joints" in printed
     assert "point force at tool" in printed
     # A known arm is loaded by its name.
-    columns, path = insertion(lwr, seconds=0.6), tmp_path / "ur.npz"
-    six = {name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")}
-    write_table(path, {"t_s": columns["t_s"]} | six)
-    assert "6 joints, payload 0 kg" in run(str(path), "--robot", "ur10e", "--no-tare")[1]
+    columns = insertion(lwr, seconds=0.6)
+    six = {"t_s": columns["t_s"]} | {name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")}
+    assert "6 joints, payload 0 kg" in run(six, "--robot", "ur10e", "--no-tare")[1]
 
 
 def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, tmp_path):

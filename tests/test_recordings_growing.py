@@ -20,7 +20,6 @@ from bag_samples import (
     joint_state,
     mapped,
     number,
-    recorded,
     without_chunks,
     wrench,
     write_bag,
@@ -36,9 +35,9 @@ from needleforce.recordings.open_recording import stream_tables
 @pytest.mark.parametrize("kind", ["plain", "zstd", "without chunks"])
 @pytest.mark.parametrize("count", [3, 41])
 def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
-    data = recorded(tmp_path / "bag", insertion_rows(3000), "STORAGE" if kind == "zstd" else None)
-    if kind == "without chunks":
-        data = without_chunks(data_file(tmp_path / "bag"))
+    compression = "STORAGE" if kind == "zstd" else None
+    bag = write_bag(tmp_path / "bag", insertion_rows(3000), compression=compression)
+    data = without_chunks(bag) if kind == "without chunks" else data_file(bag).read_bytes()
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, count))
     start_s = time.monotonic()
@@ -53,8 +52,7 @@ def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
 
 
 def test_rows_come_while_the_recorder_still_writes(tmp_path):
-    recorded(tmp_path / "bag", insertion_rows(3000))
-    data = without_chunks(data_file(tmp_path / "bag"))
+    data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
     path, go_on = tmp_path / "growing.mcap", threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
@@ -73,8 +71,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
 
 
 def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(tmp_path):
-    recorded(tmp_path / "bag", insertion_rows(3000))
-    data = without_chunks(data_file(tmp_path / "bag"))
+    data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
     chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
@@ -124,7 +121,7 @@ def late_topic(first):
 
 def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path):
     path, reported = tmp_path / "growing.mcap", []
-    path.write_bytes(recorded(tmp_path / "bag", late_topic(350)))
+    data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
     patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
     chunks, _ = followed(path, patience)
     assert_same(chunks, read_log(path, **ASKED))
@@ -151,9 +148,9 @@ def arm_and_force(count, late_ns=0, force_ends=None):
 
 @pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
 def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
-    recorded(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s)))
+    data = without_chunks(write_bag(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s))))
     path = tmp_path / "growing.mcap"
-    writer = grow(path, in_pieces(without_chunks(data_file(tmp_path / "bag")), 60))
+    writer = grow(path, in_pieces(data, 60))
     chunks, _ = followed(path, mapping=FORCE_MAPPING, **FORCE)
     writer.join()
     force_N = np.concatenate([chunk.channels["force_N"] for chunk in chunks])
@@ -162,9 +159,9 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
 
 
 def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
-    recorded(tmp_path / "bag", arm_and_force(800, force_ends=300))
+    data = without_chunks(write_bag(tmp_path / "bag", arm_and_force(800, force_ends=300)))
     path, is_over = tmp_path / "growing.mcap", threading.Event()
-    path.write_bytes(without_chunks(data_file(tmp_path / "bag"))[: -len(END)])
+    path.write_bytes(data[: -len(END)])
     patience = FollowOptions(follow=True, should_stop=is_over.is_set)
     tables = stream_tables(path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE))
     timer = threading.Timer(LONGEST_S, is_over.set)

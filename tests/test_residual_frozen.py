@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from guarded_sensor import NOISE, feed, tared
+from guarded_sensor import NOISE, feed, rows_of, tared
 from residual_signals import BIAS, MIDDLE, swing
 
 from residual import SensorWarning, Status, VirtualForceSensor
@@ -142,11 +142,6 @@ def spikes(estimates):
     return [k for k, e in enumerate(estimates) if SensorWarning.SPIKE in e.warnings]
 
 
-def estimates(sensor, q, dq, tau):
-    rows = zip(q, [None] * len(q) if dq is None else dq, tau, strict=True)
-    return [sensor.update(*row, 1e-3) for row in rows]
-
-
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
 @pytest.mark.parametrize("samples", MILLISECONDS)
@@ -154,7 +149,7 @@ def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad,
     q, dq, tau = moving(lwr, noise_rad)
     for rng in (None, np.random.default_rng(1)):
         sent = (held(q, samples, rng), dq if with_velocity else None, tau)
-        found = estimates(VirtualForceSensor(lwr), *sent)
+        found = feed(VirtualForceSensor(lwr), rows_of(*sent))
         assert not any(e.warnings for e in found)
         assert found[-1].status is Status.NOT_TARED
 
@@ -164,7 +159,7 @@ def test_a_spike_of_a_held_position_is_still_held_back(lwr, samples):
     q, dq, tau = moving(lwr, 1e-5)
     q = held(q, samples)
     q[1000 : 1000 + 4, 2] += 0.05
-    found = estimates(VirtualForceSensor(lwr), q, dq, tau)
+    found = feed(VirtualForceSensor(lwr), rows_of(q, dq, tau))
     assert spikes(found)[0] == 1000
     assert all(e.status is Status.REJECTED for e in found[1000:1004])
     assert len(spikes(found)) <= 5
@@ -177,4 +172,4 @@ def test_a_rest_of_any_length_makes_no_gate_wide(lwr):
     rng = np.random.default_rng(3)
     dq, tau = 1e-3 * rng.normal(size=q.shape), tau[0] + 0.03 * rng.normal(size=q.shape)
     q[3990, 4] += 1e-3
-    assert spikes(estimates(VirtualForceSensor(lwr), q, dq, tau)) == [3990]
+    assert spikes(feed(VirtualForceSensor(lwr), rows_of(q, dq, tau))) == [3990]

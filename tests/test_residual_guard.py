@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from guarded_sensor import feed, tared
-from residual_signals import external_torque_of
+from residual_signals import MIDDLE, external_torque_of
 
 from benchmarks.guard_study import KINDS, held_back, sensed
 from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
@@ -95,7 +95,7 @@ def test_a_saturated_torque_is_held_back(lwr, slowly):
 
 
 def test_a_joint_at_its_limit_is_reported(lwr):
-    middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
+    middle = MIDDLE.copy()
     middle[5] = lwr.position_upper_rad[5] - 0.05
     sensor, rows = tared(lwr, middle=middle, more=4.0)
     found = feed(sensor, rows[:2000])
@@ -110,7 +110,7 @@ def test_a_joint_at_its_limit_is_reported(lwr):
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
 def test_a_pose_that_feels_nothing_is_reported(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
-    for q in (np.full(7, 0.001), np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])):
+    for q in (np.full(7, 0.001), MIDDLE):
         found = [sensor.update(q, np.zeros(7), np.zeros(7), 1e-3) for _ in range(600)][-1]
         assert (SensorWarning.NEAR_SINGULAR in found.warnings) == (q[3] > -1.0)
         assert all(np.isfinite(value).all() for value in found[:8])
@@ -174,14 +174,8 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
     assert found[-1].axial_std > 3.0 * found[0].axial_std
 
 
-MIDDLES = [
-    np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2]),
-    np.array([0.0, 0.9, 0.0, -1.1, 0.0, 1.1, 0.0]),
-]
-
-
 @pytest.mark.parametrize("with_velocity", [True, False])
-@pytest.mark.parametrize("middle", MIDDLES)
+@pytest.mark.parametrize("middle", [MIDDLE, np.array([0.0, 0.9, 0.0, -1.1, 0.0, 1.1, 0.0])])
 @pytest.mark.parametrize("newton", [5.0, 40.0])
 def test_a_force_that_comes_in_one_sample_loses_none(lwr, newton, middle, with_velocity):
     sensor, rows = tared(lwr, with_velocity=with_velocity, middle=middle)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from guarded_sensor import feed, signals, tared
+from guarded_sensor import feed, rows_of, signals, tared
 from residual_signals import BIAS, MIDDLE, external_torque_of, swing
 
 from residual import (
@@ -63,7 +63,7 @@ def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity
     _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03, middle=np.full(count, 0.4))
     rng = np.random.default_rng(0)
     tau = tau - 0.2 + 0.01 * rng.normal(size=tau.shape)
-    rows = [(q[k], dq[k] if with_velocity else None, tau[k]) for k in range(len(q))]
+    rows = rows_of(q, dq if with_velocity else None, tau)
     feed(sensor, rows[:1500])
     sensor.tare()
     force = np.array([0.0, 0.0, 3.0])

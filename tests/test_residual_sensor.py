@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guarded_sensor import feed, tared
-from residual_signals import BIAS, external_torque_of, push, swing, tared_sensor
+from guarded_sensor import feed, rows_of, tared, tared_sensor
+from residual_signals import BIAS, external_torque_of, swing
 
 from residual import (
     DEFAULT,
@@ -22,24 +22,29 @@ from residual import (
 from residual.estimate import UNSEEN_STD
 
 
+def push(robot, sensor, force, *, with_velocity=True):
+    """The estimate after half a second under a force."""
+    _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
+    return feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))[-1]
+
+
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
     sensor = tared_sensor(lwr, replace(DEFAULT, mode="point"), with_velocity=with_velocity)
     force = np.array([1.0, -0.5, 2.0])
-    _, estimate = push(lwr, sensor, force, with_velocity=with_velocity)
+    estimate = push(lwr, sensor, force, with_velocity=with_velocity)
     assert estimate.status is Status.OK
     np.testing.assert_allclose(estimate.force, force, atol=0.03)
     # The tare does not fade.
     _, q, dq, tau = swing(lwr, seconds=3.0, start=2.5, amplitude=0.03)
-    rows = zip(q, dq if with_velocity else [None] * len(q), tau - BIAS, strict=True)
-    last = [sensor.update(*row, 1e-3) for row in rows]
+    last = feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))
     assert max(np.abs(e.force).max() for e in last[500:]) < 0.03
 
 
 def test_paper_preset_reads_the_same_force_later(lwr):
     sensor = tared_sensor(lwr, PUBLISHED)
     assert sensor.lag_s == pytest.approx(0.2)
-    _, estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
+    estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
     assert estimate.force[2] == pytest.approx(2.0 * (1 - np.exp(-0.5 * 5.0)), abs=0.1)
     assert estimate.covariance.shape == (6, 6)
 
@@ -70,8 +75,7 @@ def test_status_is_initializing_then_not_tared_then_ok(lwr):
 def test_before_the_tare_the_standard_deviation_is_that_of_the_prior(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0, amplitude=0.03)
-    for sample in zip(q, dq, tau - BIAS, strict=True):
-        estimate = sensor.update(*sample, 1e-3)
+    estimate = feed(sensor, rows_of(q, dq, tau - BIAS))[-1]
     assert abs(estimate.axial) < 2 * estimate.axial_std
     sensor.tare()
     assert sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std < 0.1 * estimate.axial_std

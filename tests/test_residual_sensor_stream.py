@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from guarded_sensor import feed, signals, tared
-from residual_signals import BIAS, external_torque_of, swing, tared_sensor
+from guarded_sensor import feed, rows_of, signals, tared, tared_sensor
+from residual_signals import BIAS, external_torque_of, swing
 
 from residual import DEFAULT, SensorWarning, Status, TareError, VirtualForceSensor
 
@@ -17,8 +17,7 @@ def test_a_second_tare_needs_new_motion(lwr):
     sensor.start_tare_recording()
     _, q, dq, tau = swing(lwr, seconds=1.5, start=2.0, amplitude=0.03)
     shifted = tau - 2.0 * BIAS
-    for sample in zip(q, dq, shifted, strict=True):
-        sensor.update(*sample, 1e-3)
+    feed(sensor, rows_of(q, dq, shifted))
     sensor.tare()
     assert abs(sensor.update(q[-1], dq[-1], shifted[-1], 1e-3).axial) < 0.02
 
@@ -58,8 +57,7 @@ def test_everything_handed_out_is_read_only(lwr, mode):
     size = {"axial": 1, "point": 3, "full": 6}[mode]
     assert blank.covariance.shape == (size, size)
     _, q, dq, tau = swing(lwr, seconds=1.5, amplitude=0.03)
-    for sample in zip(q, dq, tau, strict=True):
-        estimate = sensor.update(*sample, 1e-3)
+    estimate = feed(sensor, rows_of(q, dq, tau))[-1]
     tare = sensor.tare()
     arrays = [x for e in (blank, estimate) for x in e if isinstance(x, np.ndarray)]
     arrays += [tare.mean, tare.covariance, tare.noise_Nm2]
