@@ -245,14 +245,14 @@ def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, t
     ],
     ids=str,
 )
-def test_a_figure_is_written_for_every_mode(lwr, tmp_path, options, suffix):
+def test_a_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix):
     start_s = 0.0 if suffix == "png" else 1.7e9
     columns = insertion(lwr, seconds=3.0, start_s=start_s)
     columns["tau_Nm"][2600:2650] = np.nan
     keep = np.r_[0:1500, 1700:3000]
-    write_table(tmp_path / "log.npz", {name: values[keep] for name, values in columns.items()})
-    path = tmp_path / f"forces.{suffix}"
-    assert main(["force", str(tmp_path / "log.npz"), *options, "--figure", str(path)]) == 0
+    path = tmp_path / f"picture.{suffix}"
+    columns = {name: values[keep] for name, values in columns.items()}
+    run(columns, *options, "--figure", str(path))
     content = path.read_bytes()
     assert content.startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix])
     assert len(content) > 5_000

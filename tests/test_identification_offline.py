@@ -121,10 +121,7 @@ SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [
-        ({"thickness_m": 0.0}, "thickness"),
-        ({"start_s": 2.0, "rupture_s": 1.0}, "rupture"),
-    ],
+    [({"thickness_m": 0.0}, "thickness"), ({"start_s": 2.0, "rupture_s": 1.0}, "rupture")],
 )
 def test_bad_layers_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):

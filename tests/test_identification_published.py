@@ -135,10 +135,10 @@ def ml_insertion(layers=LAYERS, noise_N=0.01, beyond_m=4e-3, seed=3):
     return z, f + noise_N * rng.standard_normal(len(z))
 
 
-def run(z, f, config=PUBLISHED):
+def run(z, f, config=PUBLISHED, speed_m_s=SPEED):
     identifier = Identifier(config)
-    rows = zip(z.tolist(), f.tolist(), strict=True)
-    return identifier, [identifier.update(a, SPEED, b, DT_S) for a, b in rows]
+    rows = zip(z.tolist(), np.broadcast_to(speed_m_s, z.shape).tolist(), f.tolist(), strict=True)
+    return identifier, [identifier.update(*row, DT_S) for row in rows]
 
 
 def test_finds_ruptures_and_friction_of_its_own_model():
@@ -187,20 +187,14 @@ def test_a_layer_of_equation_3_without_noise_is_identified_exactly(swing_m_s, st
     z = np.cumsum(v) * DT_S - 1e-3
     reach = np.clip(z, 0.0, 0.03)
     f = 9000.0 * reach * v + np.where(reach < 0.03, stiffness * reach, 0.0)
-    identifier = Identifier(PUBLISHED)
-    for row in zip(z.tolist(), v.tolist(), f.tolist(), strict=True):
-        identifier.update(*row, DT_S)
-    (layer,) = identifier.layers
+    (layer,) = run(z, f, speed_m_s=v)[0].layers
     assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
     assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
 
 
 def test_without_a_measured_speed_it_takes_the_one_estimated_from_depth():
     z, f = ml_insertion(LAYERS[:1])
-    identifier = Identifier(PUBLISHED)
-    for a, b in zip(z.tolist(), f.tolist(), strict=True):
-        identifier.update(a, None, b, DT_S)
-    (layer,) = identifier.layers
+    (layer,) = run(z, f, speed_m_s=None)[0].layers
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)
 
 

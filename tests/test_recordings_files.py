@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, read_table, write_table
 from needleforce.recordings.csv_file import csv_tables
+from needleforce.recordings.follow import BINARY
 
 
 @pytest.fixture
@@ -109,7 +110,10 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         ("t,f\n0\n1\n", "no row has the header's 2 cells .first: line 2 with 1"),
         ("Of Monday\nt,f\n0,1\n", "2 with 2.; check .* what stands above the header begins with #"),
         ("t f\n0 1\n", "no column holds a number: column 't f' holds text .line 2, '0 1'"),
-        (b"PK\x03\x04\x00\x00\x01", "it is npz, not text; give it as a file"),
+        *(
+            (head + bytes(3), f"it is {suffix[1:]}, not text; give it as a file")
+            for head, suffix in BINARY.items()
+        ),
         (b"#a\n\x00\x01", "only comments.*goes on with NUL bytes"),
         (b"\x00" * 9, "it is not text"),
         ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),

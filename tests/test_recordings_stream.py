@@ -185,11 +185,3 @@ def test_a_table_goes_into_a_pipe_that_stays_one(tmp_path, suffix):
     writer.join()
     assert pipe.is_fifo()
     np.testing.assert_array_equal(read_log(path)["force_N"], COLUMNS["force_N"])
-
-
-@pytest.mark.parametrize("suffix", ["mcap", "npz", "parquet"])
-def test_a_binary_recording_is_not_read_as_text(tmp_path, suffix):
-    write_table(tmp_path / f"log.{suffix}", COLUMNS)
-    path = (tmp_path / f"log.{suffix}").rename(tmp_path / "log.csv")
-    with pytest.raises(FormatError, match=rf"(?i)it is {suffix}, not text; give it as a file"):
-        read_log(path)

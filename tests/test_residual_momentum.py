@@ -5,6 +5,7 @@ from copy import deepcopy
 import numpy as np
 import pinocchio as pin
 import pytest
+from guarded_sensor import feed, rows_of
 from hypothesis import given
 from hypothesis import strategies as st
 from residual_signals import JOINTS, external_torque_of, swing
@@ -92,28 +93,23 @@ def test_observer_and_pure_step_agree(lwr, gain, alignment):
 
 def test_residual_converges_to_the_external_torque(lwr):
     force = np.array([1.0, -2.0, 3.0])
-    times, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
+    _, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
     observer = MomentumObserver(lwr, 200.0)
-    for k in range(len(times)):
-        residual = observer.update(q[k], dq[k], tau[k], 1e-3)
+    residual = feed(observer, rows_of(q, dq, tau))[-1]
     np.testing.assert_allclose(residual, external_torque_of(lwr, q[-1], force), atol=0.02)
 
 
 def test_start_on_a_moving_arm_has_no_spike(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.2, start=0.4)
     observer = MomentumObserver(lwr, 500.0)
-    peak = max(
-        np.abs(observer.update(*sample, 1e-3)).max() for sample in zip(q, dq, tau, strict=True)
-    )
     assert np.abs(dq[0]).max() > 0.1
-    assert peak < 1e-3
+    assert np.abs(feed(observer, rows_of(q, dq, tau))).max() < 1e-3
 
 
 def test_gap_in_time_restarts_without_integrating_across_the_hole(lwr):
     times, q, dq, tau = swing(lwr, seconds=2.0)
     observer = MomentumObserver(lwr, 50.0)
-    for k in range(500):
-        observer.update(q[k], dq[k], tau[k], 1e-3)
+    feed(observer, rows_of(q, dq, tau)[:500])
     after_gap = observer.update(q[1500], dq[1500], tau[1500], times[1500] - times[499])
     assert np.abs(after_gap).max() < 1e-3
     assert np.abs(observer.update(q[1501], dq[1501], tau[1501], 1e-3)).max() < 1e-3
@@ -128,10 +124,8 @@ def test_modelled_friction_does_not_read_as_force(lwr):
     _, q, dq, tau = swing(lwr, seconds=1.0)
     with_friction = np.array([t + friction.torque(v) for t, v in zip(tau, dq, strict=True)])
     known, unknown = MomentumObserver(lwr, 50.0, friction=friction), MomentumObserver(lwr, 50.0)
-    worst_known = worst_unknown = 0.0
-    for sample in zip(q, dq, with_friction, strict=True):
-        worst_known = max(worst_known, np.abs(known.update(*sample, 1e-3)).max())
-        worst_unknown = max(worst_unknown, np.abs(unknown.update(*sample, 1e-3)).max())
+    rows = rows_of(q, dq, with_friction)
+    worst_known, worst_unknown = (np.abs(feed(one, rows)).max() for one in (known, unknown))
     assert worst_known < 0.01 < 0.5 < worst_unknown
 
 
@@ -139,8 +133,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     _, q, dq, tau = swing(lwr, seconds=0.1)
     one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
     one.smooth_momentum(np.full(7, 1e-3), q[0])
-    for k in range(50):
-        one.update(q[k], dq[k], tau[k], 1e-3)
+    feed(one, rows_of(q, dq, tau)[:50])
     other.restore(deepcopy(one.memory))
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))

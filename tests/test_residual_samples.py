@@ -70,14 +70,7 @@ def test_what_no_sensor_measures_is_refused(lwr, update, kind):
 
 
 @pytest.mark.parametrize("update", UPDATES)
-@pytest.mark.parametrize(
-    "valid",
-    [
-        [0.0] * 7,
-        STILL.astype(np.float32),
-        [Fraction(0)] * 7,
-    ],
-)
+@pytest.mark.parametrize("valid", [[0.0] * 7, STILL.astype(np.float32), [Fraction(0)] * 7])
 def test_real_numbers_of_any_type_are_welcome(lwr, update, valid):
     assert str(UPDATES[update](lwr, valid)) == str(UPDATES[update](lwr, STILL))
 
