@@ -1,8 +1,7 @@
 """A short synthetic insertion for the tests of the command: what is in the log is known."""
 
 import numpy as np
-import pinocchio as pin
-from residual_signals import external_torque_of, swing
+from residual_signals import external_torque_of, pose_of, swing
 
 from needleforce.recordings import write_table
 
@@ -15,11 +14,9 @@ def insertion(robot, *, seconds=4.0, contact_s=CONTACT_S, axial_N=AXIAL_N, start
     """Columns of a log: smooth motion, sensor offsets, and a tip force from ``contact_s`` on."""
     t_s, q, dq, tau = swing(robot, seconds=seconds, amplitude=0.05)
     external = np.zeros_like(tau)
-    data = robot.create_data()
     for k in np.flatnonzero(t_s >= contact_s):
-        pin.forwardKinematics(robot.model, data, q[k])
-        tip = pin.updateFramePlacement(robot.model, data, robot.tool_frame_id)
-        external[k] = external_torque_of(robot, q[k], -axial_N * tip.rotation[:, 2])
+        needle = pose_of(robot, q[k]).rotation[:, 2]
+        external[k] = external_torque_of(robot, q[k], -axial_N * needle)
     noise = 0.01 * np.random.default_rng(4).normal(size=tau.shape)
     offset = OFFSET_NM[: robot.nv]
     return {

@@ -1,4 +1,4 @@
-"""Joint signals of an ideal arm for the tests of `residual`: rigid-body torque minus J' F."""
+"""Poses, Jacobians and joint signals of an ideal arm: rigid-body torque minus J' F."""
 
 from functools import lru_cache
 
@@ -10,13 +10,30 @@ BIAS = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
 MIDDLE = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
 
 
+def pose_of(robot, q, frame=None):
+    """Placement of a frame, the tool's if none is named, in base axes."""
+    data = robot.create_data()
+    pin.framesForwardKinematics(robot.model, data, np.array(q, dtype=float))
+    return data.oMf[robot.tool_frame_id if frame is None else robot.frame_id(frame)]
+
+
+def jacobian_of(robot, q, frame=None):
+    """Jacobian of such a frame in base axes, shape (6, n)."""
+    frame_id = robot.tool_frame_id if frame is None else robot.frame_id(frame)
+    axes = pin.LOCAL_WORLD_ALIGNED
+    found = pin.computeFrameJacobian(robot.model, robot.create_data(), q, frame_id, axes)
+    return found.reshape(6, -1)
+
+
+def gravity_of(robot, q):
+    """Torques at rest, one row per pose."""
+    data = robot.create_data()
+    return np.array([pin.computeGeneralizedGravity(robot.model, data, one).copy() for one in q])
+
+
 def external_torque_of(robot, q, force_at_tip_in_base):
     """J' F of a force on the tool frame, in base axes."""
-    data = robot.create_data()
-    jacobian = pin.computeFrameJacobian(
-        robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
-    )
-    return jacobian.reshape(6, -1)[:3].T @ np.asarray(force_at_tip_in_base)
+    return jacobian_of(robot, q)[:3].T @ np.asarray(force_at_tip_in_base)
 
 
 def swing(robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 0.0), **span):

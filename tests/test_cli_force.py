@@ -1,9 +1,9 @@
 """`needleforce force`: the forces it writes are those that were put into the log."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
+from residual_signals import gravity_of, pose_of
 
 from needleforce.cli import main
 from needleforce.recordings import read_log, read_table, write_table
@@ -83,11 +83,8 @@ def test_every_column_says_its_unit_vector_and_travel_are_right(log, run, lwr, m
     assert status[0] == 2
     assert set(status[columns["t_s"] > 2.5]) == {0}
     assert 1 in status[columns["t_s"] < 2.5]
-    data, tips = lwr.create_data(), []
-    for q in insertion(lwr)["q_rad"][[0, -1]]:
-        pin.forwardKinematics(lwr.model, data, q)
-        tips.append(pin.updateFramePlacement(lwr.model, data, lwr.tool_frame_id).copy())
-    travel = tips[0].rotation[:, 2] @ (tips[1].translation - tips[0].translation)
+    first, last = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
+    travel = first.rotation[:, 2] @ (last.translation - first.translation)
     assert columns["travel_m"][[0, -1]] == pytest.approx([0.0, travel], abs=1e-12)
 
 
@@ -191,8 +188,8 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
 def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
     run, lwr, tmp_path, capsys
 ):
-    columns, data = insertion(lwr), lwr.create_data()
-    gravity = [pin.computeGeneralizedGravity(lwr.model, data, q) for q in columns["q_rad"]]
+    columns = insertion(lwr)
+    gravity = gravity_of(lwr, columns["q_rad"])
     expected, _ = run(columns, *TARE)
     for tau_Nm, advice, cure in (
         (columns["tau_Nm"] - gravity, "give --gravity-compensated", ["--gravity-compensated"]),

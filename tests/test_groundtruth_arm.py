@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from residual_signals import gravity_of, jacobian_of, pose_of
 
 from groundtruth.arm_control import drive
 from groundtruth.arm_motion import (
@@ -51,11 +52,7 @@ def test_blend_ends_at_the_two_tables_and_not_beyond():
 
 
 def test_blend_biases_the_flange_force_as_published():
-    data, frame = BARE.create_data(), BARE.tool_frame_id
-    known = pin.computeGeneralizedGravity(BARE.model, data, POSTURE).copy()
-    jacobian = pin.computeFrameJacobian(
-        BARE.model, data, POSTURE, frame, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    )
+    (known,), jacobian = gravity_of(BARE, [POSTURE]), jacobian_of(BARE, POSTURE)
     for fraction, bias_N in FLANGE_BIAS_N.items():
         model = BARE.model.copy()
         for i, link in enumerate(blended_links(BARE.model, fraction), start=1):
@@ -78,20 +75,15 @@ def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_th
     assert DEGRADED.payload_error > CLEAN.payload_error > 0.0
 
 
-def tool_pose(q):
-    data = ROBOT.create_data()
-    pin.framesForwardKinematics(ROBOT.model, data, q)
-    return data.oMf[ROBOT.tool_frame_id]
-
-
 def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_singularities():
-    np.testing.assert_allclose(tool_pose(START).rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
-    in_place = tool_pose(np.array(LWR_POSTURE_rad)).translation
-    np.testing.assert_allclose(tool_pose(START).translation, in_place, atol=1e-10)
+    start = pose_of(ROBOT, START)
+    np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
+    in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
+    np.testing.assert_allclose(start.translation, in_place, atol=1e-10)
     path = insertion_path(ROBOT, START, (0.0, REACH_M))
     for travel in np.linspace(0.0, REACH_M, 97):
         q = path.spline(travel)
-        moved = path.transform_start_to_base.actInv(tool_pose(q))
+        moved = path.transform_start_to_base.actInv(pose_of(ROBOT, q))
         np.testing.assert_allclose(moved.translation, [0.0, 0.0, travel], atol=2e-9)
         np.testing.assert_allclose(moved.rotation, np.eye(3), atol=2e-9)
         margin = np.minimum(ROBOT.position_upper_rad - q, q - ROBOT.position_lower_rad)
@@ -201,8 +193,7 @@ def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tiss
         np.testing.assert_allclose(plant.axial_jacobian, jacobian[2], atol=1e-9)
         np.testing.assert_allclose(plant.dq_rad_s, 0.0, atol=1e-12)
         assert plant.mean_axial_N == push_N
-        pin.framesForwardKinematics(bodies.robot.model, data, q)
-        sensor = data.oMf[bodies.robot.frame_id("ft_sensor")]
+        sensor = pose_of(bodies.robot, q, "ft_sensor")
         weight = sensor.rotation.T @ np.array([0.0, 0.0, -GRAVITY * needle.mass])
         assert name != "ideal" or needle.mass == pytest.approx(0.068, abs=1e-7)
         expected = [*weight, *np.cross(needle.lever, weight)] - push_N * np.eye(6)[2]

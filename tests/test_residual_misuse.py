@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from guarded_sensor import feed, rows_of, signals, tared
-from residual_signals import BIAS, MIDDLE, external_torque_of, swing
+from residual_signals import BIAS, MIDDLE, external_torque_of, gravity_of, swing
 
 from residual import (
     DEFAULT,
@@ -187,11 +187,6 @@ def test_settings_that_cannot_work_are_refused(name):
 def test_each_part_refuses_settings_that_cannot_work_by_name(lwr, make, settings):
     with pytest.raises(ConfigurationError, match=next(iter(settings))):
         make(lwr, **settings)
-
-
-def gravity_of(robot, q):
-    data = robot.create_data()
-    return np.array([pin.computeGeneralizedGravity(robot.model, data, one) for one in q])
 
 
 def hand(mass_kg):

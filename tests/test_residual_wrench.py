@@ -1,9 +1,8 @@
 """Equation (13) and its weighted forms: signs, frames, covariance, singular poses."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
-from residual_signals import MIDDLE, external_torque_of
+from residual_signals import MIDDLE, external_torque_of, jacobian_of, pose_of
 
 from residual import PUBLISHED, ConfigurationError, SampleError, SensorConfig, WrenchEstimator
 from residual.estimate import UNSEEN_STD
@@ -18,9 +17,7 @@ def estimator_of(robot, **settings):
 
 
 def tip_axis(robot, q):
-    data = robot.create_data()
-    pin.framesForwardKinematics(robot.model, data, q)
-    return data.oMf[robot.tool_frame_id].rotation[:, 2]
+    return pose_of(robot, q).rotation[:, 2]
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -46,10 +43,7 @@ def test_tissue_that_pushes_back_is_a_positive_axial_force(lwr, mode, axes):
 
 def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
     wrench = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
-    data = lwr.create_data()
-    jacobian = pin.computeFrameJacobian(
-        lwr.model, data, MIDDLE, lwr.frame_id("flange"), pin.LOCAL_WORLD_ALIGNED
-    )
+    jacobian = jacobian_of(lwr, MIDDLE, "flange")
     estimator = estimator_of(lwr, mode="full", frame="flange", expected_force_N=None)
     estimate = estimator.estimate(MIDDLE, jacobian.T @ wrench)
     np.testing.assert_allclose(np.r_[estimate.force, estimate.torque], wrench, atol=1e-9)
@@ -57,14 +51,10 @@ def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
 
 def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
     torque = np.random.default_rng(0).normal(size=7)
-    data = lwr.create_data()
-    jacobian = pin.computeFrameJacobian(
-        lwr.model, data, MIDDLE, lwr.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
-    )
     estimator = WrenchEstimator(lwr, PUBLISHED)
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
     estimate = estimator.estimate(MIDDLE, torque)
-    expected = np.linalg.pinv(jacobian.T) @ torque
+    expected = np.linalg.pinv(jacobian_of(lwr, MIDDLE).T) @ torque
     np.testing.assert_allclose(np.r_[estimate.force, estimate.torque], expected, rtol=1e-9)
 
 

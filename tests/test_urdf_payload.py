@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from residual_signals import gravity_of
 
 from urdf import (
     InertiaError,
@@ -149,16 +150,10 @@ def test_tools_that_cannot_be_built():
 # Identification: what simulation knows, it finds; its uncertainty is true.
 
 
-def held(robot, q):
-    """Torques at rest."""
-    data = robot.create_data()
-    return np.array([pin.computeGeneralizedGravity(robot.model, data, row).copy() for row in q])
-
-
 @pytest.fixture(scope="module")
 def posed(lwr):
     q = HOME_RAD + np.random.default_rng(4).uniform(-1, 1, (60, 7))
-    return q, held(lwr, q)
+    return q, gravity_of(lwr, q)
 
 
 def noisy(tau, seed):
@@ -210,7 +205,7 @@ def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
 
 def test_a_negative_mass_is_no_payload_but_is_seen_in_the_parameters(lwr, posed):
     q, tau = posed
-    estimate = identify_payload_static(lwr, q, 2 * held(lwr.with_payload(None), q) - tau)
+    estimate = identify_payload_static(lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau)
     assert estimate.payload.mass_kg == 0.0
     assert np.isinf(estimate.com_std_m).all()
     assert estimate.parameters[0] == pytest.approx(-0.304)
@@ -228,7 +223,7 @@ def test_the_flange_may_be_off_its_joint():
     tool = Payload(mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=np.diag([0.01, 0.02, 0.02]))
     robot = build_serial_robot(joints, tool_placement=flange, payload=tool)
     q = np.random.default_rng(0).uniform(-1, 1, (200, 3))
-    estimate = identify_payload_static(robot, q, held(robot, q))
+    estimate = identify_payload_static(robot, q, gravity_of(robot, q))
     assert estimate.parameters == pytest.approx(tool.parameters[:4], abs=1e-9)
 
 

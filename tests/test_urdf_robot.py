@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yourdfpy
+from residual_signals import pose_of
 
 from benchmarks.recorded.panda import read_panda
 from urdf import (
@@ -71,17 +72,11 @@ def drawing():
     return yourdfpy.URDF.load(path, build_collision_scene_graph=True)
 
 
-def pose(robot, q, frame=None):
-    data = robot.create_data()
-    pin.framesForwardKinematics(robot.model, data, np.array(q, dtype=float))
-    return data.oMf[robot.frame_id(frame or robot.tool_frame)]
-
-
 @pytest.mark.parametrize("q", NOMINAL)
 def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
     flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
     data, angles = arm.create_data(), np.array(q, dtype=float)
-    assert pose(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
+    assert pose_of(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
     gravity = pin.computeGeneralizedGravity(arm.model, data, angles)
     assert gravity == pytest.approx(gravity_Nm, abs=1e-3)
     assert np.diag(pin.crba(arm.model, data, angles)) == pytest.approx(inertia_kg_m2, abs=1e-4)
@@ -109,7 +104,7 @@ def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspa
         if k < 20:
             drawing.update_cfg(q)
             expected = drawing.get_transform("flange", "lwr_base")
-            assert pose(arm, q).homogeneous == pytest.approx(expected, abs=1e-9)
+            assert pose_of(arm, q).homogeneous == pytest.approx(expected, abs=1e-9)
 
 
 def test_limits_and_names_are_those_of_the_data_sheet(arm):
@@ -137,8 +132,8 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
     assert robot.nv in (6, 7)
     assert np.linalg.eigvalsh(pin.crba(robot.model, robot.create_data(), np.ones(robot.nv)))[0] > 0
     assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
-    flange, rest = pose(bare, np.zeros(bare.nv)), np.zeros(bare.nv)
-    tip, sensor = (flange.actInv(pose(robot, rest, n)) for n in ("needle_tip", "ft_sensor"))
+    flange, rest = pose_of(bare, np.zeros(bare.nv)), np.zeros(bare.nv)
+    tip, sensor = (flange.actInv(pose_of(robot, rest, n)) for n in ("needle_tip", "ft_sensor"))
     assert tip.translation == pytest.approx(tool.tip_in_flange_m)
     assert sensor.translation == pytest.approx([0, 0, tool.sensor_height_m])
     assert tip.rotation == pytest.approx(np.eye(3))
@@ -172,7 +167,7 @@ def test_the_ur_arms_are_the_maker_s_table(name):
     for angle, (d, a, alpha) in zip(q, rows, strict=True):
         turn = pin.SE3(pin.rpy.rpyToMatrix(0, 0, angle), np.array([0, 0, d]))
         expected = expected * turn * pin.SE3(pin.rpy.rpyToMatrix(alpha, 0, 0), np.array([a, 0, 0]))
-    assert pose(robot, q).homogeneous == pytest.approx(expected.homogeneous, abs=1e-12)
+    assert pose_of(robot, q).homogeneous == pytest.approx(expected.homogeneous, abs=1e-12)
     assert pin.computeTotalMass(robot.model) == pytest.approx(mass)
     assert robot.effort_limit_Nm == pytest.approx(effort)
 
@@ -278,7 +273,7 @@ def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(r
     # The Panda's published table puts the flange where the arm's data sheet does.
     robot = read_panda(recordings_dir).robot
     height = 0.333 + 0.316 + 0.384 - 0.107
-    assert pose(robot, np.zeros(7), "tool").translation == pytest.approx([0.088, 0, height])
+    assert pose_of(robot, np.zeros(7), "tool").translation == pytest.approx([0.088, 0, height])
 
 
 def test_unphysical_or_massless_links_are_refused_unless_asked_for():

@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from itertools import combinations
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -81,21 +81,18 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, standard = "standard output", sys.stdout.buffer
-        output = OpenTable(lambda: CsvWriter(standard, labels()), is_live=True, name=name)
-        yield output
-        with file_errors(name, "write"):
-            output.finish()
-        return
-    writer, grows = _find_writer(Path(path)), is_live and Path(path).suffix.lower() == ".csv"
+        name, writer, grows = "standard output", CsvWriter, True
+        file = nullcontext(sys.stdout.buffer)
+    else:
+        name, writer = str(path), _find_writer(Path(path))
+        grows = is_live and Path(path).suffix.lower() == ".csv"
+        file = whole_file(path, is_in_place=grows)
     with ExitStack() as files:
-
-        def begin() -> Any:
-            return writer(files.enter_context(whole_file(path, is_in_place=grows)), labels())
-
-        table = OpenTable(begin, is_live=grows, name=str(path))
+        table = OpenTable(
+            lambda: writer(files.enter_context(file), labels()), is_live=grows, name=name
+        )
         yield table
-        with file_errors(path, "write"):
+        with file_errors(name, "write"):
             table.finish()
             files.close()
 
