@@ -10,7 +10,7 @@ import pinocchio as pin
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.config import SensorConfig
-from residual.errors import Array, TareError, named_joints
+from residual.errors import Array, TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.input_validation import ROUNDING_S
 from residual.joint_states import follow_joints
@@ -29,9 +29,6 @@ MOST_GROWTH = 0.1
 SMOOTHING_S = 0.05
 """Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
 then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
-
-STILL_RAD, MOVED_RAD = 1e-9, 0.01
-"""Means of the same number differ by rounding; an arm that moved so far moves every encoder."""
 
 
 @dataclass(slots=True, eq=False)
@@ -158,23 +155,6 @@ class BiasEstimator:
         recorder = self.memory.recorder
         return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
-    @property
-    def has_motion(self) -> bool:
-        """Whether settled free motion has been recorded."""
-        return bool(len(self.memory.recorder.sums))
-
-    @property
-    def doubt(self) -> str:
-        """Which positions may be missing, as they alone stayed in that motion; empty if none."""
-        if not self.has_motion:
-            return ""
-        recorded = self.memory.recorder.sums
-        travel_rad = np.ptp(recorded[:, 2] / recorded[:, 0], axis=0)
-        still = np.flatnonzero(travel_rad < STILL_RAD)
-        if not still.size or np.max(travel_rad) < MOVED_RAD:
-            return ""
-        return f"q at {named_joints(still)} has not changed, others have: is it missing?"
-
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
         """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.
 
@@ -188,7 +168,7 @@ class BiasEstimator:
             if not self.is_fresh:
                 memory.leapt_s += dt_s
             if not memory.tared:
-                self._clear_recorder()
+                memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self._torques.append(tau)
         if len(self._torques) >= MOST_TORQUES:  # a clock of nanoseconds
             self.sum_torques()
@@ -243,9 +223,6 @@ class BiasEstimator:
             if recorder.age_s >= self._block_s - ROUNDING_S:
                 recorder.close_block()
 
-    def _clear_recorder(self) -> None:
-        self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
-
     @property
     def is_covariance_due(self) -> bool:
         """Whether `covariance_Nm2` may have changed since the last call."""
@@ -281,7 +258,7 @@ class BiasEstimator:
                 "already tared, and nothing was recorded since; call "
                 "start_tare_recording(), move in free air, then tare() again"
             )
-        if not self.has_motion:
+        if not len(memory.recorder.sums):
             nothing = (
                 f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
                 "update() the sensor without contact first, in steps no longer than max_gap_s, "
@@ -301,7 +278,7 @@ class BiasEstimator:
 
     def start_tare_recording(self) -> None:
         """Forget what was recorded and record anew; the tare in force stays until the next."""
-        self._clear_recorder()
+        self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared, self.memory.leapt_s = False, 0.0
 
     def restore(self, memory: BiasState) -> None:

@@ -91,15 +91,16 @@ class FreeMotionFit:
         """Both passes; returns the variance of a single residual about the fit, shape (n,)."""
         blocks, residual = self.blocks, self.blocks.residual_Nm
         # Neighbours of which there are few mean nothing: then a block is as noisy as its samples.
-        least = basis.resolution_variance()
+        least = np.square(basis.prior.resolution_fraction * basis.effort_Nm)
         white = least + (blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,)))
         self._whiteners = [np.eye(len(residual)) / v for v in white]
         left = self._solve(std, groups)
         density = white if is_few else least + _noise_density(left, BATCHES)
         wave = _wave_variance(left, density, np.ptp(blocks.q_rad, axis=0), basis)
+        apart = [(q[:, None] - q) / basis.prior.wave_rad for q in blocks.q_rad.T]
         self._whiteners = [
-            np.linalg.inv(d * np.eye(len(left)) + w * _alike(q, basis.prior.wave_rad))
-            for d, w, q in zip(density, wave, blocks.q_rad.T, strict=True)
+            np.linalg.inv(d * np.eye(len(left)) + w * np.exp(-0.5 * far**2))
+            for d, w, far in zip(density, wave, apart, strict=True)
         ]
         self._left = self._solve(std, groups)
         square = np.square(self._left).mean(axis=0)
@@ -222,9 +223,3 @@ def _wave_variance(left: Array, white: Array, travel_rad: Array, basis: BiasMode
         return own
     of_range = np.mean(own[moved] / basis.effort_Nm[moved] ** 2)
     return np.maximum(own, of_range * basis.effort_Nm**2)
-
-
-def _alike(position: Array, length: float) -> Array:
-    """How much a wave at two positions is the same, 0 to 1, shape (m, m)."""
-    distance = (position[:, None] - position) / length
-    return np.exp(-0.5 * distance**2)

@@ -233,10 +233,6 @@ class BiasModel:
         angle = self.ripple_per_rad * q
         return np.vstack((rows, np.sin(angle), np.cos(angle)))
 
-    def resolution_variance(self) -> Array:
-        """Least variance of a residual [Nm^2], shape (n,)."""
-        return np.square(self.prior.resolution_fraction * self.effort_Nm)
-
     def walk_Nm2_per_s(self) -> Array:
         """Variance that a random walk of the prior's size adds in a second [Nm^2/s], shape (n,)."""
         return np.square(self.prior.walk_fraction_per_sqrt_min * self.effort_Nm) / 60.0

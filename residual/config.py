@@ -5,7 +5,7 @@ from typing import Literal, get_args
 
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
-from residual.input_validation import check_bandwidth, check_choice, check_positive, check_switch
+from residual.input_validation import check_choice, check_positive, check_switch
 from residual.momentum_observer import Alignment, FrictionModel
 from residual.tool_kinematics import check_offset, unit_axis
 
@@ -96,7 +96,8 @@ class SensorConfig:
         gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
         for gain in gains or (None,):
             check_positive("gain_per_s", gain)
-        check_bandwidth("velocity_bandwidth_per_s", self.velocity_bandwidth_per_s)
+        bandwidth_per_s = self.velocity_bandwidth_per_s
+        check_positive("velocity_bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6)
         for name in ("contact_force_N", "max_gap_s"):
             check_positive(name, getattr(self, name))
         if self.tare_window_s is not None:

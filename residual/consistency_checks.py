@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
-from residual.errors import Array, VelocityError, named_joints
+from residual.errors import Array, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -66,8 +66,8 @@ STILL = 1e-3
 
 LIMIT_MARGIN_RAD = 0.01
 """Half a degree from its limit a joint counts as being there."""
-TURN_RAD = 2.0 * math.pi
-"""Further from a limit than this no joint is, in radians."""
+MOST_RAD = 4.0 * math.pi
+"""Two turns: beyond a limit and this a position is hardly in radians."""
 LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
@@ -76,10 +76,6 @@ MISMATCH_MEMORY_S = 0.2
 MOST_MISMATCH = 4.0
 """The covariance holds for the arm that was tared; four times its standard deviation does not
 happen by chance in all joints together."""
-NO_TARE = (
-    " No tare would hold: correct the signals and move in free air anew, or ignore_contact=True if "
-    "you know better"
-)
 
 
 class VelocityMatch(NamedTuple):
@@ -307,11 +303,6 @@ class ConsistencyMonitor:
         self.state = self.state._replace(widening=self._wanted)
         return self.state.widening * covariance_Nm2
 
-    def check_velocity(self) -> None:
-        """Refuse a tare with velocities that are not the rate of positions: a `VelocityError`."""
-        if self.velocity_fault:
-            raise VelocityError(self.velocity_fault + NO_TARE)
-
     def forget_velocity(self) -> None:
         """Compare velocities with positions anew."""
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
@@ -334,16 +325,9 @@ class ConsistencyMonitor:
         """Which joints are at a position limit, in words; empty if none is."""
         if not self.state.at_limit:
             return ""
-        joints = named_joints(self.state.at_limit)
-        if self.seems_in_degrees:
-            return f"q is turns beyond the position limits at {joints}: is it in degrees?"
-        return f"at a position limit: {joints}"
-
-    @property
-    def seems_in_degrees(self) -> bool:
-        """Whether a position was beyond its limits by more than a turn when last weighed."""
-        q = self._wrench.gain.rows[0]
-        return bool(((q < self._lower - TURN_RAD) | (q > self._upper + TURN_RAD)).any())
+        text = f"at a position limit: {named_joints(self.state.at_limit)}"
+        is_far = np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
+        return f"{text}: is q in degrees?" if is_far else text
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""

@@ -80,8 +80,8 @@ class WrenchEstimate(NamedTuple):
         damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: Whether it may be used.
-        message: The reason, when the status is not OK or there is a warning, or that no signal
-            changes any more. It counts joints from 1.
+        message: The reason, when the status is not OK or there is a warning, or a question: may a
+            signal be missing? Joints count from 1.
         model_mismatch: Normalised residual: joint torque that no wrench of the assumed kind
             explains, rms over what its covariance allows: about 1 when all is well; 0 where the
             mode has as many unknowns as there are joints.
@@ -124,7 +124,6 @@ FORGOTTEN = (
     "a time step of minutes has come while free motion was recorded, a pause or a clock that was "
     "set; what was recorded before it is forgotten: move in free air again, then tare"
 )
-NO_CHANGE = "neither positions nor torques have changed for a second: is the source dead?"
 OTHER_KIND = (
     "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
     "one of the two, or start_tare_recording() first"

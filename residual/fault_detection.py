@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
 from residual.errors import Array, SuspectSampleError, named_joints
-from residual.estimate import NO_CHANGE, SensorWarning
+from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
     NoiseProbe,
@@ -67,11 +67,11 @@ LONGEST_HOLD_S = 0.1
 SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
 MOST_LOAD = 10.0
-"""Times the effort limit: no sensor reads beyond, other units do."""
+"""Times the effort limit: only other units read beyond."""
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
 STILL_S = 1.0
-"""A signal that has not changed for this long may be missing."""
+"""A torque that has not changed for this long may be missing, or come from a simulation."""
 LOADED_RATIO = 0.9
 """Fraction of the effort limit from which every torque is watched."""
 
@@ -161,7 +161,7 @@ class FaultDetector:
                 last=np.zeros(size),
                 before=np.zeros(size),
                 velocity=np.zeros(n),
-                alone=SingleSignalDetector.of_size(n),
+                alone=SingleSignalDetector(np.zeros(n), np.zeros(n), np.full(n, np.inf)),
                 probe=NoiseProbe.of_size(size),
             )
         )
@@ -271,26 +271,16 @@ class FaultDetector:
             memory.warning = (
                 "all joints still repeat bit for bit; no longer held back, the arm may rest"
             )
-        elif memory.held_s >= STILL_S and (memory.alone.still_s >= STILL_S).all():
-            memory.warning = NO_CHANGE
-
-    @property
-    def doubt(self) -> str:
-        """Which torques may be missing, as they have long stayed the same; empty if none have."""
-        alone = self.memory.alone
-        still = alone.still_s >= STILL_S
-        if not still.any() or self.memory.warning == NO_CHANGE:
-            return self.memory.warning if still.any() else ""
-        joints, for_s = named_joints(np.flatnonzero(still)), alone.still_s[still].min()
-        return f"tau at {joints} has not changed for {for_s:.3g} s, others have: is it missing?"
+        elif (still := np.flatnonzero(memory.alone.still_s >= STILL_S)).size:
+            is_all = memory.held_s >= STILL_S and still.size == self._joints
+            what = "neither q nor tau has" if is_all else f"tau at {named_joints(still)} has not"
+            memory.warning = f"{what} changed for a second: is it stale?"
 
     def _check_saturated(self, now: Array) -> None:
         load = np.abs(now[-self._joints :]) / self._limit_Nm
         clipped = np.flatnonzero(load >= SATURATED_RATIO)
         if clipped.size:
-            what = (
-                "is it in mNm?" if load.max() > MOST_LOAD else "the true one may be anything beyond"
-            )
+            what = "it seems to be in mNm" if load.max() > MOST_LOAD else "the true one may be more"
             raise SuspectSampleError(
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",

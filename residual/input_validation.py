@@ -159,11 +159,6 @@ def check_positive(name: str, value: object, *, least: float = 1e-30, most: floa
         )
 
 
-def check_bandwidth(name: str, value: object) -> None:
-    """Refuse a bandwidth [1/s] that no sampled signal has: its square or cube would overflow."""
-    check_positive(name, value, most=1e6, least=1e-3)
-
-
 def check_switch(name: str, value: object) -> None:
     """Refuse a setting that is neither true nor false."""
     if not isinstance(value, bool | np.bool_):

@@ -178,16 +178,8 @@ class SampleStream:
 
     @property
     def warning(self) -> str:
-        """What seems frozen in samples that are taken all the same; empty if nothing does.
-
-        `NO_CHANGE` is no more than a note: a simulation without noise may rest.
-        """
+        """What seems frozen in samples that are taken all the same; a question is a mere note."""
         return "" if self._guard is None else self._guard.memory.warning
-
-    @property
-    def doubt(self) -> str:
-        """Which signals may be missing, in words; empty if none may."""
-        return "" if self._guard is None else self._guard.doubt
 
     def restore(self, memory: StreamState) -> None:
         """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""

@@ -141,11 +141,6 @@ class SingleSignalDetector:
     # shape (n,)
     limit_s: Array
 
-    @classmethod
-    def of_size(cls, size: int) -> Self:
-        """Nothing seen yet of so many signals."""
-        return cls(np.zeros(size), np.zeros(size), np.full(size, np.inf))
-
     def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
         """Learning has ended: of which signals, shape (size,), does a repeat mean anything?"""
         self.limit_s = np.where(is_telling, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf)

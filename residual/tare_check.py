@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from residual.bias_fit import FreeMotionFit
 from residual.bias_model import BiasModel, TareBlocks
-from residual.errors import Array, TareError
+from residual.errors import Array, TareError, named_joints
 
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
@@ -27,6 +27,8 @@ LEAST_OFFSETS = 3.0
 """Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
 NEAR = 0.15
 """So near to a factor with a reason a factor is that one."""
+STILL_RAD, MOVED_RAD = 1e-9, 0.01
+"""Means of the same number differ by rounding; an arm that moves so far moves every encoder."""
 OFFSET_BLOCKS = 10.0
 FURTHEST_M = 0.5
 """No hand or tool has its centre of mass further from the last joint."""
@@ -131,7 +133,8 @@ def explain_residual(
     At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
     of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
 
-    Only where the tare is refused anyhow, a mass at the flange is considered; otherwise, the others
+    Only where the tare is refused anyhow, a mass at the flange and missing positions (a simulated
+    joint may stand still) are considered; otherwise, the others
     only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
     """
     scale = basis.prior.offset_fraction * basis.effort_Nm
@@ -139,6 +142,11 @@ def explain_residual(
     size = _rms(residual)
     if size == 0.0 or not (is_refused or size > LEAST_OFFSETS):
         return ""
+    travel_rad = np.ptp(blocks.q_rad, axis=0)
+    still = np.flatnonzero(travel_rad < STILL_RAD)
+    if is_refused and still.size and travel_rad.max() > MOVED_RAD:
+        missing = f"q at {named_joints(still)} never changed, others did: it seems to be missing"
+        return f"{missing}, unless the needle is in contact"
     gravity_Nm = np.array([basis.gravity_Nm(q) for q in blocks.q_rad])
     gravity = gravity_Nm / scale
     if gravity.any():

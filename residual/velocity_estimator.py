@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike
 from residual.errors import Array
 from residual.input_validation import (
     ROUNDING_S,
-    check_bandwidth,
     check_choice,
     check_interval,
     check_positive,
@@ -92,7 +91,8 @@ class VelocityEstimator:
         alignment: Alignment = "trapezoid",
         max_gap_s: float = 0.1,
     ) -> None:
-        check_bandwidth("bandwidth_per_s", bandwidth_per_s)
+        # Its cube is calculated with.
+        check_positive("bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6)
         check_positive("joints", joints)
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
@@ -131,10 +131,13 @@ class VelocityEstimator:
         """
         n, memory, given = self._joints, self.memory, sample.ravel()
         rows = memory.rows
-        if not memory.started or (dt_s != self._dt_s and self._is_gap(dt_s)):
+        if not memory.started or dt_s > self._max_gap_s:
             rows[:] = given
             memory.age_s, memory.started = 0.0, True
             return MatchedSample(sample[0].copy(), np.zeros(n), sample[1].copy(), False)
+        if dt_s != self._dt_s:  # on an even clock that is once
+            self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
+            self._dt_s = dt_s
         rows[3] = given
         if self._held:
             rows[3, n:] = rows[2, n:]
@@ -145,14 +148,6 @@ class VelocityEstimator:
         settled = memory.age_s >= self._settling_s - ROUNDING_S
         second = out[1]
         return _new(MatchedSample, (second[:n], out[2, :n], second[n:], settled))
-
-    def _is_gap(self, dt_s: float) -> bool:
-        """Whether a new time step is too long; renews the coefficients if it is not."""
-        if dt_s > self._max_gap_s:
-            return True
-        self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
-        self._dt_s = dt_s
-        return False
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

@@ -12,10 +12,16 @@ from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
 from residual.consistency_checks import ConsistencyMonitor, MonitorState
-from residual.errors import Array, SampleError, SnapshotError, SuspectSampleError, TareError
+from residual.errors import (
+    Array,
+    SampleError,
+    SnapshotError,
+    SuspectSampleError,
+    TareError,
+    VelocityError,
+)
 from residual.estimate import (
     INITIALIZING,
-    NO_CHANGE,
     NOT_TARED,
     OTHER_KIND,
     SensorWarning,
@@ -112,17 +118,6 @@ class VirtualForceSensor:
         """
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
-    @property
-    def doubt(self) -> str:
-        """What may be wrong with the signals of late, as a question; empty if nothing seems to be.
-
-        Positions in degrees, or signals that do not change and may be missing: a tare that is
-        refused begins with it, one that is taken does not depend on it.
-        """
-        if self._monitor.seems_in_degrees:
-            return self._monitor.limit
-        return "" if self._stream is None else self._stream.doubt or self._offset.doubt
-
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
         return self._monitor.recheck(last)
@@ -176,8 +171,11 @@ class VirtualForceSensor:
                 sight, with torques that suggest a wrong sign, order, payload or treatment of
                 gravity, or velocities that do not fit positions; nothing has then changed.
         """
-        if not ignore_contact:
-            self._monitor.check_velocity()
+        if self._monitor.velocity_fault and not ignore_contact:
+            raise VelocityError(
+                f"{self._monitor.velocity_fault} No tare would hold: correct the signals and move "
+                "in free air anew, or ignore_contact=True if you know better"
+            )
         external = self._stream is not None and self._stream.is_external
         try:
             tare = self._offset.tare(
@@ -185,12 +183,13 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            doubt = "" if self.tared else self.doubt
-            reason = f"{doubt} If not, {error}" if doubt else str(error)
-            hints = [long_step(self.elapsed_s, self._config.max_gap_s)]
-            if self.rejected and not self._offset.has_motion:
+            last, hints = self._last, [str(error)]
+            if last is not None and last.status is Status.NOT_TARED and last.message.endswith("?"):
+                hints = [f"{last.message.rpartition('; ')[2]} If not, {error}"]
+            if self.rejected and not len(self._offset.memory.recorder.sums):
                 hints += [f"{self.rejected} samples were rejected, the last one: {self._refusal}"]
-            raise TareError("; ".join(filter(None, (reason, *hints)))) from None
+            hints += filter(None, [long_step(self.elapsed_s, self._config.max_gap_s)])
+            raise TareError("; ".join(hints)) from None
         self._weigh()
         self._follows = False
         return tare
@@ -353,7 +352,7 @@ class VirtualForceSensor:
         """Status, message and warnings of a sample that is not simply a good one."""
         offset, monitor = self._offset, self._monitor
         warnings = monitor.warnings
-        if stream.warning not in ("", NO_CHANGE):
+        if stream.warning and not stream.warning.endswith("?"):
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
@@ -362,15 +361,14 @@ class VirtualForceSensor:
             return Status.INITIALIZING, gap or INITIALIZING, warnings
         if not offset.memory.tared:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
-            texts = reason, stream.warning, monitor.limit
+            texts = reason, monitor.limit, stream.warning
             return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
         message = "; ".join(filter(None, (stream.warning, offset.warning, monitor.message)))
         return Status.OK, message, warnings
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last valid estimate again; the time of a bad sample still passes."""
-        self.rejected += 1
-        self._refusal = str(error)
+        self.rejected, self._refusal = self.rejected + 1, str(error)
         last = self._last
         if last is None:
             last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])

@@ -56,7 +56,7 @@ LOGS = {
     "cut.csv": "the log ends before",
     "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
     "early.npz": "no tare from .*needle.*--force-tare.*--tare START:END.*--no-tare",
-    "milli.npz": "2 s of free motion .* samples were rejected: .* x tau .* is it in mNm",
+    "milli.npz": "2 s of free motion .* samples were rejected, .* x tau .* seems to be in mNm",
     "transposed.npz": "q_rad has 7 rows of 4000: is it transposed?",
     "six.csv": "6 columns per joint signal, the robot has 7 joints: lwr_joint_1.*lwr_joint_7.*--q",
     "n" * 300 + ".csv": "name too long",

@@ -206,11 +206,7 @@ WRONG = {
         "torque_is_gravity_compensated=False",
     ),
     "wrong sign": (lambda g, tau: -tau, {}, "wrong sign"),
-    "two joints": (
-        lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]],
-        {},
-        "joint 2 reads as joint 4's, tau of joint 4",
-    ),
+    "two joints": (lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]], {}, "joint 2 reads as joint 4's"),
 }
 
 
@@ -232,9 +228,9 @@ OTHERS = np.arange(7) != 3
 @pytest.mark.parametrize(
     ("bend", "words"),
     [
-        (lambda q, tau: (np.degrees(q), tau), "beyond the position limits .* is it in degrees"),
-        (lambda q, tau: (q * OTHERS, tau), "q at joint 4 has not changed, others have"),
-        (lambda q, tau: (q, tau * OTHERS), "tau at joint 4 has not changed for 2"),
+        (lambda q, tau: (np.degrees(q), tau), "limit: .* is q in degrees. If not, the sensor"),
+        (lambda q, tau: (q * OTHERS, tau), "q at joint 4 never changed"),
+        (lambda q, tau: (q, tau * OTHERS), "tau at joint 4 has not .* If not, the sensor reads"),
     ],
 )
 def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
@@ -242,7 +238,7 @@ def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
     sensor = VirtualForceSensor(lwr)
     q, tau = bend(q, tau)
     feed(sensor, [(q_k, None, tau_k) for q_k, tau_k in zip(q, tau, strict=True)])
-    with pytest.raises(TareError, match=f"{words}.* If not, the sensor reads"):
+    with pytest.raises(TareError, match=words):
         sensor.tare()
 
 

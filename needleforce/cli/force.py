@@ -13,7 +13,7 @@ from needleforce import plots
 from needleforce.cli import log as logs
 from needleforce.cli import options as cli
 from needleforce.cli import robot as robots
-from needleforce.cli.force_replay import Replay, Rows, has_status, reasons_text, tare_window
+from needleforce.cli.force_replay import Replay, Rows, has_status, rejections, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers
 from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, write_out
@@ -161,8 +161,7 @@ class ForceResult:
         span = f"{self.counts.total()} in {self._last_s - self._first_s:.4g} s"
         counts = [f"{count} {status.value}" for status in Status if (count := self.counts[status])]
         yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
-        rejected = replay.rejected
-        yield "rejected", f"{rejected.total()}: {reasons_text(rejected)}" if rejected else "none"
+        yield "rejected", rejections(replay.rejected) or "none"
         gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
         text = f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after each"
         if 2 * self.counts[Status.INITIALIZING] > self.counts.total():
@@ -173,8 +172,8 @@ class ForceResult:
         yield "warnings", ", ".join(found) or "none"
         if replay.velocity_fault:
             yield "velocity", replay.velocity_fault
-        if replay.doubt:
-            yield "signals", replay.doubt
+        if replay.question:
+            yield "signals", replay.question
         yield "tare", self._tare()
         yield "axial force", self._force()
         lag = "that of the robot's own estimate"

@@ -76,12 +76,12 @@ def _log_time(option: str, text: str, first_s: float) -> float:
     return first_s + value if text.strip().startswith("+") else value
 
 
-def reasons_text(rejected: Counter[str]) -> str:
-    """Return how often samples were rejected for which reasons; empty if none were."""
+def rejections(rejected: Counter[str]) -> str:
+    """Return how many samples were rejected, and how often for which reasons; empty if none."""
     reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(4)]
     if others := len(rejected) - len(reasons):
         reasons.append(f"{others} other reasons")
-    return "; ".join(reasons)
+    return f"{rejected.total()}: {'; '.join(reasons)}" if reasons else ""
 
 
 class Taring:
@@ -97,7 +97,6 @@ class Taring:
         self._must_start = self._window is not None
         self._has_settled = False
         self.done: TareWindow | None = None
-        self.doubt = ""  # what may be wrong with the signals it was taken from
 
     def before(self, t_s: float) -> None:
         """Act before the sample of time ``t_s`` [s] is given to the sensor."""
@@ -130,13 +129,13 @@ class Taring:
                 self._require_inside(window, last_s)
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
-                f"motion were seen, so it cannot be tared{self._rejections()}; {_CHOICES}"
+                f"motion were seen, so it cannot be tared{self._rejections}; {_CHOICES}"
             )
 
+    @property
     def _rejections(self) -> str:
-        rejected = self._rejected - self._rejected_before
-        text = f"; {rejected.total()} samples were rejected: {reasons_text(rejected)}"
-        return text if rejected else ""
+        text = rejections(self._rejected - self._rejected_before)
+        return f"; samples were rejected, {text}" if text else ""
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
         is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
@@ -153,7 +152,7 @@ class Taring:
     def _tare(self, window: TareWindow) -> None:
         what = f"no tare from {window}"
         if not self._has_settled:
-            why = self._rejections() or "; choose a window that ends later"
+            why = self._rejections or "; choose a window that ends later"
             raise CommandError(f"{what}: the filters had not settled by then{why}")
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
@@ -163,7 +162,7 @@ class Taring:
                 reason = reason.replace(words, option)
             choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
-        self.done, self.doubt = replace(window, tare=tare), self._sensor.doubt
+        self.done = replace(window, tare=tare)
 
 
 # The sensor over the rows of a log, of which any number may come at a time.
@@ -216,6 +215,7 @@ class Replay:
         self._latest_s, self._used_s, self._shift_s = -math.inf, 0.0, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
+        self.question = ""  # the last one about signals that may be missing or in degrees
         self.gaps, self.longest_gap_s = 0, 0.0  # in time, after which the filters restarted
 
     @property
@@ -233,11 +233,6 @@ class Replay:
     def tare(self) -> TareWindow | None:
         """The tare, if one was taken."""
         return None if self._taring is None else self._taring.done
-
-    @property
-    def doubt(self) -> str:
-        """What may be wrong with the signals it was taken from, in words; often empty."""
-        return "" if self._taring is None else self._taring.doubt
 
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
@@ -268,6 +263,8 @@ class Replay:
                 is_settled = found.status is not Status.INITIALIZING
                 if is_settled and found.warnings & SensorWarning.VELOCITY:
                     self.velocity_fault = found.message
+                elif is_settled and found.message.endswith("?"):
+                    self.question = found.message.rpartition("; ")[2]
         rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
         return {**rows, "after_gap": np.array(gaps)}
 

@@ -129,12 +129,13 @@ def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _So
     return _Source(channel, columns, np.repeat(si, widths) * scales, all(units))
 
 
-# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
-# a needle of a metre, a force that buckles any needle. For time it is the median step: ten
-# samples a second are not a force log.
+# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint, a torque
+# of no arm that leads a needle, a needle of a metre, a force that buckles any needle. For time it
+# is the median step: ten samples a second are not a force log.
 _LIMITS = {
     "t_s": ("time", 0.1, "ms"),
     "q_rad": ("q", 4.0 * np.pi, "deg"),
+    "tau_Nm": ("tau", 2000.0, "mNm"),
     "depth_m": ("depth", 1.0, "mm"),
     "speed_m_s": ("speed", 1.0, "mm/s"),
     "force_N": ("force", 200.0, "mN"),
