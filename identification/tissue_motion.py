@@ -186,7 +186,9 @@ class TissueMotion(NamedTuple):
             if best.error < 0.5 * self.fit.error:
                 return state._replace(fit=best)
             # The law may have changed within the window, or the motion have ended: it begins anew.
-            is_lost = self.fit.error > min(_LOST * window.count, window.still)
+            # Before it is full a breath may be missing, which wants all of it.
+            most = _LOST * window.count if len(self.window) == _SIZE else math.inf
+            is_lost = self.fit.error > min(most, window.still)
             return TissueMotion(from_s=time_s) if is_lost else state
         if len(best.beats) == 0:
             return state._replace(next_s=time_s + _WAIT_S)
