@@ -231,7 +231,7 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypa
         (6, 1.0, [], 2, "error: the log has 6 columns per joint signal, the robot has 7 joints"),
         (7, 1.0, ["--tare", "-3"], 2, "error: --tare -3: expected seconds of free motion"),
         (7, 1.0, ["--tare", "100"], 0, r"warning: no tare in 2.001 s \(--tare 100 asks"),
-        (7, 1e3, [], 0, "warning: 19.. samples rejected: 19.. x tau is at the effort limit"),
+        (7, 1e3, [], 0, "warning: samples rejected, 19..: 19.. x tau is at the effort limit"),
         (7, -1.0, ["--tare", "1"], 0, "no tare at 1.0 s: .* wrong sign; negate it. Tare in free"),
         (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
     ],

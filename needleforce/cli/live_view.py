@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from needleforce.anatomy import AnatomyError, Layer, PlanMatch, read_labels
-from needleforce.cli.force_replay import reasons_text, require_joints
+from needleforce.cli.force_replay import rejections, require_joints
 from needleforce.cli.live_commands import ViewOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
@@ -139,7 +139,7 @@ def replayed(
                 rows.append(view_row(now, q[k]))
             if k % 1000 == 0:
                 progress(k / len(q))
-    warnings = [f"{rejected.total()} samples rejected: {reasons_text(rejected)}"] * bool(rejected)
+    warnings = [f"samples rejected, {rejections(rejected)}"] * bool(rejected)
     if not session.tared:
         warnings.append(
             f"no tare in {steps.sum():.4g} s (--tare {options.tare:g} asks for so many seconds of "
