@@ -32,7 +32,7 @@ from identification.hypothesis_filter import (
     predict,
     regressor,
 )
-from identification.rupture_report import Evaluation, friction_left, may_be_braking
+from identification.rupture_report import Evaluation, friction_left, may_be_braking, speed_lag
 from identification.tissue_motion import TissueMotion
 
 PLACE = Place(
@@ -175,9 +175,20 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, 
     bank.records[0, [RUPTURE_S, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 2.3, 1.0
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    place = place._replace(raw=50.0)
+    place = place._replace(raw=50.0, lag_s=0.1)
     assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
         bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
         assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion())
+
+
+def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_it():
+    assert (speed_lag(0.0, 0.0), speed_lag(1.0, 1e-9)) == (0.1, 0.3)
+    assert speed_lag(0.0041, 0.0558) == pytest.approx(0.22, abs=1e-3)
+    bank = first_bank()
+    bank.records[0, [RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 49.66, 2.3, 1.0
+    evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
+    for fall_N, lag_s, waits in ((0.2, 0.1, False), (0.2, 0.22, True), (0.25, 0.22, False)):
+        place = Place(10.15, 0.01, 50.0, 2.3, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.01, lag_s)
+        assert may_be_braking(bank, evaluation, place, 10.15, TissueMotion()) == waits
