@@ -1,5 +1,6 @@
 """Arms of vendors through the vendors' own clients, against emulators in other processes."""
 
+import fcntl
 import sys
 
 import numpy as np
@@ -26,6 +27,14 @@ def taken(arm, count):
     return found
 
 
+@pytest.fixture(autouse=True)
+def _alone(tmp_path_factory):
+    """The vendors' ports are fixed: one of these tests at a time, whatever the workers."""
+    with (tmp_path_factory.getbasetemp().parent / "vendors.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
 def test_a_franka_arm_is_read_bit_for_bit():
     pytest.importorskip("panda_py")
     settings = rows(7, 1000.0)
@@ -46,8 +55,7 @@ def test_a_franka_arm_is_read_bit_for_bit():
 
 def test_a_ur_arm_is_read_and_its_currents_become_torques():
     pytest.importorskip("rtde_receive")
-    settings = rows(6, 500.0)
-    constants = np.arange(1.0, 7.0)
+    settings, constants = rows(6, 500.0), np.arange(1.0, 7.0)
     with Emulator(emulate_ur, settings) as emulator:
         with UrArm(torque_constant_Nm_A=constants) as arm:
             found = taken(arm, 500)

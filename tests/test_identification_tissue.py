@@ -57,8 +57,7 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     place = displacement(last.fit.beats, times)[0]
     error = place - 1e3 * true.at(begin_s + last.fit.at_s + times)[0]
     assert np.std(error) < 0.3 * np.std(place)
-    alarms_s = [each.rupture.alarm_s for each in found if each.rupture is not None]
-    alarms_s = [each - CLOCK_S for each in alarms_s]
+    alarms_s = [each.rupture.alarm_s - CLOCK_S for each in found if each.rupture is not None]
     near = [each for each in alarms_s if abs(each - rupture_s) < 3.0]
     assert len(near) == 1
     assert 0.0 < near[0] - rupture_s < 0.2
