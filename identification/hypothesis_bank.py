@@ -69,10 +69,6 @@ class Bank(NamedTuple):
         shapes = ((n, law.UNKNOWNS), (n, *last), (n,), (n, law.FACTS), (n, law.RECORDS))
         if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
             return f"its arrays have shapes {[np.shape(part) for part in self]}"
-        if any(part.dtype != np.float64 for part in self):
-            return f"its arrays hold {[str(part.dtype) for part in self]}, expected float64"
-        if not all(np.isfinite(part).all() for part in self):
-            return "it has numbers that are not finite"
         scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.spreads), 1e-300))
         scaled = self.spreads / (scale[:, :, None] * scale[:, None, :])
         if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):

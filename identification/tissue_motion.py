@@ -204,7 +204,7 @@ def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
     return place, (rate * (b * cosine - a * sine)).sum(axis=(-2, -1))
 
 
-def _slopes(beats: Array, time_s: Array) -> tuple[Array, Array]:
+def _derivatives(beats: Array, time_s: Array) -> tuple[Array, Array]:
     """Derivatives of place and speed at n times by the five numbers of each beat."""
     hertz = 2.0 * math.pi * np.array([1.0, 2.0])
     rate = beats[:, :1] * hertz
@@ -271,13 +271,14 @@ class _Window:
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
-        since_s, line = self.time_s - fit.at_s, self.powers[:, :2]
-        place, (places, speeds) = displacement(fit.beats, since_s)[0], _slopes(fit.beats, since_s)
+        line, beats = self.powers[:, :2], fit.beats
+        places, speeds = _derivatives(beats, self.time_s - fit.at_s)
+        place = places @ (beats * (np.arange(5) > 0)).ravel()  # linear in the sizes
         by_w, by_v, by_g = line @ linear[1:3], line @ linear[3:5], self.powers @ linear[5:]
         slopes = -by_v[:, None] * speeds
         # What turns round remembers its way there: differences.
         w, g = contact_along(self.depth - place)
-        for k, step in enumerate((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(fit.beats)):
+        for k, step in enumerate((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats)):
             turned_w, turned_g = contact_along(self.depth - place - step * places[:, k])
             slopes[:, k] += ((turned_w - w) * by_w + (turned_g - g) * by_g) / step
         return slopes

@@ -323,11 +323,14 @@ class ConsistencyMonitor:
     @property
     def limit(self) -> str:
         """Which joints are at a position limit, in words; empty if none is."""
-        if not self.state.at_limit:
-            return ""
-        text = f"at a position limit: {named_joints(self.state.at_limit)}"
-        is_far = np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
-        return f"{text}: is q in degrees?" if is_far else text
+        at_limit = self.state.at_limit
+        return f"at a position limit: {named_joints(at_limit)}" if at_limit else ""
+
+    @property
+    def question(self) -> str:
+        """The same where positions are so far out that they hardly are in radians; else empty."""
+        is_far = self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
+        return f"{self.limit}: is q in degrees?" if is_far else ""
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
@@ -342,7 +345,9 @@ class ConsistencyMonitor:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
             reasons = [text for one, text in _REASONS.items() if one in self.warnings]
-            self.message = "; ".join(filter(None, (self.velocity_fault, self.limit, *reasons)))
+            self.message = "; ".join(
+                filter(None, (self.velocity_fault, self.question or self.limit, *reasons))
+            )
 
 
 _REASONS = {

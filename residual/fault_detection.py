@@ -125,6 +125,7 @@ class GuardState:
     age_s: float = 0.0  # Time since each torque was checked by itself [s]
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
+    question: str = ""  # What may be missing: it has not changed for long
     held_s: float = 0.0  # Time for which positions have repeated now [s]
     # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not repeat
     swept: Array | None = None
@@ -264,7 +265,7 @@ class FaultDetector:
         stuck = memory.alone.check(torque, memory.age_s)
         memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
         memory.age_s = 0.0
-        memory.warning = ""
+        memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:
             memory.warning = f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
         elif memory.torque.seems_stuck or memory.motion.seems_stuck:
@@ -274,7 +275,7 @@ class FaultDetector:
         elif (still := np.flatnonzero(memory.alone.still_s >= STILL_S)).size:
             is_all = memory.held_s >= STILL_S and still.size == self._joints
             what = "neither q nor tau has" if is_all else f"tau at {named_joints(still)} has not"
-            memory.warning = f"{what} changed for a second: is it stale?"
+            memory.question = f"{what} changed for a second: is it stale?"
 
     def _check_saturated(self, now: Array) -> None:
         load = np.abs(now[-self._joints :]) / self._limit_Nm

@@ -178,8 +178,13 @@ class SampleStream:
 
     @property
     def warning(self) -> str:
-        """What seems frozen in samples that are taken all the same; a question is a mere note."""
+        """What seems frozen in samples that are taken all the same; empty if nothing does."""
         return "" if self._guard is None else self._guard.memory.warning
+
+    @property
+    def question(self) -> str:
+        """Which signals may be missing, as they do not change; empty if none."""
+        return "" if self._guard is None else self._guard.memory.question
 
     def restore(self, memory: StreamState) -> None:
         """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""

@@ -134,8 +134,8 @@ def explain_residual(
     of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
 
     Only where the tare is refused anyhow, a mass at the flange and missing positions (a simulated
-    joint may stand still) are considered; otherwise, the others
-    only in a residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
+    joint may stand still) are considered; otherwise, the others only in a residual far beyond all
+    offsets. ``is_external`` as in `check_free_of_contact`.
     """
     scale = basis.prior.offset_fraction * basis.effort_Nm
     residual = blocks.residual_Nm / scale

@@ -183,9 +183,7 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            last, hints = self._last, [str(error)]
-            if last is not None and last.status is Status.NOT_TARED and last.message.endswith("?"):
-                hints = [f"{last.message.rpartition('; ')[2]} If not, {error}"]
+            hints = [f"{self.question} If not, {error}" if self.question else str(error)]
             if self.rejected and not len(self._offset.memory.recorder.sums):
                 hints += [f"{self.rejected} samples were rejected, the last one: {self._refusal}"]
             hints += filter(None, [long_step(self.elapsed_s, self._config.max_gap_s)])
@@ -193,6 +191,12 @@ class VirtualForceSensor:
         self._weigh()
         self._follows = False
         return tare
+
+    @property
+    def question(self) -> str:
+        """Whether a signal is missing, or in degrees: what the samples ask; mostly empty."""
+        stale = "" if self._stream is None else self._stream.question
+        return "; ".join(filter(None, (self._monitor.question, stale)))
 
     def _weigh(self) -> None:
         """Weigh the joints by the residual's covariance where the arm is."""
@@ -341,7 +345,7 @@ class VirtualForceSensor:
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
-        if not (settled and tared) or bias.leapt_s or stream.warning:
+        if not (settled and tared) or bias.leapt_s or stream.warning or stream.question:
             status, message, warnings = self._assess(stream, settled=settled)
         self._last = last = _new(
             WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
@@ -352,7 +356,7 @@ class VirtualForceSensor:
         """Status, message and warnings of a sample that is not simply a good one."""
         offset, monitor = self._offset, self._monitor
         warnings = monitor.warnings
-        if stream.warning and not stream.warning.endswith("?"):
+        if stream.warning:
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
@@ -361,9 +365,10 @@ class VirtualForceSensor:
             return Status.INITIALIZING, gap or INITIALIZING, warnings
         if not offset.memory.tared:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
-            texts = reason, monitor.limit, stream.warning
+            texts = reason, stream.warning, self.question or monitor.limit
             return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
-        message = "; ".join(filter(None, (stream.warning, offset.warning, monitor.message)))
+        frozen = stream.warning or stream.question
+        message = "; ".join(filter(None, (frozen, offset.warning, monitor.message)))
         return Status.OK, message, warnings
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:

@@ -259,8 +259,8 @@ class Replay:
                 is_settled = found.status is not Status.INITIALIZING
                 if is_settled and found.warnings & SensorWarning.VELOCITY:
                     self.velocity_fault = found.message
-                elif is_settled and found.message.endswith("?"):
-                    self.question = found.message.rpartition("; ")[2]
+                elif is_settled and found.message:
+                    self.question = sensor.question or self.question
         rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
         return {**rows, "after_gap": np.array(gaps)}
 
