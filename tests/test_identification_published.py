@@ -9,18 +9,16 @@ from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.identifier import Identifier
 from identification.published_identifier import (
-    cusum_constants,
-    force_ratios,
-    reweighted_friction_variance,
-)
-from identification.published_update import (
     NO_SUMS,
     NO_WINDOWS,
     add_sample,
     append_window,
+    cusum_constants,
     cusum_step,
     derivative_step,
+    force_ratios,
     rerun_windows,
+    reweighted_friction_variance,
     rls_step,
 )
 

@@ -109,7 +109,7 @@ def in_tissue():
         (MULTILAYER, "levels", lambda _: None),
         (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
         (MULTILAYER, "tissue.unit", lambda _: 10**6),
-        (PUBLISHED, "memory.rls", lambda rls: (*rls[:4], -1.0)),
+        (PUBLISHED, "tracker.rls", lambda rls: (*rls[:4], -1.0)),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )
