@@ -24,6 +24,8 @@ _LEAST_WEIGHT = 1e-3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
+_LATE_S = 0.5
+"""An alarm that comes later than this wants the force to be lower still than at the rupture."""
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 """Of the force, no robot brakes so hard before its speed is known: a fall, and one per second; and
 a fall that is large."""
@@ -84,11 +86,16 @@ class Evaluation(NamedTuple):
     best: int  # ruptures of the likeliest of all
 
 
-def count_ruptures(bank: Bank, known: int, noise: float) -> Evaluation:
+def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    limits = float(known), max(_CLEAR_SIGMAS * noise, _CLEAR_N), law.LAYER
-    force = bank.records[:, law.RUPTURE_FORCE] - bank.means[:, law.OFFSET]
-    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, force, limits, _OF_COUNT))
+    limits = float(known), max(_CLEAR_SIGMAS * place.noise, _CLEAR_N), law.LAYER
+    force = bank.records[:, law.RUPTURE_FORCE]
+    is_late = place.time_s - bank.records[:, law.RUPTURE_S] > _LATE_S
+    # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
+    possible = np.where(is_late & (force <= place.force), 0.0, 1.0)
+    most = force - bank.means[:, law.OFFSET]
+    counted = _counted(bank.log_weights, bank.facts, bank.means, most, possible, limits, _OF_COUNT)
+    return Evaluation(*counted)
 
 
 @compiled
@@ -96,13 +103,14 @@ def _counted(
     log_weights: Vector,
     facts: Matrix,
     means: Matrix,
-    force: Vector,
+    most: Vector,
+    possible: Vector,
     limits: tuple[float, float, float],
     places: tuple[int, int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
     """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
 
-    A rupture releases no more than the force there was.
+    A rupture releases no more than the force there was, `most`.
     """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
     weights = np.exp(log_weights - log_weights.max())
@@ -110,9 +118,9 @@ def _counted(
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
-    fallen = np.minimum(fallen, force)
+    fallen = np.minimum(fallen, most)
     ruptures = facts[:, number]
-    is_more = ruptures > known
+    is_more = (ruptures > known) & (possible > 0.0)
     pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
     more, fewer = weights[is_more & (fallen > least)].sum(), weights[ruptures < known].sum()
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])

@@ -339,7 +339,7 @@ def report(
 ) -> SwitchingState:
     """Raise or take back an alarm, report the layer left, answer for the next samples."""
     bank, place = memory.bank, state.place
-    evaluation = reports.count_ruptures(bank, state.ruptures, place.noise)
+    evaluation = reports.count_ruptures(bank, state.ruptures, place)
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
         now = RuptureState.FORCE_DROP_MEASURING

@@ -3,36 +3,16 @@
 import numpy as np
 import pytest
 
+from identification import hypothesis_filter as law
 from identification.disturbance_levels import DisturbanceLevels, transitions
 from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, first_bank
-from identification.hypothesis_filter import (
-    COLOUR,
-    HEART,
-    IS_HELD,
-    KIND,
-    LAW,
-    LAYER,
-    LEFT,
-    LENGTH,
-    MEMBRANE,
-    OWN_COULOMB,
-    OWN_VISCOUS,
-    RELEASE,
-    ROOT,
-    RUPTURE_FORCE,
-    RUPTURE_MM,
-    RUPTURE_S,
-    RUPTURE_SPEED,
-    RUPTURES,
-    STIFFNESS,
-    TEMPER,
-    TIP,
-    UNKNOWNS,
-    absorb,
-    predict,
-    regressor,
+from identification.rupture_report import (
+    Evaluation,
+    count_ruptures,
+    friction_left,
+    may_be_braking,
+    speed_lag,
 )
-from identification.rupture_report import Evaluation, friction_left, may_be_braking, speed_lag
 from identification.tissue_motion import TissueMotion
 
 PLACE = Place(
@@ -51,14 +31,14 @@ def hypothesis(seed, kind, *, is_held=False):
     """A bank of one hypothesis that has been in its layer for a while, its unknowns drawn."""
     rng = np.random.default_rng(seed)
     bank = first_bank()
-    factor = 0.05 * rng.standard_normal((UNKNOWNS, UNKNOWNS))
+    factor = 0.05 * rng.standard_normal((law.UNKNOWNS, law.UNKNOWNS))
     facts = bank.facts.copy()
-    facts[0, [KIND, ROOT, TIP, IS_HELD]] = kind, 4.0, 5.0, is_held
-    if kind == LAYER:
-        facts[0, [RELEASE, LENGTH, RUPTURES]] = 5.0, 0.3, 1.0
-    means = 0.1 * np.abs(rng.standard_normal((1, UNKNOWNS)))
-    if kind != LAYER:
-        means[0, [OWN_COULOMB, OWN_VISCOUS, STIFFNESS]] = 0.0
+    facts[0, [law.KIND, law.ROOT, law.TIP, law.IS_HELD]] = kind, 4.0, 5.0, is_held
+    if kind == law.LAYER:
+        facts[0, [law.RELEASE, law.LENGTH, law.RUPTURES]] = 5.0, 0.3, 1.0
+    means = 0.1 * np.abs(rng.standard_normal((1, law.UNKNOWNS)))
+    if kind != law.LAYER:
+        means[0, [law.OWN_COULOMB, law.OWN_VISCOUS, law.STIFFNESS]] = 0.0
     return bank._replace(means=means, spreads=(factor @ factor.T)[None], facts=facts)
 
 
@@ -72,29 +52,31 @@ def spawn(bank, place, before):
 
 
 def force_of(bank):
-    rows = np.array([regressor(fact, SCENE) for fact in bank.facts])
+    rows = np.array([law.regressor(fact, SCENE) for fact in bank.facts])
     return np.einsum("ni,ni->n", rows, bank.means)
 
 
 @pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(("kind", "is_held"), [(LAYER, False), (LAYER, True), (MEMBRANE, True)])
+@pytest.mark.parametrize(
+    ("kind", "is_held"), [(law.LAYER, False), (law.LAYER, True), (law.MEMBRANE, True)]
+)
 def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     before = hypothesis(seed, kind, is_held=is_held)
     after = spawn(before, PLACE, PLACE.depth - 0.3)
     born = Bank(*(part[1:] for part in after))
     assert len(born.log_weights) > 2
     assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
-    assert set(born.facts[:, RUPTURES] - before.facts[0, RUPTURES]) <= {0.0, 1.0}
+    assert set(born.facts[:, law.RUPTURES] - before.facts[0, law.RUPTURES]) <= {0.0, 1.0}
     assert len(after.log_weights) <= CAPACITY
 
 
 def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
-    before = hypothesis(5, LAYER)
+    before = hypothesis(5, law.LAYER)
     born = spawn(before, PLACE, PLACE.depth - 0.3)
-    exits = (born.facts[:, RUPTURES] == 2.0) & (born.facts[:, IS_HELD] == 0.0)
+    exits = (born.facts[:, law.RUPTURES] == 2.0) & (born.facts[:, law.IS_HELD] == 0.0)
     length = PLACE.depth - 4.0
-    own = before.means[0, OWN_COULOMB] + PLACE.speed * before.means[0, OWN_VISCOUS]
-    assert born.means[exits, LEFT] == pytest.approx(np.full(exits.sum(), length * own))
+    own = before.means[0, law.OWN_COULOMB] + PLACE.speed * before.means[0, law.OWN_VISCOUS]
+    assert born.means[exits, law.LEFT] == pytest.approx(np.full(exits.sum(), length * own))
     friction = friction_left(born._replace(log_weights=np.where(exits, 0.0, -50.0)), 2)
     assert friction is not None
     assert friction[0] == pytest.approx(length * own)
@@ -104,36 +86,38 @@ def later(bank, dt_s, travel, levels):
     memory = BankMemory(bank)
     turns = transitions(dt_s, travel, 5.0, tuple(levels[1:].tolist()))
     colour = np.array([np.exp(-dt_s / 0.025), levels[0]])
-    predict(memory.store, 1, 0.0, dt_s, colour, turns)
+    law.predict(memory.store, 1, 0.0, dt_s, colour, turns)
     return memory.bank
 
 
 def test_two_steps_of_time_and_travel_are_one():
-    bank, levels = hypothesis(1, LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4])
+    bank, levels = hypothesis(1, law.LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4])
     whole = later(bank, 0.02, 0.08, levels)
     half = later(later(bank, 0.01, 0.04, levels), 0.01, 0.04, levels)
     for one, other in zip(whole, half, strict=True):
         assert one == pytest.approx(other, abs=1e-12)
     late = later(bank, 60.0, 300.0, levels).spreads
-    assert late[0, [COLOUR, HEART, LAW], [COLOUR, HEART, LAW]] == pytest.approx(levels[[0, 1, 3]])
+    parts = [law.COLOUR, law.HEART, law.LAW]
+    assert late[0, parts, parts] == pytest.approx(levels[[0, 1, 3]])
 
 
 def learned(bank, force):
     memory = BankMemory(bank)
-    absorb(memory.store, 1, SCENE, force, 4e-4, 0.0)
+    law.absorb(memory.store, 1, SCENE, force, 4e-4, 0.0)
     return memory.bank
 
 
 def test_a_force_that_was_expected_teaches_as_kalman_says():
-    bank = hypothesis(2, LAYER)
-    row, spread, force = regressor(bank.facts[0], SCENE), bank.spreads[0], float(force_of(bank)[0])
+    bank = hypothesis(2, law.LAYER)
+    row, spread = law.regressor(bank.facts[0], SCENE), bank.spreads[0]
+    force = float(force_of(bank)[0])
     found = learned(bank, force)
     assert found.means[0] == pytest.approx(bank.means[0])
     variance = row @ spread @ row + 4e-4
     # Late in the layer nothing is being released, and no other noise comes on top.
     cross = spread @ row
     assert found.spreads[0] == pytest.approx(spread - np.outer(cross, cross) / variance)
-    assert found.log_weights[0] == pytest.approx(-0.5 * TEMPER * np.log(variance))
+    assert found.log_weights[0] == pytest.approx(-0.5 * law.TEMPER * np.log(variance))
     far = learned(bank, force + 1.0)
     assert far.log_weights[0] < found.log_weights[0]
     assert (row @ far.means[0] - force) > 0.0
@@ -172,14 +156,14 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
 )
 def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, braking):
     bank = first_bank()
-    bank.records[0, [RUPTURE_S, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 2.3, 1.0
+    bank.records[0, [law.RUPTURE_S, law.RUPTURE_SPEED, law.RUPTURE_FORCE]] = 10.0, 2.3, 1.0
     place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
     place = place._replace(raw=50.0, lag_s=0.1)
     assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
-        bank.records[0, RUPTURE_MM] = 50.0 - 0.4 * since_s
+        bank.records[0, law.RUPTURE_MM] = 50.0 - 0.4 * since_s
         assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion())
 
 
@@ -187,8 +171,20 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
     assert (speed_lag(0.0, 0.0), speed_lag(1.0, 1e-9)) == (0.1, 0.3)
     assert speed_lag(0.0041, 0.0558) == pytest.approx(0.22, abs=1e-3)
     bank = first_bank()
-    bank.records[0, [RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE]] = 10.0, 49.66, 2.3, 1.0
+    at = [law.RUPTURE_S, law.RUPTURE_MM, law.RUPTURE_SPEED, law.RUPTURE_FORCE]
+    bank.records[0, at] = 10.0, 49.66, 2.3, 1.0
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
     for fall_N, lag_s, waits in ((0.2, 0.1, False), (0.2, 0.22, True), (0.25, 0.22, False)):
         place = Place(10.15, 0.01, 50.0, 2.3, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.01, lag_s)
         assert may_be_braking(bank, evaluation, place, 10.15, TissueMotion()) == waits
+
+
+@pytest.mark.parametrize(
+    ("since_s", "force", "more"), [(0.1, 1.1, 1.0), (0.6, 0.8, 1.0), (0.6, 1.1, 0.0)]
+)
+def test_a_rupture_thought_of_late_counts_only_while_the_force_is_lower(since_s, force, more):
+    bank = first_bank()
+    bank.facts[0, [law.KIND, law.RUPTURES]] = law.LAYER, 1.0
+    bank.means[0, law.RELEASED] = 0.3
+    bank.records[0, [law.RUPTURE_S, law.RUPTURE_FORCE]] = PLACE.time_s - since_s, 1.0
+    assert count_ruptures(bank, 0, PLACE._replace(force=force)).more == more
