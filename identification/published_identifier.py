@@ -12,14 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.config import PublishedConfig
-from identification.estimate import (
-    Array,
-    LayerEstimate,
-    Rupture,
-    RuptureState,
-    Sample,
-    layers_traversed,
-)
+from identification.estimate import Array, LayerEstimate, Rupture, RuptureState, Sample
 from needleforce.jit import Matrix, compiled
 
 _ROUNDING = 1e-9
@@ -94,11 +87,7 @@ class PublishedState(NamedTuple):
     rupture_state: RuptureState = RuptureState.NO_RUPTURE  # State of the rupture machine
     cumulative_friction_Ns_per_m: float = 0.0  # Sum of B_j d_j over the layers subtracted
     layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
-
-    @property
-    def ruptures(self) -> int:
-        """How many have been detected."""
-        return layers_traversed(self.layers) + (self.ruptured is not None)
+    ruptures: int = 0  # Detected so far
 
 
 class PublishedMethod:
@@ -291,7 +280,7 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     """
     tracker, (time_s, _, depth_m, speed_m_s, *_) = state.tracker, sample
     rupture = Rupture(
-        layer=layers_traversed(state.layers) + 1,
+        layer=state.ruptures + 1,
         alarm_s=time_s,
         alarm_depth_m=depth_m,
         time_s=time_s,
@@ -314,7 +303,11 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     )
     ruptured = RupturedLayer(state.start_depth_m, windows, tracker.mean_speed_m_s, rupture)
     return state._replace(
-        tracker=fresh, start_depth_m=depth_m, windows=NO_WINDOWS, ruptured=ruptured
+        tracker=fresh,
+        start_depth_m=depth_m,
+        windows=NO_WINDOWS,
+        ruptured=ruptured,
+        ruptures=rupture.layer,
     )
 
 
