@@ -161,9 +161,14 @@ class TissueMotion(NamedTuple):
         n, m, unit = len(BREATH), len(HEART), self.unit
         if unit < n + 2 * m:
             row = 0 if unit < n else 1 if unit < n + m else 2
-            hz = BREATH[unit] if row == 0 else HEART[(unit - n) % m]
-            tried = np.array([hz] if row < 2 else [self.found[0, 1], hz])
-            error, found = window.scanned(tried), self.found.copy()
+            slow, fast = BREATH[unit % n], HEART[(unit - n) % m]
+            tried = np.array([fast if row else slow])
+            if row == 2:  # of two beats the larger shows by itself, the other one beside it
+                (breath, hz, _), (heart, rate, _), _ = self.found.tolist()
+                tried = np.array([slow, rate] if heart < breath else [hz, fast])
+            # With waves that grow many a slow one fits as well: what matters is where to begin.
+            error = window.scanned(tried) if row < 2 else window.first_fit(tried, time_s).error
+            found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
             return self._replace(found=found, unit=unit + 1, best=Fit())
@@ -189,7 +194,8 @@ class TissueMotion(NamedTuple):
             # Before it is full a breath may be missing, which wants all of it.
             most = _LOST * window.count if len(self.window) == _SIZE else math.inf
             is_lost = self.fit.error > min(most, window.still)
-            return TissueMotion(from_s=time_s) if is_lost else state
+            newer = self.window[len(self.window) // 2 :]
+            return TissueMotion(window=newer, from_s=self.from_s) if is_lost else state
         if len(best.beats) == 0:
             return state._replace(next_s=time_s + _WAIT_S)
         return state._replace(fit=best, since_s=time_s)
