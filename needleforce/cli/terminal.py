@@ -57,6 +57,10 @@ def run_command(work: Callable[[], int]) -> int:
 def _explained(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
     if type(error).__module__.partition(".")[0] in _FORESEEN:
+        try:
+            write_out("")
+        except OSError:  # what a full disk has refused would be tried again at the end
+            _close_output()
         return str(error)
     if not isinstance(error, OSError) or error.filename is not None:
         raise error
