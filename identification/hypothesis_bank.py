@@ -139,17 +139,18 @@ class BankMemory:
         now = (place.depth, place.speed, place.dt_s, place.noise)
         law.weigh(self.store, self.size, now, is_advancing)
 
-    def spawn(self, place: Place, before: float, tissue_speed: float) -> None:
+    def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.
 
-        The tissue moves by itself at a speed of this standard deviation [mm/s].
+        The tissue moves by itself at a speed of this standard deviation [mm/s]; so many ruptures
+        have been reported.
         """
         facts, log_weights = self.bank.facts, self.bank.log_weights
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
         scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
-        moment = (*scene, time_s, tissue_speed, place.force)
+        moment = (*scene, time_s, tissue_speed, place.force, float(reported))
         for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
             for what, becomes, is_kept, releases, chance in happens:

@@ -30,8 +30,8 @@ from needleforce.jit import (
     compiled_or,
 )
 
-# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the rupture
-# before; EARLIER: the same of the one before.
+# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the one reported
+# before; EARLIER: the same of that one.
 OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING, KEPT = range(8)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(8, 12)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(12, 19)
@@ -58,10 +58,9 @@ PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM = 5, 6, 7, 8, 14
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
 """Room for hypotheses, a row each: means, covariances, log weights, facts, records."""
 Scene = tuple[float, float, float]  # depth, speed and presliding deflection
-Moment = tuple[float, float, float, float, float, float]
-"""A scene; time, standard deviation of the tissue's own speed, force."""
-Event = tuple[int, float, bool]
-"""Which, what the tip is in then, and whether some of its force stays for a while."""
+Moment = tuple[float, float, float, float, float, float, float]
+"""A scene; time, standard deviation of the tissue's own speed, force, ruptures reported."""
+Event = tuple[int, float, bool]  # which, what the tip is in then, whether some of its force stays
 
 CUTTING_ONSET_MM = 1.0
 """Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
@@ -86,7 +85,7 @@ FREEDOM = 8.0
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
 """Growth of the force in a layer, before data [N/mm], and the growth of that growth [N/mm²]."""
 NO_FORCE, NO_SLOPE = 0.02, 0.002
-"""Cutting force or friction [N] and stiffness [N/mm] that count as none: they are not negative."""
+"""Cutting force or friction [N] and stiffness [N/mm] that count as none."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
 PUSHED_MM = 12.0
@@ -274,7 +273,7 @@ def after_event(
     `passed` is the shaft in the layer since the last event.
     """
     (what, becomes, is_kept), was, row = event, fact[KIND], regressor(fact, moment[:3])
-    depth, speed, deflection, _, unseen, force = moment
+    depth, speed, deflection, _, unseen, force, reported = moment
     change, noise, tip = np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
@@ -297,8 +296,8 @@ def after_event(
         change[HELD if what == MEETING else RELEASED] = tip
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
-    # A membrane met ends the layer's part of the shaft before its puncture is the rupture.
-    if was == LAYER or (what == EXIT and (was != MEMBRANE or fact[IS_HELD] == 0.0)):
+    # A membrane met ends the layer's part before its puncture does; a rupture not reported, none.
+    if fact[RUPTURES] <= reported and (was == LAYER or (what == EXIT and fact[IS_HELD] == 0.0)):
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
@@ -315,7 +314,7 @@ def add_children(
 ) -> None:
     """Write, from row n on, what hypothesis k becomes by an event, one for each release length."""
     means, spreads, log_weights, facts, records = store
-    (what, becomes, _), (depth, speed, _, time_s, _, force) = event, moment
+    (what, becomes, _), (depth, speed, _, time_s, _, force, reported) = event, moment
     fact, record, was = facts[k].copy(), records[k].copy(), facts[k, KIND]
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
     mean, spread = after_event(means[k], spreads[k], fact, moment, event, depth - begin)
@@ -323,11 +322,12 @@ def add_children(
     if what in (EXIT, PARTIAL):
         part = slice(RELEASED, OWN_VISCOUS + 1)
         fact[OWN_FORCE] = np.dot(regressor(facts[k], moment[:3])[part], means[k, part])
-        fact[RELEASE], fact[RUPTURES] = depth, fact[RUPTURES] + 1.0
+        fact[RELEASE], fact[RUPTURES] = depth, min(fact[RUPTURES], reported) + 1.0
         record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = time_s, depth, speed
         record[RUPTURE_FORCE], record[WAS_PARTIAL] = force, 1.0 if what == PARTIAL else 0.0
     if was == LAYER:
-        record[PART_START], record[PART_END], record[PART_FRICTION] = begin, depth, mean[LEFT]
+        start = begin if facts[k, RUPTURES] <= reported else record[PART_START]
+        record[PART_START], record[PART_END], record[PART_FRICTION] = start, depth, mean[LEFT]
         for i, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
             record[STIFFNESS_HERE + 2 * i] = means[k, j]
             record[STIFFNESS_HERE + 2 * i + 1] = spreads[k, j, j]

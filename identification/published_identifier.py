@@ -207,14 +207,12 @@ def published_step(
         return state._replace(tracker=last)
     is_watching = state.rupture_state in _WATCHING and speed_m_s >= config.least_speed_m_s
     now = _track(state, sample, before, is_watching, config)
-    windows, beta = state.windows, config.derivative_threshold_N_per_s
+    windows = state.windows
     if now.window_s * config.reset_frequency_Hz >= 1.0 - _ROUNDING:
         windows = append_window(windows, now.window, config.most_windows)
         rls = (*now.rls[:2], *_fresh_rls(config)[2:])
         now = now._replace(rls=rls, window=NO_SUMS, window_s=0.0)
-    beta += state.ruptures * config.derivative_rise_N_per_s
-    is_expected = is_watching and now.derivative_N_per_s < -beta
-    at = _next_state(state, now, is_expected, config)
+    at = _next_state(state, now, is_watching, config)
     state = state._replace(tracker=now, windows=windows, rupture_state=at)
     if at is RuptureState.DETECTED and state.ruptured is None:
         return _open_layer(state, sample, config)
@@ -255,11 +253,13 @@ def _track(
 
 
 def _next_state(
-    state: PublishedState, now: Tracker, is_expected: bool, config: PublishedConfig
+    state: PublishedState, now: Tracker, is_watching: bool, config: PublishedConfig
 ) -> RuptureState:
     at, ruptured = state.rupture_state, state.ruptured
     if at in _WATCHING:
         _, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
+        beta = config.derivative_threshold_N_per_s + state.ruptures * config.derivative_rise_N_per_s
+        is_expected = is_watching and now.derivative_N_per_s < -beta
         at = RuptureState.EXPECTED if is_expected else RuptureState.NO_RUPTURE
         return RuptureState.DETECTED if now.decision > threshold else at
     if at is RuptureState.DETECTED:

@@ -82,7 +82,7 @@ class Evaluation(NamedTuple):
 
     more: float  # probability of one more than known, with a clear fall of the force
     fewer: float  # probability of fewer than known
-    pick: int  # the likeliest hypothesis with one more, -1 without any
+    pick: int  # the likeliest of those hypotheses, -1 without any
     best: int  # ruptures of the likeliest of all
 
 
@@ -90,11 +90,11 @@ def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     limits = float(known), max(_CLEAR_SIGMAS * place.noise, _CLEAR_N), law.LAYER
     force = bank.records[:, law.RUPTURE_FORCE]
-    is_late = place.time_s - bank.records[:, law.RUPTURE_S] > _LATE_S
+    is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
     # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
-    possible = np.where(is_late & (force <= place.force), 0.0, 1.0)
-    most = force - bank.means[:, law.OFFSET]
-    counted = _counted(bank.log_weights, bank.facts, bank.means, most, possible, limits, _OF_COUNT)
+    is_undone = is_late & (force <= place.force)
+    most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
+    counted = _counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT)
     return Evaluation(*counted)
 
 
@@ -104,13 +104,12 @@ def _counted(
     facts: Matrix,
     means: Matrix,
     most: Vector,
-    possible: Vector,
     limits: tuple[float, float, float],
     places: tuple[int, int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
     """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
 
-    A rupture releases no more than the force there was, `most`.
+    A rupture releases at most so much: no more than the force there was.
     """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
     weights = np.exp(log_weights - log_weights.max())
@@ -120,9 +119,9 @@ def _counted(
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
     fallen = np.minimum(fallen, most)
     ruptures = facts[:, number]
-    is_more = (ruptures > known) & (possible > 0.0)
+    is_more = (ruptures > known) & (fallen > least)
     pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
-    more, fewer = weights[is_more & (fallen > least)].sum(), weights[ruptures < known].sum()
+    more, fewer = weights[is_more].sum(), weights[ruptures < known].sum()
     return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
 
 

@@ -245,7 +245,8 @@ class SwitchingMethod:
         begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
         if is_fast and begin.depth - course.spawned >= STEP_MM:
             left = state.levels.beside(state.tissue, place.time_s)
-            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, left))
+            speed = _tissue_speed(bank, place, left)
+            bank.spawn(begin, course.spawned, speed, state.ruptures)
             course = course._replace(spawned=begin.depth)
         bank.weigh(place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)

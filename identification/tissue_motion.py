@@ -79,7 +79,7 @@ class TissueMotion(NamedTuple):
     bad: int = 0  # steps in a row at which it was no good fit
     next_s: float = 0.0  # when it is looked at again
     unit: int = -1  # the next one of a search, -1 outside one
-    found: Array = np.zeros((3, 3))  # of breath, heart, heart with it: error, frequencies
+    found: Array = np.zeros((3, 3))  # of breath, heart, one beside the other: error, frequencies
     tried: Fit = Fit()  # being fitted in a search
     best: Fit = Fit()  # so far in that search
 
@@ -154,6 +154,8 @@ class TissueMotion(NamedTuple):
         is_good = fit.error < min(_FAIR * window.count, window.still)
         bad = 0 if is_good else self.bad + 1
         unit = 0 if bad >= _PATIENCE else -1
+        if 0 < bad < _PATIENCE:  # it may be a rupture that is about to be seen, and no noise
+            fit = fit._replace(rms_N=min(fit.rms_N, self.fit.rms_N))
         return self._replace(fit=fit, bad=bad, next_s=time_s + _ADAPT_S, unit=unit)
 
     def _searched(self, window: "_Window", time_s: float) -> "TissueMotion":
@@ -162,16 +164,18 @@ class TissueMotion(NamedTuple):
         if unit < n + 2 * m:
             row = 0 if unit < n else 1 if unit < n + m else 2
             slow, fast = BREATH[unit % n], HEART[(unit - n) % m]
-            tried = np.array([fast if row else slow])
+            tried, left = np.array([fast if row else slow]), n + 2 * m - 1 - unit
             if row == 2:  # of two beats the larger shows by itself, the other one beside it
                 (breath, hz, _), (heart, rate, _), _ = self.found.tolist()
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
+                left -= m - n if heart < breath else 0  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
             error = window.scanned(tried) if row < 2 else window.first_fit(tried, time_s).error
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
-            return self._replace(found=found, unit=unit + 1, best=Fit())
+            unit = unit + 1 if left else n + 2 * m
+            return self._replace(found=found, unit=unit, best=Fit())
         kind, step = divmod(unit - n - 2 * m, _STEPS)
         if kind == 3:
             return self._chosen(window, time_s)

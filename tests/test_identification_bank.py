@@ -47,7 +47,7 @@ SCENE = (PLACE.depth, PLACE.speed, PLACE.deflection)
 
 def spawn(bank, place, before):
     memory = BankMemory(bank)
-    memory.spawn(place, before, 0.0)
+    memory.spawn(place, before, 0.0, int(bank.facts[0, law.RUPTURES]))
     return memory.bank
 
 
@@ -180,11 +180,27 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
 
 
 @pytest.mark.parametrize(
-    ("since_s", "force", "more"), [(0.1, 1.1, 1.0), (0.6, 0.8, 1.0), (0.6, 1.1, 0.0)]
+    ("travel_s", "force", "more"), [(0.1, 1.1, 1.0), (0.6, 0.8, 1.0), (0.6, 1.1, 0.0)]
 )
-def test_a_rupture_thought_of_late_counts_only_while_the_force_is_lower(since_s, force, more):
+def test_a_rupture_thought_of_late_counts_only_while_the_force_is_lower(travel_s, force, more):
     bank = first_bank()
     bank.facts[0, [law.KIND, law.RUPTURES]] = law.LAYER, 1.0
     bank.means[0, law.RELEASED] = 0.3
-    bank.records[0, [law.RUPTURE_S, law.RUPTURE_FORCE]] = PLACE.time_s - since_s, 1.0
+    before = PLACE.depth - travel_s * PLACE.usual_speed
+    bank.records[0, [law.RUPTURE_MM, law.RUPTURE_FORCE]] = before, 1.0
     assert count_ruptures(bank, 0, PLACE._replace(force=force)).more == more
+
+
+@pytest.mark.parametrize(("reported", "left", "earlier"), [(1, 0.16, 0.3), (0, 0.46, 0.5)])
+def test_friction_of_a_rupture_not_reported_counts_with_the_next(reported, left, earlier):
+    bank = hypothesis(5, law.LAYER)  # knows of one rupture, and has 8 mm of shaft in the layer
+    own = [law.OWN_COULOMB, law.OWN_VISCOUS, law.LEFT, law.EARLIER]
+    bank.means[0, own] = 0.02, 0.0, 0.3, 0.5
+    memory = BankMemory(bank)
+    memory.spawn(PLACE, PLACE.depth - 0.1, 0.0, reported)
+    born = memory.bank
+    ended = born.facts[:, law.RELEASE] == PLACE.depth
+    assert born.facts[ended, law.RUPTURES] == pytest.approx(np.full(ended.sum(), reported + 1.0))
+    found = born.means[ended][:, [law.LEFT, law.EARLIER]]
+    assert found == pytest.approx(np.array([(left, earlier)] * int(ended.sum())))
+    assert ended.any()

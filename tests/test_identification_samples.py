@@ -192,7 +192,7 @@ def test_travel_within_a_gap_is_no_jump_but_a_new_zero_of_the_depth_is():
 def test_a_gap_does_not_make_the_next_one_usual():
     rows = [(0.0, 0.0, 0.0, dt_s) for dt_s in (*[1e-3] * 50, 100.0, *[1e-3] * 20, 10.0)]
     seen, _, _ = check_rows(rows)
-    assert (seen[50], seen[-1]) == (SampleStatus.TIME_GAP,) * 2
+    assert [each for each in seen if each is not SampleStatus.OK] == [SampleStatus.TIME_GAP] * 2
 
 
 @pytest.mark.parametrize("std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400])

@@ -44,7 +44,7 @@ def test_speed_is_the_rate_of_the_place():
     assert np.allclose(displacement(fit.beats, times - 1.7)[0], place)
 
 
-@pytest.mark.parametrize(("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28)])
+@pytest.mark.parametrize(("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28), (HEART + BREATH, 0.28)])
 def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     run, found, motions = insertion(waves)
     known = [motion for motion in motions if motion.is_known]
