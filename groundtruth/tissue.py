@@ -203,7 +203,6 @@ class Rupture:
     end_s: float  # it ends; the end of the run if the needle stopped within it
     onset_m: float  # depth of the tip at the onset
     layer: int  # the one the tip leaves; 0 for a membrane on the surface
-    is_membrane: bool  # a membrane was punctured
     drop_N: float  # force the tip loses: elastic, membrane and cutting force held at the onset
     visible_drop_N: float
     layer_friction_N: float  # of the layer that the tip leaves, at the onset
@@ -288,7 +287,6 @@ def _ruptures(
                 end_s=end_s,
                 onset_m=boundary.onset_m,
                 layer=above,
-                is_membrane=boundary.membrane is not None,
                 drop_N=float(tip_N[before]),
                 visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
                 layer_friction_N=float(layer_friction_N[before, above - 1]) if above else 0.0,

@@ -94,8 +94,7 @@ def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
-    counted = _counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT)
-    return Evaluation(*counted)
+    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT))
 
 
 @compiled

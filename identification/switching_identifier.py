@@ -14,12 +14,7 @@ from identification import hypothesis_filter as law
 from identification import rupture_report as reports
 from identification import switching_update as samples
 from identification.config import MultilayerConfig
-from identification.disturbance_levels import (
-    BEATS,
-    COLOUR_S,
-    DisturbanceLevels,
-    transitions,
-)
+from identification.disturbance_levels import BEATS, COLOUR_S, DisturbanceLevels, transitions
 from identification.estimate import (
     Array,
     Events,
@@ -245,8 +240,7 @@ class SwitchingMethod:
         begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
         if is_fast and begin.depth - course.spawned >= STEP_MM:
             left = state.levels.beside(state.tissue, place.time_s)
-            speed = _tissue_speed(bank, place, left)
-            bank.spawn(begin, course.spawned, speed, state.ruptures)
+            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, left), state.ruptures)
             course = course._replace(spawned=begin.depth)
         bank.weigh(place, is_advancing=True)
         self._state = state._replace(course=course, stage=_PRUNE)

@@ -41,11 +41,7 @@ _METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
 }
-_NOT_FINITE = {
-    "limit_s": math.inf,
-    "force_N": math.nan,
-    "force_before_N": math.nan,
-}
+_NOT_FINITE = {"limit_s": math.inf, "force_N": math.nan, "force_before_N": math.nan}
 """The only fields in which a number may be other than finite, and which it then is."""
 
 

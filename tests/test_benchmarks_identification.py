@@ -38,7 +38,6 @@ def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
         end_s=onset_s + 0.1,
         onset_m=SPEED * (onset_s - 2.0),
         layer=layer,
-        is_membrane=layer == 0,
         drop_N=drop_N,
         visible_drop_N=drop_N,
         layer_friction_N=friction_N if layer else 0.0,

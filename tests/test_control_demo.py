@@ -28,7 +28,7 @@ def test_felt_rupture_is_the_fall_of_each_force():
         run.shown_N.append(0.1 if broken else 1.1)
         run.raw_N.append(3.0 if broken else 4.0)
     run.alarms_s.append(1.05)
-    ends = {"onset_s": 1.0, "end_s": 1.1, "onset_m": 0.03, "is_membrane": True, "drop_N": 1.0}
+    ends = {"onset_s": 1.0, "end_s": 1.1, "onset_m": 0.03, "drop_N": 1.0}
     ends |= {"visible_drop_N": 1.0, "layer_friction_N": 1.0, "friction_N": 3.0}
     run.ruptures = (Rupture(layer=1, **ends),)
     (felt,) = ruptures_felt(run)

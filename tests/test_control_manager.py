@@ -33,7 +33,6 @@ NOTHING = Beside()
 LIMITS = SafetyLimits(axial_N=2.0)
 FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
 ALL = set(REFUSALS)
-REQUESTS = ("guide", "teleoperate", "approach", "tare", "insert", "withdraw", "arrived")
 
 
 class Sensor:

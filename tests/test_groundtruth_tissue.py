@@ -19,7 +19,6 @@ FRICTION = ShaftFriction(
 )
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}
 GELS = (gel(25), gel(50), gel(70))
-TOPS = np.cumsum([0.0, *(layer.thickness_m for layer in GELS)])
 EVERY_GEL = pytest.mark.parametrize("percent", TABLE_I_N)
 
 fractions, travels, times = st.floats(0.0, 1.0), st.floats(-0.1, 0.1), st.floats(1e-6, 10.0)

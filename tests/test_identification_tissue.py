@@ -14,8 +14,6 @@ from identification.tissue_motion import Fit, TissueMotion, displacement, turned
 
 HEART = ((0.2e-3, 1.3, 0.4), (0.08e-3, 2.6, 1.0))
 BREATH = ((1.2e-3, 0.28, 2.0), (0.3e-3, 0.56, 0.5))
-
-
 CLOCK_S = -25.0
 
 
@@ -95,6 +93,18 @@ def test_a_motion_that_a_second_rupture_contradicts_is_forgotten():
     assert motion.is_known
     assert motion.restarted(5.0).is_known
     assert not motion.restarted(5.0).restarted(6.0).is_known
+
+
+def test_a_fit_that_has_become_bad_is_noise_only_once_it_stays_so():
+    window = np.column_stack((np.arange(256) * 0.05, np.arange(256) * 0.15, np.full(256, 3.0)))
+    window = np.column_stack((window, np.random.default_rng(0).normal(1.0, 0.3, 256)))
+    fit = Fit(np.array([[1.2, 0.2, 0.0, 0.0, 0.0]]), 12.8, 5.0, rms_N=0.01)
+    motion, left_N = TissueMotion(window=window, fit=fit), []
+    for k in range(8):
+        motion = motion.worked(12.8 + 0.2 * k)
+        left_N.append(motion.fit.rms_N)
+    assert left_N[:7] == [0.01] * 7
+    assert left_N[7] > 0.2
 
 
 @pytest.mark.parametrize("force", [0.0, 1e3, -1e3])
