@@ -30,8 +30,8 @@ from needleforce.jit import (
     compiled_or,
 )
 
-# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the one reported
-# before; EARLIER: the same of that one.
+# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the last one that
+# was reported before it; EARLIER: the same of that one.
 OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING, KEPT = range(8)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(8, 12)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(12, 19)
@@ -41,16 +41,16 @@ _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before th
 # Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
 # friction and the tip's force in the layer begin; depth and length of the last release; whether
 # HELD is held force, not cutting; whether the friction's fraction has been judged; how many
-# ruptures there have been; force of the layer before the last until its release has been judged;
-# whether the layer was entered through a membrane.
+# ruptures it knows of, at most one more than were reported; force of the layer before the last
+# until its release has been judged; whether the layer was entered through a membrane.
 KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE, IS_PUNCTURED = range(10)
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
 CONTACT, EXIT, PARTIAL, MEETING = range(4)
 """Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
 
 # Places of what a report needs: when, where, how fast and at which force the last rupture was, and
-# whether it was partial; of the last part of a layer between two events where it begins and ends,
-# its friction, stiffness, Coulomb and viscous friction per length and their variances; where
+# whether it was partial; where the shaft since the last one reported begins and ends, its friction;
+# stiffness, Coulomb and viscous friction per length of its last part and their variances; where
 # tissue was first met.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
 PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM = 5, 6, 7, 8, 14
@@ -296,7 +296,7 @@ def after_event(
         change[HELD if what == MEETING else RELEASED] = tip
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
-    # A membrane met ends the layer's part before its puncture does; a rupture not reported, none.
+    # A membrane met ends a layer before its puncture does; a rupture not reported ends none.
     if fact[RUPTURES] <= reported and (was == LAYER or (what == EXIT and fact[IS_HELD] == 0.0)):
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0

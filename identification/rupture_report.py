@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
-from identification.hypothesis_bank import Bank, BankMemory, Place
+from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
 from identification.switching_update import IDENTIFIED, NO_ANSWER
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
@@ -25,7 +25,7 @@ _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
 _LATE_S = 0.5
-"""An alarm that comes later than this wants the force to be lower still than at the rupture."""
+"""An alarm after more travel, at the usual speed, wants a force still lower than at the rupture."""
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 """Of the force, no robot brakes so hard before its speed is known: a fall, and one per second; and
 a fall that is large."""
@@ -56,8 +56,7 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     bank = memory.bank
     weights = _shown(bank.log_weights)
     answer, best = NO_ANSWER.copy(), int(weights.argmax())
-    found = law.shaft_mixture(memory.store, weights, place.depth)
-    answer[1], answer[2:], all_met, contact = found
+    answer[1], answer[2:], all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
     diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
     np.maximum(diagonal, 0.0, out=diagonal)
     row = law.regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
@@ -86,6 +85,14 @@ class Evaluation(NamedTuple):
     best: int  # ruptures of the likeliest of all
 
 
+def denied(bank: Bank, alarm: Rupture, known: int) -> Bank:
+    """The bank, but those that know only of a rupture clearly before the last alarm's deny it."""
+    facts = bank.facts.copy()
+    is_before = bank.records[:, law.RUPTURE_MM] < _MM * alarm.depth_m - LEAST_MM
+    facts[is_before, law.RUPTURES] = np.minimum(facts[is_before, law.RUPTURES], known - 1.0)
+    return bank._replace(facts=facts)
+
+
 def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     limits = float(known), max(_CLEAR_SIGMAS * place.noise, _CLEAR_N), law.LAYER
@@ -108,7 +115,7 @@ def _counted(
 ) -> tuple[float, float, int, int]:
     """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
 
-    A rupture releases at most so much: no more than the force there was.
+    A rupture releases `most`: no more than the force there was, nothing where the force is back.
     """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
     weights = np.exp(log_weights - log_weights.max())

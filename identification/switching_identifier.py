@@ -334,6 +334,8 @@ def report(
 ) -> SwitchingState:
     """Raise or take back an alarm, report the layer left, answer for the next samples."""
     bank, place = memory.bank, state.place
+    if state.alarm is not None:
+        bank = reports.denied(bank, state.alarm, state.ruptures)
     evaluation = reports.count_ruptures(bank, state.ruptures, place)
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
@@ -394,7 +396,7 @@ def _take_back(
     retracted = replace(alarm, probability=1.0 - evaluation.fewer)
     return state._replace(
         alarm=None,
-        ruptures=evaluation.best,
+        ruptures=min(evaluation.best, state.ruptures - 1),
         layers=state.layers if state.is_open else state.layers[:-1],
         events=state.events._replace(retracted=retracted),
     )

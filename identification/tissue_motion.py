@@ -154,7 +154,7 @@ class TissueMotion(NamedTuple):
         is_good = fit.error < min(_FAIR * window.count, window.still)
         bad = 0 if is_good else self.bad + 1
         unit = 0 if bad >= _PATIENCE else -1
-        if 0 < bad < _PATIENCE:  # it may be a rupture that is about to be seen, and no noise
+        if 0 < bad < _PATIENCE:  # it may be a rupture: noise does not grow yet
             fit = fit._replace(rms_N=min(fit.rms_N, self.fit.rms_N))
         return self._replace(fit=fit, bad=bad, next_s=time_s + _ADAPT_S, unit=unit)
 

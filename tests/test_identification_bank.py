@@ -9,8 +9,10 @@ from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, fi
 from identification.rupture_report import (
     Evaluation,
     count_ruptures,
+    denied,
     friction_left,
     may_be_braking,
+    rupture_of,
     speed_lag,
 )
 from identification.tissue_motion import TissueMotion
@@ -150,9 +152,8 @@ def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
 def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, braking):
     bank = first_bank()
     bank.records[0, [law.RUPTURE_S, law.RUPTURE_SPEED, law.RUPTURE_FORCE]] = 10.0, 2.3, 1.0
-    place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004)
+    place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.0, 0.1)
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    place = place._replace(raw=50.0, lag_s=0.1)
     assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
@@ -195,3 +196,12 @@ def test_friction_of_a_rupture_not_reported_counts_with_the_next(reported, left,
     assert (memory.bank.facts[ended, law.RUPTURES] == reported + 1.0).all()
     assert np.allclose(memory.bank.means[ended][:, [law.LEFT, law.EARLIER]], (left, earlier))
     assert ended.any()
+
+
+def test_who_knows_only_of_an_older_rupture_denies_the_alarm():
+    memory = BankMemory(hypothesis(5, law.LAYER))
+    memory.spawn(PLACE, PLACE.depth - 0.1, 0.0, 0)
+    alarm = rupture_of(memory.bank, 1, 1, 0.99, (3.0, 0.012, 3.0))
+    seen = denied(memory.bank, alarm, 1)
+    assert seen.facts[:2, law.RUPTURES].tolist() == [0.0, 1.0]
+    assert count_ruptures(seen, 1, PLACE).fewer > 0.9
