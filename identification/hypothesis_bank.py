@@ -142,7 +142,7 @@ class BankMemory:
     def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.
 
-        Tissue moves at a speed of this standard deviation [mm/s]; `reported` ruptures are known.
+        `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms so far.
         """
         facts, log_weights = self.bank.facts, self.bank.log_weights
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()

@@ -164,17 +164,17 @@ class TissueMotion(NamedTuple):
         if unit < n + 2 * m:
             row = 0 if unit < n else 1 if unit < n + m else 2
             slow, fast = BREATH[unit % n], HEART[(unit - n) % m]
-            tried, left = np.array([fast if row else slow]), n + 2 * m - 1 - unit
+            tried, end = np.array([fast if row else slow]), n + 2 * m
             if row == 2:  # of two beats the larger shows by itself, the other one beside it
                 (breath, hz, _), (heart, rate, _), _ = self.found.tolist()
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
-                left -= m - n if heart < breath else 0  # there are fewer slow ones
+                end = 2 * n + m if heart < breath else end  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
             error = window.scanned(tried) if row < 2 else window.first_fit(tried, time_s).error
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
-            unit = unit + 1 if left else n + 2 * m
+            unit = unit + 1 if unit + 1 < end else n + 2 * m
             return self._replace(found=found, unit=unit, best=Fit())
         kind, step = divmod(unit - n - 2 * m, _STEPS)
         if kind == 3:
