@@ -12,18 +12,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.config import PublishedConfig
-from identification.estimate import Array, LayerEstimate, Rupture, RuptureState, Sample
-from needleforce.jit import Matrix, compiled
+from identification.estimate import Array, LayerEstimate, Outputs, Rupture, RuptureState, Sample
+from needleforce.jit import Matrix, Vector, WrittenVector, compiled, working_copy
 
-_ROUNDING = 1e-9
+_FULL = 1.0 - 1e-9
+"""Length of a reset window, but for rounding, as part of the period."""
 _MOST_LAYERS = 256
 """Layers kept: far more than a needle meets; the oldest go first."""
 _SMALLEST_RATIO = 1e-3
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
-_WATCHING = (RuptureState.NO_RUPTURE, RuptureState.EXPECTED)
-"""States in which a new rupture is detected."""
+_STATES = tuple(RuptureState)
+"""In the order of their numbers; a new rupture is detected in the first two."""
+_NO_RUPTURE, _EXPECTED, _DETECTED, _MEASURING, _IDENTIFIED = range(5)
 
+Motion = tuple[float, float, float, float]  # interval, depth, speed, force
 Pair = tuple[float, float]
 Rls = tuple[float, float, float, float, float]
 """Estimate K, B and covariance Psi[0, 0], Psi[0, 1], Psi[1, 1] of a two-parameter RLS."""
@@ -32,6 +35,13 @@ Sums = tuple[float, float, float, float, float, float, float]
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _KF, _BF, _KV, _BV = 3, 4, 5, 6
+# Places in the memory: the numbers of a `Tracker`, in its order.
+_RLS, _WINDOW, _WINDOW_S, _TRAVEL_S, _MEAN_SPEED, _DECISION = 0, 5, 12, 13, 14, 15
+_DERIVATIVE, _FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 21)
+Layer = tuple[float, float, float, float, int, int]
+"""Depth it begins at, cumulative friction, threshold beta, T_drop, ruptures, state's number."""
+Settings = tuple[bool, float, float, float, float, float]
+"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least speed."""
 NO_WINDOWS = np.empty((0, len(NO_SUMS)))
 """Sums of the windows of a layer, one row of `Sums` each."""
 NO_WINDOWS.setflags(write=False)
@@ -97,57 +107,65 @@ class PublishedMethod:
 
     def __init__(self, config: PublishedConfig) -> None:
         self._config = config
-        self.state = PublishedState(Tracker(_fresh_rls(config)), float(config.contact_depth_m))
+        cusum, lag_s = (config.sigma0_N, config.sigma1_N), config.derivative_time_constant_s
+        numbers = *cusum_constants(*cusum), config.reset_frequency_Hz, lag_s, config.least_speed_m_s
+        settings: Any = config.model == "ml", *map(float, numbers)
+        self._settings: Settings = settings
+        self.restore(PublishedState(Tracker(_fresh_rls(config)), float(config.contact_depth_m)))
+
+    @property
+    def state(self) -> PublishedState:
+        """All that it remembers."""
+        numbers: Any = np.array(self._memory).tolist()
+        rls, window = tuple(numbers[:_WINDOW]), tuple(numbers[_WINDOW:_WINDOW_S])
+        return self._state._replace(tracker=Tracker(rls, window, *numbers[_WINDOW_S:]))
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
-        self.state = state
+        config, ruptured, (rls, window, *numbers) = self._config, state.ruptured, state.tracker
+        self._state, self._memory = state, working_copy(np.array((*rls, *window, *numbers)))
+        beta = config.derivative_threshold_N_per_s + state.ruptures * config.derivative_rise_N_per_s
+        speed = math.inf if ruptured is None else ruptured.rupture.speed_m_s
+        drop_s = config.drop_travel_m / max(speed, config.least_speed_m_s)
+        known = state.start_depth_m, state.cumulative_friction_Ns_per_m, float(beta), float(drop_s)
+        self._layer: Layer = *known, state.ruptures, _STATES.index(state.rupture_state)
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """The layers traversed; what follows does not change them."""
-        return self.state.layers
+        return self._state.layers
 
-    def report(self) -> tuple[Any, ...]:
-        """What there is to report without a sample."""
-        return (self.state.rupture_state, *self._outputs(0.0, 0.0, 0.0), None, None, None)
+    def report(self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any) -> tuple[Any, ...]:
+        """What there is to report without a sample, or of the last one."""
+        outputs = published_outputs(motion, self._memory, self._layer, self._settings[0])
+        return (self._state.rupture_state, *outputs, *(events or (None, None)), None)
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
-        _, _, depth_m, speed_m_s, _, _, force_N, *_ = sample
-        before, self.state = self.state, published_step(self.state, sample, self._config)
-        ruptured = self.state.ruptured if before.ruptured is None else None
+        motion = sample[1], sample[2], sample[3], sample[6]
+        at, is_full, outputs = published_step(motion, self._memory, self._layer, self._settings)
+        if not is_full and at == self._layer[-1]:
+            return (_STATES[at], *outputs, None, None, None)
+        before, state = self._state, self.state._replace(rupture_state=_STATES[at])
+        state = _next(state, sample, self._config, is_full)
+        self.restore(state)
+        ruptured = state.ruptured if before.ruptured is None else None
         rupture = None if ruptured is None else ruptured.rupture
-        layer = None if self.state.layers is before.layers else self.state.layers[-1]
-        outputs = self._outputs(depth_m, speed_m_s, force_N)
-        return (self.state.rupture_state, *outputs, rupture, layer, None)
-
-    def _outputs(self, depth_m: float, speed_m_s: float, force_N: float) -> tuple[Any, ...]:
-        """Enhanced force f - sum(B_j d_j) v and its companions."""
-        state = self.state
-        stiffness, friction, *_ = state.tracker.rls
-        cumulative = state.cumulative_friction_Ns_per_m
-        depth = max(depth_m - state.start_depth_m, 0.0)
-        in_contact = depth > 0.0 or state.ruptures > 0
-        phi = _regressor(depth, speed_m_s, self._config)
-        earlier = cumulative * speed_m_s
-        own = friction * phi[1] if in_contact else 0.0
-        tip = force_N - earlier - own
-        forces = (force_N - earlier, None, tip, None, earlier + own, None)
-        found = (stiffness, None, False, friction, None, False, cumulative, None)
-        layer = state.ruptures + 1 if in_contact else 0
-        return (in_contact, layer, *forces, state.tracker.predicted_N, *found)
+        layer = None if state.layers is before.layers else state.layers[-1]
+        return self.report(motion, rupture, layer)
 
 
 def _fresh_rls(config: PublishedConfig) -> Rls:
     return 0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction)
 
 
-def _regressor(layer_depth_m: float, speed_m_s: float, config: PublishedConfig) -> Pair:
+@compiled
+def _regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Pair:
     """Columns (phi_K, phi_B): (dz, dz v) for `ml`, equation (3); (dz, v) for `kv`, (2)."""
-    return layer_depth_m, (layer_depth_m * speed_m_s if config.model == "ml" else speed_m_s)
+    return layer_depth_m, (layer_depth_m * speed_m_s if is_ml else speed_m_s)
 
 
+@compiled
 def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
     """Use one force sample: equations (7) and (8) with lambda = 1, written out for two columns.
 
@@ -165,6 +183,7 @@ def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
     return (k + gx * step, b + gy * step, p11, p12, p22), error
 
 
+@compiled
 def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
     """Add one sample to the sums of its window."""
     kk, kb, bb, kf, bf, kv, bv = sums
@@ -179,11 +198,13 @@ def cusum_constants(sigma0_N: float, sigma1_N: float) -> Pair:
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
 
 
+@compiled
 def cusum_step(decision: float, error_N: float, drift: float) -> float:
     """Decision function g_k = max(g_{k-1} + e_k^2 - nu, 0), equation (9)."""
     return max(decision + error_N * error_N - drift, 0.0)
 
 
+@compiled
 def derivative_step(
     derivative_N_per_s: float, change_N: float, dt_s: float, time_constant_s: float
 ) -> float:
@@ -192,84 +213,87 @@ def derivative_step(
     return keep * derivative_N_per_s + (1.0 - keep) * change_N / dt_s
 
 
+@compiled
+def published_outputs(motion: Motion, memory: Vector, layer: Layer, is_ml: bool) -> Outputs:
+    """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to the events."""
+    (_, depth_m, speed_m_s, force_N), (start_m, cumulative, _, _, ruptures, _) = motion, layer
+    depth, friction = max(depth_m - start_m, 0.0), memory[_RLS + 1]
+    in_contact = depth > 0.0 or ruptures > 0
+    earlier = cumulative * speed_m_s
+    own = friction * _regressor(depth, speed_m_s, is_ml)[1] if in_contact else 0.0
+    enhanced, number = force_N - earlier, ruptures + 1 if in_contact else 0
+    forces = (enhanced, None, enhanced - own, None, earlier + own, None, memory[_PREDICTED])
+    found = (memory[_RLS], None, False, friction, None, False, cumulative, None)
+    # Numba knows no starred parts of a tuple.
+    return (in_contact, number) + forces + found  # noqa: RUF005
+
+
+@compiled
+def _next_state(memory: Vector, layer: Layer, settings: Settings, is_watching: bool) -> int:
+    """Number of the rupture machine's state after a sample."""
+    (_, _, beta, drop_s, _, at), (_, _, threshold, reset_Hz, _, _) = layer, settings
+    if at <= _EXPECTED:
+        if memory[_DECISION] > threshold:
+            return _DETECTED
+        return _EXPECTED if is_watching and memory[_DERIVATIVE] < -beta else _NO_RUPTURE
+    if at == _DETECTED:
+        return _MEASURING
+    if at == _IDENTIFIED:
+        return _NO_RUPTURE if memory[_WAITED_S] * reset_Hz >= 1.0 else at
+    return _IDENTIFIED if memory[_WAITED_S] >= drop_s else at
+
+
+@compiled
 def published_step(
-    state: PublishedState, sample: Sample, config: PublishedConfig
-) -> PublishedState:
+    motion: Motion, memory: WrittenVector, layer: Layer, settings: Settings
+) -> tuple[int, bool, Outputs]:
     """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state machine.
 
-    After T_drop = k_v / v force drop (10)(11), re-weighting (12) and re-run.
+    Returns:
+        Number of the rupture machine's state, whether the reset window is full, and what to report
+        if neither is news.
     """
-    _, _, depth_m, speed_m_s, _, _, force_N, *_ = sample
-    last = state.tracker
-    before = force_N if math.isnan(last.force_N) else last.force_N
-    if depth_m <= state.start_depth_m and not state.ruptures:
-        last = last._replace(force_N=force_N, force_before_N=before, predicted_N=0.0)
-        return state._replace(tracker=last)
-    is_watching = state.rupture_state in _WATCHING and speed_m_s >= config.least_speed_m_s
-    now = _track(state, sample, before, is_watching, config)
-    windows = state.windows
-    if now.window_s * config.reset_frequency_Hz >= 1.0 - _ROUNDING:
-        windows = append_window(windows, now.window, config.most_windows)
-        rls = (*now.rls[:2], *_fresh_rls(config)[2:])
-        now = now._replace(rls=rls, window=NO_SUMS, window_s=0.0)
-    at = _next_state(state, now, is_watching, config)
-    state = state._replace(tracker=now, windows=windows, rupture_state=at)
-    if at is RuptureState.DETECTED and state.ruptured is None:
-        return _open_layer(state, sample, config)
-    if at is RuptureState.FRICTION_IDENTIFIED and state.ruptured is not None:
-        return _identify(state, state.ruptured, force_N, config)
-    return state
-
-
-def _track(
-    state: PublishedState,
-    sample: Sample,
-    before_N: float,
-    is_watching: bool,
-    config: PublishedConfig,
-) -> Tracker:
-    last, (_, dt_s, depth_m, speed_m_s, _, _, force_N, *_) = state.tracker, sample
-    phi = _regressor(max(depth_m - state.start_depth_m, 0.0), speed_m_s, config)
-    earlier = state.cumulative_friction_Ns_per_m * speed_m_s
+    (dt_s, depth_m, speed_m_s, force_N), m = motion, memory
+    start_m, cumulative, _, _, ruptures, at = layer
+    is_ml, drift, _, reset_Hz, constant_s, least_m_s = settings
+    before_N = force_N if math.isnan(m[_FORCE]) else m[_FORCE]
+    m[_FORCE], m[_FORCE_BEFORE] = force_N, before_N
+    if depth_m <= start_m and ruptures == 0:
+        m[_PREDICTED] = 0.0
+        return at, False, published_outputs(motion, m, layer, is_ml)
+    is_watching = at <= _EXPECTED and speed_m_s >= least_m_s
+    phi = _regressor(max(depth_m - start_m, 0.0), speed_m_s, is_ml)
+    earlier = cumulative * speed_m_s
     own = force_N - earlier
-    rls, error = rls_step(last.rls, phi, own)
-    drift, _ = cusum_constants(config.sigma0_N, config.sigma1_N)
-    travel_s = last.travel_s + dt_s
-    return Tracker(
-        rls=rls,
-        window=add_sample(last.window, phi, own, speed_m_s),
-        window_s=last.window_s + dt_s,
-        travel_s=travel_s,
-        mean_speed_m_s=last.mean_speed_m_s + (speed_m_s - last.mean_speed_m_s) * dt_s / travel_s,
-        decision=cusum_step(last.decision, error, drift) if is_watching else 0.0,
-        derivative_N_per_s=derivative_step(
-            last.derivative_N_per_s, force_N - before_N, dt_s, config.derivative_time_constant_s
-        ),
-        force_N=force_N,
-        force_before_N=before_N,
-        waited_s=last.waited_s + dt_s,
-        predicted_N=own - error + earlier,
-    )
+    rls, error = rls_step((m[0], m[1], m[2], m[3], m[4]), phi, own)
+    m[0], m[1], m[2], m[3], m[4] = rls
+    sums = add_sample((m[5], m[6], m[7], m[8], m[9], m[10], m[11]), phi, own, speed_m_s)
+    m[5], m[6], m[7], m[8], m[9], m[10], m[11] = sums
+    m[_WINDOW_S] += dt_s
+    m[_TRAVEL_S] += dt_s
+    m[_MEAN_SPEED] += (speed_m_s - m[_MEAN_SPEED]) * dt_s / m[_TRAVEL_S]
+    m[_DECISION] = cusum_step(m[_DECISION], error, drift) if is_watching else 0.0
+    m[_DERIVATIVE] = derivative_step(m[_DERIVATIVE], force_N - before_N, dt_s, constant_s)
+    m[_WAITED_S] += dt_s
+    m[_PREDICTED] = own - error + earlier
+    at, is_full = _next_state(m, layer, settings, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
+    return at, is_full, published_outputs(motion, m, layer, is_ml)
 
 
-def _next_state(
-    state: PublishedState, now: Tracker, is_watching: bool, config: PublishedConfig
-) -> RuptureState:
-    at, ruptured = state.rupture_state, state.ruptured
-    if at in _WATCHING:
-        _, threshold = cusum_constants(config.sigma0_N, config.sigma1_N)
-        beta = config.derivative_threshold_N_per_s + state.ruptures * config.derivative_rise_N_per_s
-        is_expected = is_watching and now.derivative_N_per_s < -beta
-        at = RuptureState.EXPECTED if is_expected else RuptureState.NO_RUPTURE
-        return RuptureState.DETECTED if now.decision > threshold else at
-    if at is RuptureState.DETECTED:
-        return RuptureState.FORCE_DROP_MEASURING
-    if at is RuptureState.FRICTION_IDENTIFIED:
-        is_settled = now.waited_s * config.reset_frequency_Hz >= 1.0
-        return RuptureState.NO_RUPTURE if is_settled else at
-    if ruptured is not None and now.waited_s >= config.drop_travel_m / ruptured.rupture.speed_m_s:
-        return RuptureState.FRICTION_IDENTIFIED
-    return at
+def _next(
+    state: PublishedState, sample: Sample, config: PublishedConfig, is_full: bool
+) -> PublishedState:
+    """A window or a layer ends; after T_drop = k_v / v force drop (10)(11), (12) and re-run."""
+    at, ruptured, now = state.rupture_state, state.ruptured, state.tracker
+    if is_full:
+        windows = append_window(state.windows, now.window, config.most_windows)
+        now = now._replace(rls=now.rls[:2] + _fresh_rls(config)[2:], window=NO_SUMS, window_s=0.0)
+        state = state._replace(tracker=now, windows=windows)
+    if at is RuptureState.DETECTED and ruptured is None:
+        return _open_layer(state, sample, config)
+    if at is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
+        return _identify(state, ruptured, sample[6], config)
+    return state
 
 
 def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) -> PublishedState:
@@ -278,14 +302,15 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     f(t_r) of (10) is the last force before the alarming sample, which may have dropped already. So
     may those of its whole reset window: the layer's re-run is without it.
     """
-    tracker, (time_s, _, depth_m, speed_m_s, *_) = state.tracker, sample
+    (*_, derivative, force_N, before_N, _, predicted_N) = tracker = state.tracker
+    time_s, _, depth_m, speed_m_s, *_ = sample
     rupture = Rupture(
         layer=state.ruptures + 1,
         alarm_s=time_s,
         alarm_depth_m=depth_m,
         time_s=time_s,
         depth_m=depth_m,
-        force_N=tracker.force_before_N,
+        force_N=before_N,
         speed_m_s=speed_m_s,
         probability=1.0,
         is_final=True,
@@ -294,21 +319,11 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
     windows = state.windows
     if not len(windows):
         windows = append_window(windows, tracker.window, config.most_windows)
-    fresh = Tracker(
-        rls=_fresh_rls(config),
-        derivative_N_per_s=tracker.derivative_N_per_s,
-        force_N=tracker.force_N,
-        force_before_N=tracker.force_before_N,
-        predicted_N=tracker.predicted_N,
-    )
+    goes_on = derivative, force_N, before_N, 0.0, predicted_N
+    fresh = Tracker(_fresh_rls(config), NO_SUMS, 0.0, 0.0, 0.0, 0.0, *goes_on)
     ruptured = RupturedLayer(state.start_depth_m, windows, tracker.mean_speed_m_s, rupture)
-    return state._replace(
-        tracker=fresh,
-        start_depth_m=depth_m,
-        windows=NO_WINDOWS,
-        ruptured=ruptured,
-        ruptures=rupture.layer,
-    )
+    state = state._replace(ruptured=ruptured, ruptures=rupture.layer, start_depth_m=depth_m)
+    return state._replace(tracker=fresh, windows=NO_WINDOWS)
 
 
 def force_ratios(
