@@ -127,7 +127,7 @@ class SwitchingMethod:
 
     def _take(self, state: SwitchingState, last: SwitchingState | None = None) -> None:
         """Make of a state what every sample needs, where it differs from the last."""
-        self._state, self._is_due = state, state.is_due
+        self._state, self._is_due, self._is_moving = state, state.is_due, state.tissue.is_known
         if last is None or state.layers is not last.layers:
             self._left = left_layers(state)
         if last is None or state.answer is not last.answer:
@@ -145,9 +145,10 @@ class SwitchingMethod:
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         state = self._state
-        if state.tissue.is_known:
+        if self._is_moving:
             sample = _in_tissue(sample, state.tissue, sample[-1])
-        dt_s, motion, force_N = sample[1], (*sample[2:6], sample[8]), sample[6]
+        _, dt_s, depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, _, raw_m, _ = sample
+        motion = depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m
         is_full, outputs = samples.update_switching(
             motion, force_N, dt_s, self._memory, self._answer, self._left
         )

@@ -344,33 +344,34 @@ class InsertionSession:
         else:
             # The sensor's clock counts the time of rejected samples and knows one that was set.
             self._time_s += self._sensor.elapsed_s
-        elapsed_s, tool, axis = self._sensor.elapsed_s, self._tool, self._zero.axis_in_base
-        dq, lag_s = self._sensor.velocity_rad_s, self._sensor.filter_lag_s
-        tip, lags_s = (axis, tool.pose, tool.axial_jacobian, dq), (self._speed_lag_s, lag_s)
+        sensor, tool, axis = self._sensor, self._tool, self._zero.axis_in_base
+        elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
+        tip = axis, tool.pose, tool.axial_jacobian, sensor.velocity_rad_s
         self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             return self._skip(wrench, elapsed_s)
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
-        found = self._identifier.update(
-            *travel[2:], wrench.axial, elapsed_s, self._time_s, wrench.axial_std
-        )
+        _, _, depth_m, speed_m_s = travel
+        time_s, force_N, std_N = self._time_s, wrench.axial, wrench.axial_std
+        found = self._identifier.update(depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N)
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & SensorWarning.MODEL_MISMATCH:
                 return self._skip(wrench, elapsed_s)
         self._identification = found
-        self._keep_checkpoint(has_events=found.has_events)
+        has_events = found.has_events
+        if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
+            self._keep_checkpoint(has_events=has_events)
         self._plan.follow(found, travel[2])
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _keep_checkpoint(self, *, has_events: bool) -> None:
         """Now and then, and with events: what has been reported is not reported again."""
-        if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
-            now = Checkpoint(self._time_s, self._identifier.snapshot())
-            self._earlier = now if has_events else self._earlier[1], now
+        now = Checkpoint(self._time_s, self._identifier.snapshot())
+        self._earlier = now if has_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
         """A valid tick that the identification does not get.
