@@ -12,6 +12,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
 from residual.errors import Array
 from residual.input_validation import (
     ROUNDING_S,
@@ -42,6 +43,17 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     end = 1.0 + decay - 2.0 * gained * per_tick
     second = np.array([decay * tick, decay, 2.0 * start - tick * decay, end])
     return np.stack((first, second, bandwidth_per_s * (first - second)))
+
+
+@compiled
+def lag_pair_step(rows: WrittenMatrix, factors: Matrix, given: Vector, held: bool) -> Array:
+    """Bring the rows up to date; position, its rate and torque behind both lags, shape (3, n)."""
+    n = len(given) // 2
+    rows[3, :n], rows[3, n:] = given[:n], rows[2, n:] if held else given[n:]
+    out, found = factors.dot(rows), np.empty((3, n))
+    rows[:2], rows[2] = out[:2], given
+    found[0], found[1], found[2] = out[1, :n], out[2, :n], out[1, n:]
+    return found
 
 
 class MatchedSample(NamedTuple):
@@ -96,13 +108,10 @@ class VelocityEstimator:
         check_positive("joints", joints)
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
-        self._joints = int(joints)
-        self._bandwidth = float(bandwidth_per_s)
-        self._held = alignment == "hold"
-        self._max_gap_s = max_gap_s
-        self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
+        self._joints, self._bandwidth = int(joints), float(bandwidth_per_s)
+        self._held, self._max_gap_s = alignment == "hold", max_gap_s
+        self._settling_s, self._dt_s = self.SETTLING_LAGS / bandwidth_per_s, math.nan
         self.memory = VelocityState(np.zeros((ROWS, 2 * self._joints)))
-        self._dt_s = math.nan
 
     @property
     def delay_s(self) -> float:
@@ -129,25 +138,17 @@ class VelocityEstimator:
 
         The sample is position and torque, shape (2, n), contiguous.
         """
-        n, memory, given = self._joints, self.memory, sample.ravel()
-        rows = memory.rows
+        memory, rows, given = self.memory, self.memory.rows, sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:
             rows[:] = given
             memory.age_s, memory.started = 0.0, True
-            return MatchedSample(sample[0].copy(), np.zeros(n), sample[1].copy(), False)
+            return MatchedSample(sample[0].copy(), np.zeros(self._joints), sample[1].copy(), False)
         if dt_s != self._dt_s:  # on an even clock that is once
-            self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
-            self._dt_s = dt_s
-        rows[3] = given
-        if self._held:
-            rows[3, n:] = rows[2, n:]
-        out = self._coefficients.dot(rows)
-        rows[:2] = out[:2]
-        rows[2] = given
+            self._coefficients, self._dt_s = lag_pair_coefficients(self._bandwidth, dt_s), dt_s
+        found = lag_pair_step(rows, self._coefficients, given, self._held)
         memory.age_s += dt_s
         settled = memory.age_s >= self._settling_s - ROUNDING_S
-        second = out[1]
-        return _new(MatchedSample, (second[:n], out[2, :n], second[n:], settled))
+        return _new(MatchedSample, (found[0], found[1], found[2], settled))
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
