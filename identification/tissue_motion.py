@@ -207,11 +207,13 @@ class TissueMotion(NamedTuple):
 
 def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
     """Place [mm] and speed [mm/s] of the tissue at times, of any shape, since its phases' zero."""
-    rate = 2.0 * math.pi * beats[:, :1] * np.array([1.0, 2.0])
-    phase = rate * time_s[..., None, None]
-    cosine, sine, a, b = np.cos(phase), np.sin(phase), beats[:, 1::2], beats[:, 2::2]
-    place = (a * cosine + b * sine).sum(axis=(-2, -1))
-    return place, (rate * (b * cosine - a * sine)).sum(axis=(-2, -1))
+    place, speed = np.zeros_like(time_s), np.zeros_like(time_s)
+    for hz, *sizes in beats.tolist():
+        for k in (0, 2):
+            rate, a, b = math.pi * hz * (2.0 + k), *sizes[k : k + 2]
+            cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
+            place, speed = place + (a * cosine + b * sine), speed + rate * (b * cosine - a * sine)
+    return place, speed
 
 
 def _derivatives(beats: Array, time_s: Array) -> tuple[Array, Array]:
@@ -265,10 +267,9 @@ class _Window:
 
     def _rows(self, contact: tuple[Array, Array], speed: Array) -> Array:
         """Rows of the law's linear unknowns, each over its standard deviation, shape (n, 8)."""
-        w, g = contact
-        one, line = self.powers[:, :1], self.powers[:, :2]
-        v = (self.speed - speed)[:, None]
-        return np.hstack((one, w[:, None] * line, v * line, g[:, None] * self.powers))
+        (w, g), v, (one, y, square) = contact, self.speed - speed, self.powers.T
+        columns = (one, w * one, w * y, v * one, v * y, g * one, g * y, g * square)
+        return np.ascontiguousarray(np.array(columns).T)
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
@@ -310,20 +311,17 @@ class _Window:
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
         return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
-    def _waves(self, hz: Array) -> list[Array]:
+    def _waves(self, hz: Array) -> Array:
         """Columns of harmonics that grow with the travel, four pairs per frequency."""
-        waves: list[Array] = []
-        for rate in np.outer(2.0 * math.pi * hz, (1.0, 2.0)).ravel():
-            phase = rate * (self.time_s - self.time_s[-1])
-            for wave in (np.cos(phase), np.sin(phase)):
-                waves += [wave, wave * self.travel]
-        return waves
+        phase = np.outer(np.outer(2.0 * math.pi * hz, (1.0, 2.0)), self.time_s - self.time_s[-1])
+        cosine, sine, y = np.cos(phase), np.sin(phase), self.travel
+        return np.stack((cosine, cosine * y, sine, sine * y), axis=1).reshape(-1, self.count)
 
     def _linear(self, hz: Array) -> tuple[Array, float]:
         """Fit of a smooth course and of waves, with the error it leaves."""
         y, v, one = self.travel, self.speed, np.ones(self.count)
-        columns = [one, y, y * y, y**3, v, v * y, *self._waves(hz)]
-        matrix, force = np.column_stack(columns) / self.sigma[:, None], self.force / self.sigma
+        columns = np.array([one, y, y * y, y**3, v, v * y, *self._waves(hz)])
+        matrix, force = np.ascontiguousarray((columns / self.sigma).T), self.force / self.sigma
         scale = np.sqrt((matrix * matrix).sum(axis=0)) + 1e-12
         matrix = matrix / scale
         found = _solved(matrix.T @ matrix, matrix.T @ force)
