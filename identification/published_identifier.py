@@ -15,15 +15,13 @@ from identification.config import PublishedConfig
 from identification.estimate import Array, LayerEstimate, Outputs, Rupture, RuptureState, Sample
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled, working_copy
 
-_FULL = 1.0 - 1e-9
-"""Length of a reset window, but for rounding, as part of the period."""
+_FULL = 1.0 - 1e-9  # length of a reset window in periods, but for rounding
 _MOST_LAYERS = 256
 """Layers kept: far more than a needle meets; the oldest go first."""
 _SMALLEST_RATIO = 1e-3
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
-_STATES = tuple(RuptureState)
-"""In the order of their numbers; a new rupture is detected in the first two."""
+_STATES = tuple(RuptureState)  # a new rupture is detected in the first two
 _NO_RUPTURE, _EXPECTED, _DETECTED, _MEASURING, _IDENTIFIED = range(5)
 
 Motion = tuple[float, float, float, float]  # interval, depth, speed, force
@@ -34,14 +32,14 @@ Sums = tuple[float, float, float, float, float, float, float]
 """Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_KF, _BF, _KV, _BV = 3, 4, 5, 6
+_OF_FORCE, _OF_SPEED = slice(3, 5), slice(5, 7)
 # Places in the memory: the numbers of a `Tracker`, in its order.
 _RLS, _WINDOW, _WINDOW_S, _TRAVEL_S, _MEAN_SPEED, _DECISION = 0, 5, 12, 13, 14, 15
 _DERIVATIVE, _FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 21)
-Layer = tuple[float, float, float, float, int, int]
-"""Depth it begins at, cumulative friction, threshold beta, T_drop, ruptures, state's number."""
-Settings = tuple[bool, float, float, float, float, float]
-"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least speed."""
+Setting = tuple[bool, float, float, float, float, float, float, float, float, float, int, int]
+"""What holds for many samples: whether `ml`; drift and threshold of (9), reset frequency, time
+constant and least speed; start of the layer, cumulative friction, threshold beta of the derivative,
+T_drop; ruptures so far, number of the rupture machine's state."""
 NO_WINDOWS = np.empty((0, len(NO_SUMS)))
 """Sums of the windows of a layer, one row of `Sums` each."""
 NO_WINDOWS.setflags(write=False)
@@ -107,10 +105,6 @@ class PublishedMethod:
 
     def __init__(self, config: PublishedConfig) -> None:
         self._config = config
-        cusum, lag_s = (config.sigma0_N, config.sigma1_N), config.derivative_time_constant_s
-        numbers = *cusum_constants(*cusum), config.reset_frequency_Hz, lag_s, config.least_speed_m_s
-        settings: Any = config.model == "ml", *map(float, numbers)
-        self._settings: Settings = settings
         self.restore(PublishedState(Tracker(_fresh_rls(config)), float(config.contact_depth_m)))
 
     @property
@@ -127,8 +121,11 @@ class PublishedMethod:
         beta = config.derivative_threshold_N_per_s + state.ruptures * config.derivative_rise_N_per_s
         speed = math.inf if ruptured is None else ruptured.rupture.speed_m_s
         drop_s = config.drop_travel_m / max(speed, config.least_speed_m_s)
-        known = state.start_depth_m, state.cumulative_friction_Ns_per_m, float(beta), float(drop_s)
-        self._layer: Layer = *known, state.ruptures, _STATES.index(state.rupture_state)
+        cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
+        rates = config.reset_frequency_Hz, config.derivative_time_constant_s, config.least_speed_m_s
+        layer = state.start_depth_m, state.cumulative_friction_Ns_per_m, beta, drop_s
+        counts = state.ruptures, _STATES.index(state.rupture_state)
+        self._now: Any = config.model == "ml", *map(float, (*cusum, *rates, *layer)), *counts
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -137,14 +134,14 @@ class PublishedMethod:
 
     def report(self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any) -> tuple[Any, ...]:
         """What there is to report without a sample, or of the last one."""
-        outputs = published_outputs(motion, self._memory, self._layer, self._settings[0])
+        outputs = published_outputs(motion, self._memory, self._now)
         return (self._state.rupture_state, *outputs, *(events or (None, None)), None)
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         motion = sample[1], sample[2], sample[3], sample[6]
-        at, is_full, outputs = published_step(motion, self._memory, self._layer, self._settings)
-        if not is_full and at == self._layer[-1]:
+        at, is_full, outputs = published_step(motion, self._memory, self._now)
+        if not is_full and at == self._now[-1]:
             return (_STATES[at], *outputs, None, None, None)
         before, state = self._state, self.state._replace(rupture_state=_STATES[at])
         state = _next(state, sample, self._config, is_full)
@@ -214,13 +211,13 @@ def derivative_step(
 
 
 @compiled
-def published_outputs(motion: Motion, memory: Vector, layer: Layer, is_ml: bool) -> Outputs:
+def published_outputs(motion: Motion, memory: Vector, now: Setting) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to the events."""
-    (_, depth_m, speed_m_s, force_N), (start_m, cumulative, _, _, ruptures, _) = motion, layer
+    (_, depth_m, speed_m_s, force_N), (start_m, cumulative), ruptures = motion, now[6:8], now[10]
     depth, friction = max(depth_m - start_m, 0.0), memory[_RLS + 1]
     in_contact = depth > 0.0 or ruptures > 0
     earlier = cumulative * speed_m_s
-    own = friction * _regressor(depth, speed_m_s, is_ml)[1] if in_contact else 0.0
+    own = friction * _regressor(depth, speed_m_s, now[0])[1] if in_contact else 0.0
     enhanced, number = force_N - earlier, ruptures + 1 if in_contact else 0
     forces = (enhanced, None, enhanced - own, None, earlier + own, None, memory[_PREDICTED])
     found = (memory[_RLS], None, False, friction, None, False, cumulative, None)
@@ -229,9 +226,9 @@ def published_outputs(motion: Motion, memory: Vector, layer: Layer, is_ml: bool)
 
 
 @compiled
-def _next_state(memory: Vector, layer: Layer, settings: Settings, is_watching: bool) -> int:
+def _next_state(memory: Vector, now: Setting, is_watching: bool) -> int:
     """Number of the rupture machine's state after a sample."""
-    (_, _, beta, drop_s, _, at), (_, _, threshold, reset_Hz, _, _) = layer, settings
+    _, _, threshold, reset_Hz, _, _, _, _, beta, drop_s, _, at = now
     if at <= _EXPECTED:
         if memory[_DECISION] > threshold:
             return _DETECTED
@@ -244,23 +241,20 @@ def _next_state(memory: Vector, layer: Layer, settings: Settings, is_watching: b
 
 
 @compiled
-def published_step(
-    motion: Motion, memory: WrittenVector, layer: Layer, settings: Settings
-) -> tuple[int, bool, Outputs]:
+def published_step(motion: Motion, m: WrittenVector, now: Setting) -> tuple[int, bool, Outputs]:
     """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state machine.
 
     Returns:
         Number of the rupture machine's state, whether the reset window is full, and what to report
         if neither is news.
     """
-    (dt_s, depth_m, speed_m_s, force_N), m = motion, memory
-    start_m, cumulative, _, _, ruptures, at = layer
-    is_ml, drift, _, reset_Hz, constant_s, least_m_s = settings
+    dt_s, depth_m, speed_m_s, force_N = motion
+    is_ml, drift, _, reset_Hz, constant_s, least_m_s, start_m, cumulative, _, _, ruptures, at = now
     before_N = force_N if math.isnan(m[_FORCE]) else m[_FORCE]
     m[_FORCE], m[_FORCE_BEFORE] = force_N, before_N
     if depth_m <= start_m and ruptures == 0:
         m[_PREDICTED] = 0.0
-        return at, False, published_outputs(motion, m, layer, is_ml)
+        return at, False, published_outputs(motion, m, now)
     is_watching = at <= _EXPECTED and speed_m_s >= least_m_s
     phi = _regressor(max(depth_m - start_m, 0.0), speed_m_s, is_ml)
     earlier = cumulative * speed_m_s
@@ -269,15 +263,14 @@ def published_step(
     m[0], m[1], m[2], m[3], m[4] = rls
     sums = add_sample((m[5], m[6], m[7], m[8], m[9], m[10], m[11]), phi, own, speed_m_s)
     m[5], m[6], m[7], m[8], m[9], m[10], m[11] = sums
-    m[_WINDOW_S] += dt_s
-    m[_TRAVEL_S] += dt_s
+    for k in (_WINDOW_S, _TRAVEL_S, _WAITED_S):
+        m[k] += dt_s
     m[_MEAN_SPEED] += (speed_m_s - m[_MEAN_SPEED]) * dt_s / m[_TRAVEL_S]
     m[_DECISION] = cusum_step(m[_DECISION], error, drift) if is_watching else 0.0
     m[_DERIVATIVE] = derivative_step(m[_DERIVATIVE], force_N - before_N, dt_s, constant_s)
-    m[_WAITED_S] += dt_s
     m[_PREDICTED] = own - error + earlier
-    at, is_full = _next_state(m, layer, settings, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
-    return at, is_full, published_outputs(motion, m, layer, is_ml)
+    at, is_full = _next_state(m, now, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
+    return at, is_full, published_outputs(motion, m, now)
 
 
 def _next(
@@ -316,9 +309,8 @@ def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) 
         is_final=True,
         contact_depth_m=float(config.contact_depth_m),
     )
-    windows = state.windows
-    if not len(windows):
-        windows = append_window(windows, tracker.window, config.most_windows)
+    first = append_window(NO_WINDOWS, tracker.window, config.most_windows)
+    windows = state.windows if len(state.windows) else first
     goes_on = derivative, force_N, before_N, 0.0, predicted_N
     fresh = Tracker(_fresh_rls(config), NO_SUMS, 0.0, 0.0, 0.0, 0.0, *goes_on)
     ruptured = RupturedLayer(state.start_depth_m, windows, tracker.mean_speed_m_s, rupture)
@@ -361,14 +353,12 @@ def _identify(
     """
     rupture = ruptured.rupture
     drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
-    elastic, friction_ratio = force_ratios(
-        drop, rupture.force_N, state.cumulative_friction_Ns_per_m, rupture.speed_m_s
-    )
+    known = state.cumulative_friction_Ns_per_m
+    elastic, friction_ratio = force_ratios(drop, rupture.force_N, known, rupture.speed_m_s)
     speed = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S)
     variance = reweighted_friction_variance(config.var_friction, elastic, friction_ratio, speed)
-    stiffness, friction = rerun_windows(
-        ruptured.windows, (float(config.var_stiffness), float(variance))
-    )
+    variances = float(config.var_stiffness), float(variance)
+    stiffness, friction = rerun_windows(ruptured.windows, variances)
     thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
     damping = friction * (thickness if config.model == "ml" else 1.0)
     layer = LayerEstimate(
@@ -385,19 +375,16 @@ def _identify(
         friction_N=damping * rupture.speed_m_s,
     )
     windows = less_viscous_windows(np.vstack((state.windows, state.tracker.window)), damping)
-    variances = _fresh_rls(config)[2:]
-    rls = (*rerun_windows(windows, (variances[0], variances[2])), *variances)
+    fresh = _fresh_rls(config)[2:]
+    rls = (*rerun_windows(windows, (fresh[0], fresh[2])), *fresh)
     window: Any = tuple(windows[-1].tolist())
     return state._replace(
         tracker=state.tracker._replace(rls=rls, window=window, waited_s=0.0),
         windows=windows[:-1],
-        cumulative_friction_Ns_per_m=state.cumulative_friction_Ns_per_m + damping,
+        cumulative_friction_Ns_per_m=known + damping,
         ruptured=None,
         layers=(*state.layers, layer)[-_MOST_LAYERS:],
     )
-
-
-# The re-run over a layer.
 
 
 def append_window(windows: Array, sums: Sums, most: int) -> Array:
@@ -417,8 +404,7 @@ def append_window(windows: Array, sums: Sums, most: int) -> Array:
 def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
     """Windows as if ``damping_Ns_per_m * v`` had been subtracted from every force sample."""
     corrected = windows.copy()
-    corrected[:, _KF] -= damping_Ns_per_m * windows[:, _KV]
-    corrected[:, _BF] -= damping_Ns_per_m * windows[:, _BV]
+    corrected[:, _OF_FORCE] -= damping_Ns_per_m * windows[:, _OF_SPEED]
     corrected.setflags(write=False)
     return corrected
 
@@ -434,15 +420,18 @@ def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
     k = b = 0.0
     p, q = variances
     for i in range(len(windows)):
-        kk, kb, bb = windows[i, 0], windows[i, 1], windows[i, 2]
-        kf, bf = windows[i, 3], windows[i, 4]
+        kk, kb, bb, kf, bf = (
+            windows[i, 0],
+            windows[i, 1],
+            windows[i, 2],
+            windows[i, 3],
+            windows[i, 4],
+        )
         pb, qb = p * kb, q * kb
         first, second = 1.0 + q * bb, 1.0 + p * kk
         excitation = max(kk * bb - kb * kb, 0.0)
         scale = 1.0 / (second + q * bb + (p * q) * excitation)
         own_k, own_b = p * (first * kf - qb * bf) * scale, q * (second * bf - pb * kf) * scale
-        k, b = (
-            own_k + first * scale * k - pb * scale * b,
-            own_b - qb * scale * k + second * scale * b,
-        )
+        k_before, k = k, own_k + first * scale * k - pb * scale * b
+        b = own_b - qb * scale * k_before + second * scale * b
     return float(k), float(b)

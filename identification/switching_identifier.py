@@ -147,11 +147,9 @@ class SwitchingMethod:
         state = self._state
         if self._is_moving:
             sample = _in_tissue(sample, state.tissue, sample[-1])
-        _, dt_s, depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, _, raw_m, _ = sample
-        motion = depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m
-        is_full, outputs = samples.update_switching(
-            motion, force_N, dt_s, self._memory, self._answer, self._left
-        )
+        motion = sample[2], sample[3], sample[4], sample[5], sample[8]
+        known = self._memory, self._answer, self._left
+        is_full, outputs = samples.update_switching(motion, sample[6], sample[1], *known)
         if not (is_full or self._is_due):
             return (state.rupture_state, *outputs, None, None, None)
         self._state = state._replace(events=Events())
@@ -165,10 +163,8 @@ class SwitchingMethod:
         return self._outputs(sample)
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
-        depth_m, speed_m_s, force_N = sample[2], sample[3], sample[6]
-        outputs = samples.switching_outputs(
-            depth_m, speed_m_s, force_N, self._memory, self._answer, self._left
-        )
+        known = self._memory, self._answer, self._left
+        outputs = samples.switching_outputs(sample[2], sample[3], sample[6], *known)
         return (self._state.rupture_state, *outputs, *self._state.events)
 
     def _work(self, sample: Sample) -> None:
@@ -201,9 +197,8 @@ class SwitchingMethod:
         # noise does not explain is one.
         deadband = _DEADBAND * speed_noise
         steady = v - deadband if course.speed < v - deadband else min(course.speed, v + deadband)
-        usual = max(
-            course.usual_speed * math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM), v
-        )
+        faded = math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM)
+        usual = max(course.usual_speed * faded, v)
         fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
         is_gap = filled > max(_GAP_S, 10.0 * state.place.dt_s)
         is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
@@ -249,10 +244,10 @@ class SwitchingMethod:
 
 def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
     """Means of a block that is full, and noise of its depth and speed; the next one begins."""
-    filled, z, v, w, force, raw = map(float, memory[: samples.RAW_SUM + 1])
+    filled, z, v, w, force, raw, *_, jitter, speed_noise = np.array(memory).tolist()
     memory[: samples.RAW_SUM + 1] = [0.0] * (samples.RAW_SUM + 1)
-    z, v, raw = (_MM * total / filled for total in (z, v, raw))
-    jitter, speed_noise = (_MM * float(std) for std in memory[samples.DEPTH_STD :])
+    z, v, raw = _MM * z / filled, _MM * v / filled, _MM * raw / filled
+    jitter, speed_noise = _MM * jitter, _MM * speed_noise
     # A filter that leaves so much noise in both is as slow as their ratio.
     lag_s = reports.speed_lag(jitter, speed_noise)
     at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
@@ -286,9 +281,8 @@ def _predict(
     slope = max(slope, 0.004)
     held = fresh * (_HELD_DRIFT * min(max(best[law.HELD], 0.02), 2.0 * slope)) ** 2
     left = place.deflection * best[law.COULOMB] + place.speed * best[law.VISCOUS]
-    error = law.LAW_ERROR * (
-        abs(place.force - best[law.OFFSET] - left) + law.LEFT_ERROR * abs(left)
-    )
+    tip = abs(place.force - best[law.OFFSET] - left)
+    error = law.LAW_ERROR * (tip + law.LEFT_ERROR * abs(left))
     _, colour, heart, breath = levels.levels.tolist()
     if fact[law.KIND] != law.AIR and not tissue.is_known:
         # Before a few beats have been seen nobody knows whether the tissue moves.
