@@ -125,7 +125,7 @@ def simulate(
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
-    start = path.transform_start_to_base
+    _, start = path
     axis = start.rotation[:, 2].copy()
     surface = start.translation - scenario.motion.start_m * axis
     return TissueContact(

@@ -182,15 +182,20 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
     `force_x_in_...`, `torque_x_in_...` and so on, become a `WrenchStamped`; every other column
     but `t_s` becomes a `Float64` of its own.
     """
+    types = standard_types().types
     left = {name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()}
     del left["t_s"]
     signals = {name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2}
     width = next(iter(signals.values())).shape[1] if signals else 0
     signals = {name: left.pop(name) for name, v in signals.items() if v.shape[1] == width}
     if signals:
-        empty = np.empty((len(stamps_ns), 0))
-        numbers = [signals.get(name, empty) for name in _SIGNALS]
-        yield _joint_states(labels.joint_names, numbers, _headers(stamps_ns, ""))
+        joints, joint_state = list(labels.joint_names), "sensor_msgs/msg/JointState"
+        if len(joints) != width:
+            joints = [f"joint_{i + 1}" for i in range(width)]
+        numbers = (signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS)
+        rows, make = zip(_headers(stamps_ns, ""), *numbers, strict=True), types[joint_state]
+        messages = (make(header, joints, *row) for header, *row in rows)
+        yield "/joint_states", joint_state, messages
     if all(name in left and left[name].shape[1:] == (3,) for name in _SENSOR):
         vectors = [left.pop(name) for name in _SENSOR]
         yield _wrenches("/ft_sensor/wrench", vectors, _headers(stamps_ns, "ft_sensor"))
@@ -203,24 +208,13 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
         # Without a header: its time stamp is the one of the record.
         kind = "std_msgs/msg/Float64"
-        yield topic, kind, map(standard_types().types[kind], values.tolist())
+        yield topic, kind, map(types[kind], values.tolist())
 
 
 def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
     types = standard_types().types
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     return (header(time(*divmod(stamp_ns, NS_PER_S)), frame) for stamp_ns in stamps_ns)
-
-
-def _joint_states(
-    names: Sequence[str], numbers: list[np.ndarray], headers: Iterable[Any]
-) -> OutTopic:
-    kind, width = "sensor_msgs/msg/JointState", max(values.shape[1] for values in numbers)
-    if len(names) != width:
-        names = [f"joint_{i + 1}" for i in range(width)]
-    cls, named = standard_types().types[kind], list(names)
-    rows = zip(headers, *numbers, strict=True)
-    return "/joint_states", kind, (cls(header, named, *row) for header, *row in rows)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:

@@ -246,7 +246,14 @@ class LogStream:
         self.start_ns = head.start_ns
         self._find_channels(head)
         if self._mapping.rate_hz is None:
-            self._find_time(head)
+            time = _find_source(head, CHANNELS["time"], self._mapping.channels.get("time"))
+            if time is None:
+                raise ColumnError(
+                    "no time column found; say which one with --time, or the sample rate with "
+                    "--rate (rate_hz in the mapping). "
+                    f"Columns are: {head.describe()}{head.left_out()}"
+                )
+            self._sources = {"t_s": time, **self._sources}
         self._watches = {key: _Watch(key, source) for key, source in self._sources.items()}
         for table in chain([head], self._tables):
             self._report(table.warnings)
@@ -275,16 +282,6 @@ class LogStream:
             raise _missing(table, *missing)
         if not self._sources:
             raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-
-    def _find_time(self, table: Table) -> None:
-        time = _find_source(table, CHANNELS["time"], self._mapping.channels.get("time"))
-        if time is None:
-            raise ColumnError(
-                "no time column found; say which one with --time, or the sample rate with "
-                "--rate (rate_hz in the mapping). "
-                f"Columns are: {table.describe()}{table.left_out()}"
-            )
-        self._sources = {"t_s": time, **self._sources}
 
     def _chunk(self, table: Table) -> Iterator[LogChunk]:
         values = {key: source.read(table) for key, source in self._sources.items()}
