@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, Literal, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
@@ -185,19 +185,10 @@ def _plain_array(value: Any) -> Any:
     return list(value.shape), order, value.tobytes(order)
 
 
-class _Array(NamedTuple):
-    """What `_plain_array` makes of an array."""
-
-    shape: tuple[int, ...]
-    order: str
-    data: bytes
-
-
 def _array(kind: Any, plain: Any) -> Any:
     """The read-only array that `_plain_array` was given."""
-    shape, order, data = msgspec.convert(plain, _Array)
-    if order not in ("C", "F"):
-        raise ValueError(f"an array of order {order!r}, expected 'C' or 'F'")
+    parts = tuple[tuple[int, ...], Literal["C", "F"], bytes]
+    shape, order, data = msgspec.convert(plain, parts)
     flat = np.frombuffer(data, dtype=np.float64)
     array = np.array(flat.reshape(shape, order=order), order=order)
     array.setflags(write=False)

@@ -120,7 +120,9 @@ class SampleStream:
         values = (q, torque) if dq is None else (q, dq, torque)
         rows = read_rows(self._names, values, self._joints)
         if self._adds_gravity:
-            rows = self._with_gravity(rows)
+            rows = rows.copy()
+            rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
+            rows.setflags(write=False)
         now, guard = rows.ravel(), self._guard
         # What is hardly off the last sample needs no other check, nor one of its numbers.
         if guard is None or not guard.surely_passes(now):
@@ -132,13 +134,6 @@ class SampleStream:
         if guard is not None:
             guard.accept(now, sample.dq, dt_s)
         return sample
-
-    def _with_gravity(self, rows: Array) -> Array:
-        """Samples whose torque leaves gravity out, with it."""
-        rows = rows.copy()
-        rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
-        rows.setflags(write=False)
-        return rows
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
         memory, observer, last_s = self.memory, self._observer, dt_s

@@ -159,7 +159,8 @@ class _CsvRows:
                 self._choose(values)
         warnings = () if self._is_chosen else tuple(self.omitted.values())
         self._is_chosen = True
-        columns = {n: values[:, i] for i, n in enumerate(self.names) if i not in self.omitted}
+        kept = (i for i in range(width) if i not in self.omitted)
+        columns: dict[str, np.ndarray] = {self.names[i]: values[:, i] for i in kept}
         for name in [name for name, column in columns.items() if exceed_float64(column)]:
             cells = (self._split_row(row) for row in rows)
             whole = [row[self.names.index(name)] for row in cells if len(row) == width]
