@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline, make_interp_spline
 
-from groundtruth.errors import Array, PathError
+from groundtruth.errors import Array, MotionError
 from groundtruth.motion import Stroke
 from groundtruth.plant_model import TICK_s
 from groundtruth.scenarios import Scenario
@@ -44,7 +44,7 @@ less than a nanometre."""
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
     """Turn a posture, tip kept in place, until the tool's z axis points straight down.
 
-    It must do so within 90 degrees. `PathError` if the posture cannot be reached, or lies outside
+    It must do so within 90 degrees. `MotionError` if the posture cannot be reached, or lies outside
     the limits or near a singularity.
     """
     data = robot.create_data()
@@ -62,7 +62,7 @@ def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]
 
     It is valid from the smallest to the largest travel, counted from the start, and one knot
     beyond. Each knot takes the smallest joint step from its neighbour, so the redundancy is
-    resolved by least motion. `PathError` if the line leaves the workspace or the joint limits, or
+    resolved by least motion. `MotionError` if the line leaves the workspace or the joint limits, or
     comes near a singularity.
     """
     data = robot.create_data()
@@ -93,7 +93,7 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
             return posture
         jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
         posture = posture + np.linalg.pinv(jacobian) @ error
-    raise PathError(
+    raise MotionError(
         f"no posture reaches {target.translation.round(4)} m; start elsewhere or travel less"
     )
 
@@ -102,11 +102,11 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
     outside = (postures < robot.position_lower_rad) | (postures > robot.position_upper_rad)
     if outside.any():
         joints = [robot.joint_names[j] for j in np.flatnonzero(outside.any(axis=0))]
-        raise PathError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
+        raise MotionError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
     for posture in postures:
         jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
         if np.linalg.cond(jacobian) > _MAX_CONDITION:
-            raise PathError(
+            raise MotionError(
                 f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"
             )
 
@@ -131,7 +131,7 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
-    """Plan a scenario's line from the LWR's starting posture straight down; may be `PathError`."""
+    """Plan a scenario's line from the LWR's posture at the start straight down; `MotionError`."""
     start = needle_down(robot, np.array(LWR_POSTURE_rad))
     motion = scenario.motion
     return insertion_path(robot, start, (0.0, motion.deepest_m - motion.start_m))

@@ -15,7 +15,7 @@ from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
-from groundtruth.errors import Array, RunError, require_positive
+from groundtruth.errors import Array, MotionError, require_positive
 from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
@@ -94,7 +94,7 @@ def simulate(
     Raises:
         ScenarioError: There is no scenario of that name.
         PlantModelError: There is no plant model of that name.
-        PathError: The needle's line is out of the arm's reach.
+        MotionError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
@@ -194,10 +194,10 @@ def insert_needle(
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        RunError: The rate is unusable.
+        MotionError: The rate is unusable.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
-    require_positive(RunError, rate_hz=rate_hz)
+    require_positive(MotionError, rate_hz=rate_hz)
     motion = chosen.motion
     t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
     depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)

@@ -16,7 +16,7 @@ from groundtruth.arm_motion import (
     scenario_path,
 )
 from groundtruth.arm_plant import ArmPlant, TissueContact, arm_model, blended_links, lwr_bodies
-from groundtruth.errors import PathError, PlantError, PlantModelError
+from groundtruth.errors import MotionError, PlantError, PlantModelError
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import Tissue, TissueForce
@@ -96,11 +96,11 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
 
 
 def test_a_line_that_the_arm_cannot_follow_is_refused():
-    with pytest.raises(PathError, match="no posture reaches"):
+    with pytest.raises(MotionError, match="no posture reaches"):
         insertion_path(ROBOT, START, (0.0, 2.0))
-    with pytest.raises(PathError, match="limits of lwr_joint_6 are exceeded"):
+    with pytest.raises(MotionError, match="limits of lwr_joint_6 are exceeded"):
         insertion_path(ROBOT, START, (-0.3, 0.0))
-    with pytest.raises(PathError, match="nearly singular"):
+    with pytest.raises(MotionError, match="nearly singular"):
         needle_down(ROBOT, np.array([0.0, 1.57, 0.0, -0.02, 0.0, 1.57, 0.0]))
 
 

@@ -294,9 +294,7 @@ class CsvWriter:
         texts = (map(repr, column.tolist()) for column in cells)
         if rows := [",".join(row) for row in zip(*texts, strict=True)]:
             self._stream.write(("\n".join(rows) + "\n").encode())
+        self._stream.flush()  # for readers of a file that grows
 
-    def flush(self) -> None:
-        """Let readers of the file see what was written."""
-        self._stream.flush()
-
-    finish = flush
+    def finish(self) -> None:
+        """Do nothing: all is written."""
