@@ -16,6 +16,7 @@ from residual.errors import Array, SuspectSampleError, named_joints
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
+    MOST_SAMPLES,
     NoiseProbe,
     SingleSignalDetector,
     StuckSignalDetector,
@@ -163,7 +164,7 @@ class FaultDetector:
                 before=np.zeros(size),
                 velocity=np.zeros(n),
                 alone=SingleSignalDetector(np.zeros(n), np.zeros(n), np.full(n, np.inf)),
-                probe=NoiseProbe.of_size(size),
+                probe=NoiseProbe(np.zeros((MOST_SAMPLES, size))),
             )
         )
 

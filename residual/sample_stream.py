@@ -12,7 +12,7 @@ from residual.errors import Array, SampleError
 from residual.fault_detection import FaultDetector, GuardState
 from residual.input_validation import ROUNDING_S, check_rows, read_rows
 from residual.momentum_observer import MomentumObserver, MomentumState
-from residual.stuck_signals import NoiseProbe, white_noise
+from residual.stuck_signals import MOST_SAMPLES, NoiseProbe, white_noise
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
@@ -100,7 +100,7 @@ class SampleStream:
         probes = config.smooth_momentum and not is_external
         parts = self._velocity, self._guard, self._observer
         velocity, guard, observer = (getattr(part, "memory", None) for part in parts)
-        probe = NoiseProbe.of_size(n) if probes else None
+        probe = NoiseProbe(np.zeros((MOST_SAMPLES, n))) if probes else None
         self.memory = StreamState(velocity, guard, observer, probe)
 
     def update(

@@ -9,7 +9,6 @@ force is then left to `residual.consistency_checks` to notice.
 
 import math
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,14 +77,9 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
 class NoiseProbe:
     """Noise of a smooth vector signal, from its first samples; see `white_noise`."""
 
-    rows: Array  # Samples so far, then room, shape (MOST_SAMPLES, size)
+    rows: Array  # Room for samples, shape (MOST_SAMPLES, size)
     count: int = 0  # Number of samples so far
     left_s: float = 0.5  # Time until they are enough [s]
-
-    @classmethod
-    def of_size(cls, size: int) -> Self:
-        """Nothing seen yet of so many signals."""
-        return cls(np.zeros((MOST_SAMPLES, size)))
 
     def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.

@@ -59,13 +59,6 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
 
 
 @compiled
-def inverse_of(symmetric: Matrix) -> tuple[float, Array]:
-    """Least eigenvalue, and the inverse where that is positive."""
-    values, vectors = np.linalg.eigh(symmetric)
-    return values[0], (vectors / np.maximum(values, 1e-300)).dot(vectors.T)
-
-
-@compiled
 def weighted_inverse(
     jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
 ) -> tuple[Array, Array, float, Array]:
@@ -250,10 +243,10 @@ class WrenchEstimator:
         if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
             raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
-        least, inverse = inverse_of(covariance)
-        if not least > 0.0:
+        values, vectors = np.linalg.eigh(covariance)
+        if not values[0] > 0.0:
             raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self.torque_covariance, self._inverse = covariance, inverse
+        self.torque_covariance, self._inverse = covariance, (vectors / values).dot(vectors.T)
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
