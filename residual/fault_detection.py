@@ -16,6 +16,7 @@ from residual.errors import Array, SuspectSampleError, named_joints
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
+    LONGEST_USUAL_S,
     MOST_SAMPLES,
     NoiseProbe,
     SingleSignalDetector,
@@ -49,8 +50,6 @@ Torques from motor currents step by 20 Nm there where the friction of its gears 
 CLOCK_S = 5e-3
 """Time by which the stamps of a computer may be off from those of the robot [s]. At the speeds of a
 needle it is nothing: 0.1 rad/s make half a milliradian of it."""
-LONGEST_HELD_S = 0.1
-"""No source of positions is slower than ten samples a second."""
 HELD_ACCELERATION_RAD_S2 = 4.0
 """Change of an estimated velocity that positions do not show while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
@@ -201,7 +200,19 @@ class FaultDetector:
             self._check_saturated(now)
         self._repeats = _NO_REPEATS
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
-            self._check_frozen(off, dt_s)
+            n = self._joints
+            position_repeats = not off[:n].any()
+            motion_repeats = position_repeats and not off[n:-n].any()
+            torque_repeats = not off[-n:].any()
+            self._repeats = position_repeats, motion_repeats, torque_repeats
+            frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
+            frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
+            if frozen:
+                raise SuspectSampleError(
+                    f"{' and '.join(frozen)} of all joints repeat bit for bit although they are "
+                    "noisy; check the sensors and the connection",
+                    SensorWarning.FROZEN,
+                )
         return memory.noise is not None and self._check_jump(now, dt_s)
 
     def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
@@ -238,11 +249,11 @@ class FaultDetector:
         """
         memory, speed = self.memory, np.abs(velocity)
         if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_HELD_S)
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_USUAL_S)
         if memory.swept is None:
             return speed * dt_s
         # Forgets, so that noise of the velocity does not add up while an arm rests.
-        return memory.swept * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
+        return memory.swept * max(1.0 - dt_s / LONGEST_USUAL_S, 0.0) + speed * dt_s
 
     def _learn(self, rows: Array) -> None:
         """The first half second, shape (m, size), is over: learn noise and resolution."""
@@ -287,21 +298,6 @@ class FaultDetector:
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",
                 SensorWarning.SATURATED,
-            )
-
-    def _check_frozen(self, off: Array, dt_s: float) -> None:
-        n, memory = self._joints, self.memory
-        position_repeats = not off[:n].any()
-        motion_repeats = position_repeats and not off[n:-n].any()
-        torque_repeats = not off[-n:].any()
-        self._repeats = position_repeats, motion_repeats, torque_repeats
-        frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
-        frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
-        if frozen:
-            raise SuspectSampleError(
-                f"{' and '.join(frozen)} of all joints repeat bit for bit although they are noisy; "
-                "check the sensors and the connection",
-                SensorWarning.FROZEN,
             )
 
     def _check_jump(self, now: Array, dt_s: float) -> bool:

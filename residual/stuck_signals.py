@@ -23,7 +23,7 @@ LEAST_S, LEAST_REPEATS = 0.02, 8
 FAR_LONGER = 20.0
 """Times the longest repeat of the first half second."""
 LONGEST_USUAL_S = 0.1
-"""No source of torque is slower than ten samples a second."""
+"""No source of positions or torques is slower than ten samples a second."""
 LONGEST_REFUSAL_S = 5.0
 """After this nothing is rejected any more, only reported: should a valid signal fall still after
 all, on an arm at rest, then not for ever."""

@@ -29,6 +29,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
+_CHUNK_BYTES = 1 << 20  # of a bag that is written
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -166,9 +167,6 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
     if topic.kind.endswith("Stamped"):
         path = path[1:] or path
     return topic.name if path == ("data",) else "/".join((topic.name, *path))
-
-
-_CHUNK_BYTES = 1 << 20
 
 
 OutTopic = tuple[str, str, Iterable[Any]]

@@ -19,15 +19,13 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import Labels, checked_columns
 
-Writer = Callable[[BinaryIO, Labels], Any]
-"""Makes what appends checked columns to a stream and finishes it."""
-
-WRITERS: Mapping[str, Writer] = {
+WRITERS: Mapping[str, Callable[[BinaryIO, Labels], Any]] = {
     ".csv": CsvWriter,
     ".npz": NpzWriter,
     ".parquet": ParquetWriter,
     ".mcap": McapWriter,
 }
+"""By suffix, what appends checked columns to a stream and finishes it."""
 
 
 class OpenTable:
@@ -91,7 +89,7 @@ def open_table(
             files.close()
 
 
-def _find_writer(path: Path) -> Writer:
+def _find_writer(path: Path) -> Callable[[BinaryIO, Labels], Any]:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer
