@@ -38,8 +38,7 @@ LEAST_TORQUE_NM = 0.7
 """Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
 TORQUE_RATIO_PER_S = 2.0
 """Fraction of the effort limit per second, beyond the step: for lost samples."""
-ACCELERATION_RAD_S2 = 20.0
-"""An arm that inserts a needle stays far below."""
+ACCELERATION_RAD_S2 = 20.0  # an arm that inserts a needle stays far below
 LEAST_POSITION_RAD = 1e-4
 COARSE_RAD = 5e-4
 """A position that has repeated may make as large a step [rad]: three of an encoder on the link,
@@ -58,16 +57,14 @@ MOST_STEP_N = 100.0
 MOST_UNEXPLAINED = 0.35
 """Fraction of the jump that the force may leave over; a spike of one joint leaves most of
 itself."""
-CHECK_S = 0.02
-"""Every so often each torque is checked by itself [s]."""
+CHECK_S = 0.02  # every so often each torque is checked by itself [s]
 STAYED_S = 5e-3
 """A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
 SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
-MOST_LOAD = 10.0
-"""Times the effort limit: only other units read beyond."""
+MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
 STILL_S = 1.0

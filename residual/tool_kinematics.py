@@ -9,8 +9,7 @@ from residual.input_validation import vector_of_three
 from urdf import Robot
 
 _LOCAL = pin.ReferenceFrame.LOCAL
-MOST_OFFSET_M = 10.0
-"""No tool is longer."""
+MOST_OFFSET_M = 10.0  # no tool is longer
 
 
 class ToolKinematics:

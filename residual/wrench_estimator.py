@@ -14,10 +14,8 @@ from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-COMPONENTS = {"axial": 1, "point": 3, "full": 6}
-"""Unknowns of every mode."""
-EXPECTED_TORQUE_NM = 10.0
-"""Of the full mode: as `SensorConfig`'s ``expected_force_N``."""
+COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
+EXPECTED_TORQUE_NM = 10.0  # of the full mode: as `SensorConfig`'s ``expected_force_N``
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 # What is compiled uses constants of its own file only.
