@@ -111,6 +111,10 @@ def simulate(
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
+    found: dict[str, Any] = {"t_s": time[kept]}
+    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
+        value = getattr(tissue if hasattr(tissue, name) else trace, name)
+        found[name] = value[kept] if isinstance(value, np.ndarray) else value
     return Run(
         scenario=chosen,
         plant=plant_model.name,
@@ -118,7 +122,7 @@ def simulate(
         robot=bodies.robot,
         tool=tool,
         signals=signals,
-        truth=_truth(trace, tissue, time, kept),
+        truth=Truth(**found),
         tare_end_s=chosen.motion.tare_end_s,
     )
 
@@ -157,14 +161,6 @@ def _sense(
         tau_Nm=tau[kept],
         ft_wrench=sensors.measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
     )
-
-
-def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
-    found: dict[str, Any] = {"t_s": time[kept]}
-    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        value = getattr(tissue if hasattr(tissue, name) else trace, name)
-        found[name] = value[kept] if isinstance(value, np.ndarray) else value
-    return Truth(**found)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -8,7 +8,6 @@ from operator import attrgetter
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
@@ -252,7 +251,14 @@ class McapWriter:
 
         `LogError` if there is no time stamp `t_s`, or one that no message can carry.
         """
-        stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
+        t_s = columns.get("t_s")
+        if t_s is None or t_s.ndim != 1:
+            raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
+        if not np.isfinite(t_s).all():
+            raise LogError("a bag needs a time stamp in every row; one is not finite")
+        stamps_ns = to_nanoseconds(t_s, self._labels.start_ns).tolist()
+        if min(stamps_ns, default=0) < 0:
+            raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
         topics = list(bag_topics(columns, self._labels, stamps_ns))
         for name, kind, _ in topics:
             if name not in self._channels:
@@ -269,15 +275,3 @@ class McapWriter:
     def finish(self) -> None:
         """Write the index."""
         self._bag.finish()
-
-
-def _stamps(columns: Columns, start_ns: int) -> NDArray[np.int64]:
-    t_s = columns.get("t_s")
-    if t_s is None or t_s.ndim != 1:
-        raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
-    if not np.isfinite(t_s).all():
-        raise LogError("a bag needs a time stamp in every row; one is not finite")
-    stamps_ns = to_nanoseconds(t_s, start_ns)
-    if stamps_ns.size and stamps_ns.min() < 0:
-        raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
-    return stamps_ns

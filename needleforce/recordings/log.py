@@ -279,7 +279,14 @@ class LogStream:
             else:
                 self._report((f"{name}: its columns hold no finite value and were left out",))
         if missing:
-            raise _missing(table, *missing)
+            channel, *others = missing
+            also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
+            raise ColumnError(
+                f"no column found for {channel.name} ({channel.meaning}); usual names are "
+                f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
+                f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
+                f"Columns are: {table.describe()}{table.left_out()}"
+            )
         if not self._sources:
             raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
 
@@ -353,16 +360,6 @@ class LogStream:
             warnings=self.take_warnings(),
             start_ns=self.start_ns,
         )
-
-
-def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
-    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
-    return ColumnError(
-        f"no column found for {channel.name} ({channel.meaning}); usual names are "
-        f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
-        f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
-        f"Columns are: {table.describe()}{table.left_out()}"
-    )
 
 
 def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:
