@@ -259,7 +259,16 @@ class LogStream:
             self._report(table.warnings)
             if len(table) or table is head:
                 yield from self._chunk(table)
-        self._finish()
+        # What only the whole log shows.
+        if self._lost:
+            what = f"time: rows without a stamp, left out: {self._lost}"
+            self._report((f"{what} (first: row {self._first_lost})",))
+        if self._lost == self._rows:
+            raise LogError(f"of {self._rows} rows none has a time stamp")
+        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
+        self._report(self._stamps.warnings())
+        for key, watch in self._watches.items():
+            self._report(() if key == "t_s" else watch.not_finite())
 
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
@@ -327,18 +336,6 @@ class LogStream:
         if raw.dtype.kind == "i" and self._clock_ns:
             return to_seconds(raw, self._clock_ns)
         return found_s - self._clock_ns / NS_PER_S
-
-    def _finish(self) -> None:
-        """Report and refuse what only the whole log shows."""
-        if self._lost:
-            what = f"time: rows without a stamp, left out: {self._lost}"
-            self._report((f"{what} (first: row {self._first_lost})",))
-        if self._lost == self._rows:
-            raise LogError(f"of {self._rows} rows none has a time stamp")
-        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
-        self._report(self._stamps.warnings())
-        for key, watch in self._watches.items():
-            self._report(() if key == "t_s" else watch.not_finite())
 
     def _report(self, warnings: Iterable[str]) -> None:
         self._reported |= {w: False for w in warnings if w not in self._reported}
