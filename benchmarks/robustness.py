@@ -57,15 +57,15 @@ def perturbed_needle(
     world, _ = perturbed(name, chosen, seed)
     plant, robot = world.plant, _lwr()
     run = insert_needle(world.scenario, seed=seed, noise=ft_noise(plant))
-    along = scenario_motion(scenario_path(robot, world.scenario), world.scenario)
+    q_rad, dq_rad_s = scenario_motion(scenario_path(robot, world.scenario), world.scenario)
     clock, loss, position, velocity = map(
         np.random.default_rng, np.random.SeedSequence([seed, 2]).spawn(4)
     )
     kept = received_samples(len(run.t_s), plant, loss)
-    dq = measured_velocity(along.dq_rad_s, plant, velocity)
+    dq = measured_velocity(dq_rad_s, plant, velocity)
     signals = JointSignals(
         t_s=time_stamps(run.t_s, plant, clock)[kept],
-        q_rad=measured_position(along.q_rad, plant, position)[kept],
+        q_rad=measured_position(q_rad, plant, position)[kept],
         dq_rad_s=None if dq is None or not world.has_speed else dq[kept],
         tau_Nm=np.zeros((len(kept), robot.nv)),
     )

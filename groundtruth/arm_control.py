@@ -74,10 +74,11 @@ def drive(
         mean_axial_N=np.empty(ticks),
         forces=[],
     )
-    plant.place(motion.q_rad[0], motion.dq_rad_s[0])
+    q_rad, dq_rad_s = motion
+    plant.place(q_rad[0], dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
-        error = motion.q_rad[k] - plant.q_rad
-        velocity_error = motion.dq_rad_s[k] - plant.dq_rad_s
+        error = q_rad[k] - plant.q_rad
+        velocity_error = dq_rad_s[k] - plant.dq_rad_s
         torque = _joint_torque(error, velocity_error, mass[k // MASS_TICKS], ahead)
         if k % _REPORT_TICKS == 0:
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
@@ -103,7 +104,7 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
     The feed-forward is the inverse dynamics at the middle of each tick with the mean acceleration
     over it: a torque held over a tick sets the mean, not the value at its start.
     """
-    q, dq = motion.q_rad, motion.dq_rad_s
+    q, dq = motion
     middles = zip(
         0.5 * (q[1:] + q[:-1]), 0.5 * (dq[1:] + dq[:-1]), np.diff(dq, axis=0) / TICK_s, strict=True
     )

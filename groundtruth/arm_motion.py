@@ -1,12 +1,11 @@
 """What the arm is commanded: the needle's straight line in joint space, and free joint motion."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline, make_interp_spline
 
-from groundtruth.errors import Array, PathError
+from groundtruth.errors import Array, MotionError
+from groundtruth.motion import Stroke
 from groundtruth.plant_model import TICK_s
 from groundtruth.scenarios import Scenario
 from urdf import Robot
@@ -32,30 +31,20 @@ _REST_s = 1.0
 _FADE_s = 4.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JointMotion:
-    """Joint motion at equally spaced ticks, arrays of shape (n + 1, 7)."""
+JointMotion = tuple[Array, Array]
+"""Joint positions [rad] and velocities [rad/s] at equally spaced ticks, shape (n + 1, 7) each."""
+InsertionPath = tuple[BSpline, pin.SE3]
+"""A straight line of the tool frame along its own z axis: joint positions (7,) as a function of
+travel in m, and where the tool frame is in the base at travel zero.
 
-    q_rad: Array
-    dq_rad_s: Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class InsertionPath:
-    """A straight line of the tool frame along its own z axis, in joint space.
-
-    Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the
-    line by less than a nanometre.
-    """
-
-    spline: BSpline  # joint positions (7,) as a function of travel in m
-    transform_start_to_base: pin.SE3  # of the tool frame at travel zero; z is the insertion axis
+Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the line by
+less than a nanometre."""
 
 
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
     """Turn a posture, tip kept in place, until the tool's z axis points straight down.
 
-    It must do so within 90 degrees. `PathError` if the posture cannot be reached, or lies outside
+    It must do so within 90 degrees. `MotionError` if the posture cannot be reached, or lies outside
     the limits or near a singularity.
     """
     data = robot.create_data()
@@ -73,7 +62,7 @@ def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]
 
     It is valid from the smallest to the largest travel, counted from the start, and one knot
     beyond. Each knot takes the smallest joint step from its neighbour, so the redundancy is
-    resolved by least motion. `PathError` if the line leaves the workspace or the joint limits, or
+    resolved by least motion. `MotionError` if the line leaves the workspace or the joint limits, or
     comes near a singularity.
     """
     data = robot.create_data()
@@ -91,7 +80,7 @@ def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]
     postures = np.array([knots[index] for index in indices])
     _check_postures(robot, data, postures)
     spline = make_interp_spline(np.array(indices) * _KNOT_SPACING_m, postures, k=5)
-    return InsertionPath(spline=spline, transform_start_to_base=start)
+    return spline, start
 
 
 def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
@@ -104,7 +93,7 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
             return posture
         jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
         posture = posture + np.linalg.pinv(jacobian) @ error
-    raise PathError(
+    raise MotionError(
         f"no posture reaches {target.translation.round(4)} m; start elsewhere or travel less"
     )
 
@@ -113,11 +102,11 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
     outside = (postures < robot.position_lower_rad) | (postures > robot.position_upper_rad)
     if outside.any():
         joints = [robot.joint_names[j] for j in np.flatnonzero(outside.any(axis=0))]
-        raise PathError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
+        raise MotionError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
     for posture in postures:
         jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
         if np.linalg.cond(jacobian) > _MAX_CONDITION:
-            raise PathError(
+            raise MotionError(
                 f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"
             )
 
@@ -130,28 +119,19 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     moving_s = duration_s - 2.0 * _REST_s
     moving = np.clip(time - _REST_s, 0.0, moving_s)
-    fade, fade_rate = _fade(moving, moving_s)
+    ramp = Stroke("quintic", 0.0, _FADE_s, 0.0, 1.0)
+    fade, fade_rate = ramp.evaluate(np.minimum(moving, moving_s - moving))
+    fade_rate = np.where(moving < moving_s / 2.0, fade_rate, -fade_rate)
     angle = 2.0 * np.pi * _FREQUENCY_Hz
     sine, cosine = np.sin(moving[:, None] * angle), np.cos(moving[:, None] * angle)
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
     at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
     rate[at_rest] = 0.0
-    return JointMotion(
-        q_rad=centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, dq_rad_s=_AMPLITUDE_rad * rate
-    )
-
-
-def _fade(time: Array, duration_s: float) -> tuple[Array, Array]:
-    """Quintic fade-in and fade-out between 0 and 1, and its rate."""
-    edge = np.minimum(time, duration_s - time)
-    x = np.clip(edge / _FADE_s, 0.0, 1.0)
-    value = x**3 * (10.0 + x * (6.0 * x - 15.0))
-    rate = 30.0 * x**2 * (1.0 - x) ** 2 / _FADE_s
-    return value, np.where(time < duration_s / 2.0, rate, -rate)
+    return centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, _AMPLITUDE_rad * rate
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
-    """Plan a scenario's line from the LWR's starting posture straight down; may be `PathError`."""
+    """Plan a scenario's line from the LWR's posture at the start straight down; `MotionError`."""
     start = needle_down(robot, np.array(LWR_POSTURE_rad))
     motion = scenario.motion
     return insertion_path(robot, start, (0.0, motion.deepest_m - motion.start_m))
@@ -167,10 +147,11 @@ def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
     end_s = motion.duration_s if scenario.layers else motion.tare_end_s
     time = np.arange(round(end_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     travel_m = motion.position_m(time) - motion.start_m
-    q_rad = path.spline(travel_m)
-    dq_rad_s = path.spline(travel_m, nu=1) * motion.speed_m_s(time)[:, None]
+    spline, _ = path
+    q_rad = spline(travel_m)
+    dq_rad_s = spline(travel_m, nu=1) * motion.speed_m_s(time)[:, None]
     if not scenario.layers:
-        free = joint_excitation(q_rad[-1], FREE_MOTION_s)
-        q_rad = np.concatenate([q_rad, free.q_rad[1:]])
-        dq_rad_s = np.concatenate([dq_rad_s, free.dq_rad_s[1:]])
-    return JointMotion(q_rad=q_rad, dq_rad_s=dq_rad_s)
+        free_rad, free_rad_s = joint_excitation(q_rad[-1], FREE_MOTION_s)
+        q_rad = np.concatenate([q_rad, free_rad[1:]])
+        dq_rad_s = np.concatenate([dq_rad_s, free_rad_s[1:]])
+    return q_rad, dq_rad_s

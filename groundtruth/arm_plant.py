@@ -303,22 +303,16 @@ class ArmPlant:
             point.begin()
 
     def tick(self, torque_Nm: Array) -> None:
-        """Hold a joint torque, shape (7,), for one tick."""
+        """Hold a joint torque, shape (7,), for one tick.
+
+        The tissue acts at each substep, along the needle and held over the substep. The Jacobian of
+        the tick's start serves all its substeps: the arm turns by less than 1e-4 rad meanwhile.
+        """
         if self._contact.elbow is not None:
             self._elbow_force[:] = self._contact.elbow.at(self._time_s)
         self._held_Nm = self._data.qfrc_applied[:] = torque_Nm
         self.friction_Nm = np.zeros(self._model.nv)
-        self._substeps(self._contact.law)
-        self._time_s += TICK_s
-        self._locate()
-
-    def _substeps(self, law: Tissue) -> None:
-        """Let the tissue act at each substep, along the needle and held over the substep.
-
-        The Jacobian of the tick's start serves all its substeps: the arm turns by less than
-        1e-4 rad meanwhile.
-        """
-        rate, back = self.axial_jacobian, -self._tip_axis
+        law, rate, back = self._contact.law, self.axial_jacobian, -self._tip_axis
         aside: Array | float = 0.0
         if self._contact.lateral is not None:
             aside = self.tip_axes[:, :2] @ self._contact.lateral.at(self.depth_m)
@@ -339,6 +333,8 @@ class ArmPlant:
             self._tip_force[:] = axial * back + aside
             self._step()
         self.mean_axial_N = total / SUBSTEPS
+        self._time_s += TICK_s
+        self._locate()
 
     def _step(self) -> None:
         """Step once, with the friction of the bearings and all contacts held over the step."""

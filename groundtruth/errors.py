@@ -20,23 +20,15 @@ class TissueError(GroundTruthError, ValueError):
 
 
 class MotionError(GroundTruthError, ValueError):
-    """A motion that cannot be carried out: no travel, no speed, no return above the surface."""
+    """A motion that cannot be carried out or sampled: no travel, out of reach, no rate."""
 
 
 class ScenarioError(GroundTruthError, LookupError):
     """An unknown scenario or tissue law; the message lists the known ones."""
 
 
-class RunError(GroundTruthError, ValueError):
-    """A simulation with a rate or a noise that cannot be."""
-
-
 class PlantModelError(GroundTruthError, ValueError):
-    """An unknown plant model, or link tables that cannot be blended."""
-
-
-class PathError(GroundTruthError, ValueError):
-    """A straight line that the arm cannot follow with its needle."""
+    """An unknown plant model, a noise that cannot be, or link tables that cannot be blended."""
 
 
 class PlantError(GroundTruthError, RuntimeError):

@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from groundtruth.errors import Array, PlantModelError, RunError, require_non_negative
+from groundtruth.errors import Array, PlantModelError, require_non_negative
 
 TICK_s = 1e-3  # period of controller and sensors
 
@@ -37,8 +37,8 @@ class ForceNoise:
     correlation_s: float = 0.0  # time constant of the noise if it is not white
 
     def __post_init__(self) -> None:
-        """Raise `RunError` naming the value that is negative or not finite."""
-        require_non_negative(RunError, **asdict(self))
+        """Raise `PlantModelError` naming the value that is negative or not finite."""
+        require_non_negative(PlantModelError, **asdict(self))
 
     def reading_N(
         self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator

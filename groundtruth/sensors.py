@@ -70,17 +70,13 @@ class TorqueSensor:
             angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + self._phase_rad
             seen = seen + plant_model.torque_ripple * self._limit_Nm * np.sin(angle)
         if plant_model.torque_nonlinearity > 0.0:
-            largest_Nm = plant_model.torque_nonlinearity * self._limit_Nm
-            seen = seen + largest_Nm * _bent(tau_Nm / self._limit_Nm, *self._bend)
+            # A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S,
+            # Chebyshev polynomials of second and third degree, in parts given by the bow.
+            load, (size, bow) = tau_Nm / self._limit_Nm, self._bend
+            bent = bow * (2.0 * load**2 - 1.0)
+            bent = size * (bent + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
+            seen = seen + plant_model.torque_nonlinearity * self._limit_Nm * bent
         return seen + self._bias_Nm + self._drift_Nm[ticks] + self._noise_Nm[ticks]
-
-
-def _bent(load: Array, size: Array, bow: Array) -> Array:
-    """A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S.
-
-    Chebyshev polynomials of second and third degree, in parts given by the bow, of a signed size.
-    """
-    return size * (bow * (2.0 * load**2 - 1.0) + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
 
 
 def _relative_drift(

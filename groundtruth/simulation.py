@@ -15,7 +15,7 @@ from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
-from groundtruth.errors import Array, RunError, require_positive
+from groundtruth.errors import Array, MotionError, require_positive
 from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
@@ -94,7 +94,7 @@ def simulate(
     Raises:
         ScenarioError: There is no scenario of that name.
         PlantModelError: There is no plant model of that name.
-        PathError: The needle's line is out of the arm's reach.
+        MotionError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
@@ -111,6 +111,10 @@ def simulate(
     time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
     kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
     tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
+    found: dict[str, Any] = {"t_s": time[kept]}
+    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
+        value = getattr(tissue if hasattr(tissue, name) else trace, name)
+        found[name] = value[kept] if isinstance(value, np.ndarray) else value
     return Run(
         scenario=chosen,
         plant=plant_model.name,
@@ -118,14 +122,14 @@ def simulate(
         robot=bodies.robot,
         tool=tool,
         signals=signals,
-        truth=_truth(trace, tissue, time, kept),
+        truth=Truth(**found),
         tare_end_s=chosen.motion.tare_end_s,
     )
 
 
 def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
-    start = path.transform_start_to_base
+    _, start = path
     axis = start.rotation[:, 2].copy()
     surface = start.translation - scenario.motion.start_m * axis
     return TissueContact(
@@ -159,14 +163,6 @@ def _sense(
     )
 
 
-def _truth(trace: ArmTrace, tissue: TissueTruth, time: Array, kept: NDArray[np.intp]) -> Truth:
-    found: dict[str, Any] = {"t_s": time[kept]}
-    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        value = getattr(tissue if hasattr(tissue, name) else trace, name)
-        found[name] = value[kept] if isinstance(value, np.ndarray) else value
-    return Truth(**found)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRun(ReadOnlyArrays):
     """Signals and truth of one needle-only insertion; arrays of shape (n,)."""
@@ -194,10 +190,10 @@ def insert_needle(
 
     Raises:
         ScenarioError: There is no scenario of that name.
-        RunError: The rate is unusable.
+        MotionError: The rate is unusable.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
-    require_positive(RunError, rate_hz=rate_hz)
+    require_positive(MotionError, rate_hz=rate_hz)
     motion = chosen.motion
     t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
     depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)

@@ -254,11 +254,8 @@ def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
     reached = np.flatnonzero(signal >= level)
     if reached.size == 0:
         return float("nan")
-    k = int(reached[0])
-    if k == 0:
-        return float(t_s[k])
-    fraction = (level - signal[k - 1]) / (signal[k] - signal[k - 1])
-    return float(t_s[k - 1] + fraction * (t_s[k] - t_s[k - 1]))
+    around = slice(max(reached[0] - 1, 0), reached[0] + 1)
+    return float(np.interp(level, signal[around], t_s[around]))
 
 
 def _ruptures(

@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, Literal, NamedTuple, get_type_hints
 
 import msgspec
 import numpy as np
@@ -114,7 +114,14 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     except (msgspec.MsgspecError, RecursionError, ValueError, TypeError) as error:
         raise SnapshotFileError(f"{path} is damaged: {error}") from error
     for place, number in _numbers(snapshot, "snapshot"):
-        _check_number(place, number)
+        if isinstance(number, float) and abs(number) <= LARGEST:  # almost every one
+            continue
+        odd = np.extract(~(np.abs(number) <= LARGEST), number)
+        allowed = np.full(odd.shape, _NOT_FINITE.get(place, 0.0))
+        if not np.array_equal(odd, allowed, equal_nan=True):
+            raise SnapshotFileError(
+                f"the snapshot is damaged: {place} cannot be {str(number)[:80]}"
+            )
     return snapshot
 
 
@@ -185,19 +192,10 @@ def _plain_array(value: Any) -> Any:
     return list(value.shape), order, value.tobytes(order)
 
 
-class _Array(NamedTuple):
-    """What `_plain_array` makes of an array."""
-
-    shape: tuple[int, ...]
-    order: str
-    data: bytes
-
-
 def _array(kind: Any, plain: Any) -> Any:
     """The read-only array that `_plain_array` was given."""
-    shape, order, data = msgspec.convert(plain, _Array)
-    if order not in ("C", "F"):
-        raise ValueError(f"an array of order {order!r}, expected 'C' or 'F'")
+    parts = tuple[tuple[int, ...], Literal["C", "F"], bytes]
+    shape, order, data = msgspec.convert(plain, parts)
     flat = np.frombuffer(data, dtype=np.float64)
     array = np.array(flat.reshape(shape, order=order), order=order)
     array.setflags(write=False)
@@ -215,13 +213,3 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, Any]]:
         names = getattr(value, "_fields", None) or (place,) * len(value)
         for name, item in zip(names, value, strict=True):
             yield from _numbers(item, name)
-
-
-def _check_number(place: str, number: Any) -> None:
-    if isinstance(number, float) and abs(number) <= LARGEST:  # almost every one
-        return
-    numbers = np.asarray(number)
-    odd = numbers[~(np.abs(numbers) <= LARGEST)]
-    allowed = _NOT_FINITE.get(place, 0.0)
-    if not np.array_equal(odd, np.full(odd.shape, allowed), equal_nan=True):
-        raise SnapshotFileError(f"the snapshot is damaged: {place} cannot be {str(number)[:80]}")

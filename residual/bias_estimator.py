@@ -192,20 +192,13 @@ class BiasEstimator:
             followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
             follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
-        memory.motion_Nm2 = self._motion_variance_Nm2(dt_s)
-
-    def _motion_variance_Nm2(self, dt_s: float) -> Array:
-        """Variance of the residual's error per joint because the arm moves fast, shape (n,).
-
-        A tare is of slow motion. It corrects masses and first moments as far as gravity shows them;
-        what turns and accelerates the links is still as uncertain as the prior says.
-        """
-        memory = self.memory
+        # A tare is of slow motion. It corrects masses and first moments as far as gravity shows
+        # them; what turns and accelerates the links is still as uncertain as the prior says.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
         acceleration = behind / SMOOTHING_S
-        motion = pin.rnea(self._weightless, self._data, memory.q, memory.dq, acceleration)
-        return np.square(self._config.prior.mass_fraction * motion)
+        motion = pin.rnea(self._weightless, self._data, q, memory.dq, acceleration)
+        memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
 
     def sum_torques(self) -> None:
         """Keep the sum of the torques only: `memory` is then complete."""

@@ -20,12 +20,10 @@ OCTAVES = np.arange(-2.0, 5.1)
 """Sizes that are tried, as powers of two of the prior's: a quarter to thirty-two times."""
 OCTAVES_STD = 1.5
 """How far an arm may be from the prior's sizes: keeps what the motion does not show."""
-SWEEPS = 3
-"""Passes over the groups, one at a time."""
+SWEEPS = 3  # passes over the groups, one at a time
 WALK_TERMS = 8
 """Of the Karhunen-Loeve series of a random walk: 96 % of its variance."""
-CONTACT_STD_N = 100.0
-"""Of a contact's force before data: any."""
+CONTACT_STD_N = 100.0  # of a contact's force before data: any
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer
 it may be nearly nothing by chance, and a few blocks would count for too much."""

@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, compiled
 from residual.errors import Array, ConfigurationError
 from residual.input_validation import check_choice, known_limits
 from urdf import Robot
@@ -112,15 +111,6 @@ class Tare(NamedTuple):
     def kind(self) -> TareKind:
         """With parameters beyond one offset per joint or not."""
         return "constant" if len(self.mean) == len(self.noise_Nm2) else "model"
-
-
-@compiled
-def own_rows(states: Matrix, age_s: float, fading_s: float) -> Array:
-    """Rows of offset, joint states, steady and fading drift, see `BiasModel`."""
-    rows = np.ones((len(states) + 3, states.shape[1]))
-    rows[1:-2] = states
-    rows[-2], rows[-1] = age_s, -fading_s * math.expm1(-age_s / fading_s)
-    return rows
 
 
 class BiasModel:
@@ -227,7 +217,9 @@ class BiasModel:
 
     def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
         """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""
-        rows = own_rows(states, age_s, self.prior.fading_s)
+        rows, fading_s = np.ones((self.states + 3, self.joints)), self.prior.fading_s
+        rows[1:-2] = states
+        rows[-2], rows[-1] = age_s, -fading_s * math.expm1(-age_s / fading_s)
         if self.ripple_per_rad is None:
             return rows
         angle = self.ripple_per_rad * q

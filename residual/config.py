@@ -3,9 +3,11 @@
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
+import numpy as np
+
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
-from residual.input_validation import check_choice, check_positive, check_switch
+from residual.input_validation import check_choice, check_positive, shown
 from residual.momentum_observer import Alignment, FrictionModel
 from residual.tool_kinematics import check_offset, unit_axis
 
@@ -78,7 +80,8 @@ class SensorConfig:
     def __post_init__(self) -> None:
         self._check_numbers()
         for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
-            check_switch(name, getattr(self, name))
+            if not isinstance(value := getattr(self, name), bool | np.bool_):
+                raise ConfigurationError(f"{name} is {shown(value)}, expected True or False")
         unit_axis(self.insertion_axis)
         check_offset(self.tool_offset_m)
         if not isinstance(self.prior, BiasPrior):

@@ -24,8 +24,7 @@ TRAVEL_S = 1.0
 MEMORY_S = 10.0
 """Of the motion that is used; time at rest does not count, so an arm that waits for its tare
 does not forget."""
-LONGEST_S = 0.2
-"""A trapezoid over more means nothing."""
+LONGEST_S = 0.2  # a trapezoid over more means nothing
 MOST_ACCELERATION_RAD_S2 = 20.0
 """As in `residual.fault_detection`: a position that jumps has no rate."""
 LEAST_TRAVEL_RAD = 0.015
@@ -36,8 +35,7 @@ TOLERATED_LAG_S = 0.03
 """A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
 TOLERATED_RAD = 0.02
 """A vibration of 50 Hz, seen every 20 ms, seems a velocity; 6 rad/s^2 of it make this travel."""
-LEAST_SECONDS = 1.0
-"""Of motion, before anything is reported."""
+LEAST_SECONDS = 1.0  # of motion, before anything is reported
 LEAST_BEYOND = 0.01
 """Root mean square difference beyond what is tolerated that is judged, relative to the travel."""
 
@@ -54,8 +52,7 @@ NEAR = 0.05
 """So near to one of these a factor is that one, to another joint's travel dq's is that one's."""
 MOST_OFF = 0.4
 """Root mean square difference of dq's travel from q's, relative to it, that noise does not make."""
-LEAST_OFF = 0.12
-"""The same where another joint or a lag is just what makes it."""
+LEAST_OFF = 0.12  # the same where another joint or a lag is just what makes it
 UNEXPLAINED = 0.1
 """Fraction of dq's mean square travel that a factor may leave over, or a lag of the difference."""
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
@@ -64,15 +61,13 @@ reported."""
 STILL = 1e-3
 """What moves by less than this fraction of the other stands still."""
 
-LIMIT_MARGIN_RAD = 0.01
-"""Half a degree from its limit a joint counts as being there."""
+LIMIT_MARGIN_RAD = 0.01  # half a degree from its limit a joint counts as being there
 MOST_RAD = 4.0 * math.pi
 """Two turns: beyond a limit and this a position is hardly in radians."""
 LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
-MISMATCH_MEMORY_S = 0.2
-"""A knock of a few milliseconds is no model mismatch."""
+MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0
 """The covariance holds for the arm that was tared; four times its standard deviation does not
 happen by chance in all joints together."""

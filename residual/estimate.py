@@ -12,8 +12,7 @@ UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
 unlike infinity it can be drawn, stored and calculated with."""
 
-MOST_CONDITIONING = 1e6
-"""Beyond it a direction counts as unseen."""
+MOST_CONDITIONING = 1e6  # beyond it a direction counts as unseen
 
 
 class Status(StrEnum):

@@ -16,6 +16,8 @@ from residual.errors import Array, SuspectSampleError, named_joints
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
 from residual.stuck_signals import (
+    LONGEST_USUAL_S,
+    MOST_SAMPLES,
     NoiseProbe,
     SingleSignalDetector,
     StuckSignalDetector,
@@ -36,8 +38,7 @@ LEAST_TORQUE_NM = 0.7
 """Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
 TORQUE_RATIO_PER_S = 2.0
 """Fraction of the effort limit per second, beyond the step: for lost samples."""
-ACCELERATION_RAD_S2 = 20.0
-"""An arm that inserts a needle stays far below."""
+ACCELERATION_RAD_S2 = 20.0  # an arm that inserts a needle stays far below
 LEAST_POSITION_RAD = 1e-4
 COARSE_RAD = 5e-4
 """A position that has repeated may make as large a step [rad]: three of an encoder on the link,
@@ -48,8 +49,6 @@ Torques from motor currents step by 20 Nm there where the friction of its gears 
 CLOCK_S = 5e-3
 """Time by which the stamps of a computer may be off from those of the robot [s]. At the speeds of a
 needle it is nothing: 0.1 rad/s make half a milliradian of it."""
-LONGEST_HELD_S = 0.1
-"""No source of positions is slower than ten samples a second."""
 HELD_ACCELERATION_RAD_S2 = 4.0
 """Change of an estimated velocity that positions do not show while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
@@ -58,16 +57,14 @@ MOST_STEP_N = 100.0
 MOST_UNEXPLAINED = 0.35
 """Fraction of the jump that the force may leave over; a spike of one joint leaves most of
 itself."""
-CHECK_S = 0.02
-"""Every so often each torque is checked by itself [s]."""
+CHECK_S = 0.02  # every so often each torque is checked by itself [s]
 STAYED_S = 5e-3
 """A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
 SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
-MOST_LOAD = 10.0
-"""Times the effort limit: only other units read beyond."""
+MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
 STILL_S = 1.0
@@ -163,7 +160,7 @@ class FaultDetector:
                 before=np.zeros(size),
                 velocity=np.zeros(n),
                 alone=SingleSignalDetector(np.zeros(n), np.zeros(n), np.full(n, np.inf)),
-                probe=NoiseProbe.of_size(size),
+                probe=NoiseProbe(np.zeros((MOST_SAMPLES, size))),
             )
         )
 
@@ -200,7 +197,19 @@ class FaultDetector:
             self._check_saturated(now)
         self._repeats = _NO_REPEATS
         if off.item(0) == 0.0 or off.item(-1) == 0.0:
-            self._check_frozen(off, dt_s)
+            n = self._joints
+            position_repeats = not off[:n].any()
+            motion_repeats = position_repeats and not off[n:-n].any()
+            torque_repeats = not off[-n:].any()
+            self._repeats = position_repeats, motion_repeats, torque_repeats
+            frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
+            frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
+            if frozen:
+                raise SuspectSampleError(
+                    f"{' and '.join(frozen)} of all joints repeat bit for bit although they are "
+                    "noisy; check the sensors and the connection",
+                    SensorWarning.FROZEN,
+                )
         return memory.noise is not None and self._check_jump(now, dt_s)
 
     def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
@@ -237,11 +246,11 @@ class FaultDetector:
         """
         memory, speed = self.memory, np.abs(velocity)
         if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_HELD_S)
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_USUAL_S)
         if memory.swept is None:
             return speed * dt_s
         # Forgets, so that noise of the velocity does not add up while an arm rests.
-        return memory.swept * max(1.0 - dt_s / LONGEST_HELD_S, 0.0) + speed * dt_s
+        return memory.swept * max(1.0 - dt_s / LONGEST_USUAL_S, 0.0) + speed * dt_s
 
     def _learn(self, rows: Array) -> None:
         """The first half second, shape (m, size), is over: learn noise and resolution."""
@@ -286,21 +295,6 @@ class FaultDetector:
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",
                 SensorWarning.SATURATED,
-            )
-
-    def _check_frozen(self, off: Array, dt_s: float) -> None:
-        n, memory = self._joints, self.memory
-        position_repeats = not off[:n].any()
-        motion_repeats = position_repeats and not off[n:-n].any()
-        torque_repeats = not off[-n:].any()
-        self._repeats = position_repeats, motion_repeats, torque_repeats
-        frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
-        frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
-        if frozen:
-            raise SuspectSampleError(
-                f"{' and '.join(frozen)} of all joints repeat bit for bit although they are noisy; "
-                "check the sensors and the connection",
-                SensorWarning.FROZEN,
             )
 
     def _check_jump(self, now: Array, dt_s: float) -> bool:

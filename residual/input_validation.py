@@ -159,12 +159,6 @@ def check_positive(name: str, value: object, *, least: float = 1e-30, most: floa
         )
 
 
-def check_switch(name: str, value: object) -> None:
-    """Refuse a setting that is neither true nor false."""
-    if not isinstance(value, bool | np.bool_):
-        raise ConfigurationError(f"{name} is {shown(value)}, expected True or False")
-
-
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Refuse a setting that is none of the choices."""
     if not (isinstance(value, str) and value in choices):

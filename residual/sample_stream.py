@@ -12,15 +12,14 @@ from residual.errors import Array, SampleError
 from residual.fault_detection import FaultDetector, GuardState
 from residual.input_validation import ROUNDING_S, check_rows, read_rows
 from residual.momentum_observer import MomentumObserver, MomentumState
-from residual.stuck_signals import NoiseProbe, white_noise
+from residual.stuck_signals import MOST_SAMPLES, NoiseProbe, white_noise
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
 COARSE = 2.0
 """Times the white noise of positions: steps of an encoder last longer than a sample."""
-SETTLING_LAGS = 5.0
-"""Lags after which the start of the residual has faded to 1 %."""
+SETTLING_LAGS = 5.0  # lags after which the start of the residual has faded to 1 %
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
@@ -100,7 +99,7 @@ class SampleStream:
         probes = config.smooth_momentum and not is_external
         parts = self._velocity, self._guard, self._observer
         velocity, guard, observer = (getattr(part, "memory", None) for part in parts)
-        probe = NoiseProbe.of_size(n) if probes else None
+        probe = NoiseProbe(np.zeros((MOST_SAMPLES, n))) if probes else None
         self.memory = StreamState(velocity, guard, observer, probe)
 
     def update(
@@ -120,7 +119,9 @@ class SampleStream:
         values = (q, torque) if dq is None else (q, dq, torque)
         rows = read_rows(self._names, values, self._joints)
         if self._adds_gravity:
-            rows = self._with_gravity(rows)
+            rows = rows.copy()
+            rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
+            rows.setflags(write=False)
         now, guard = rows.ravel(), self._guard
         # What is hardly off the last sample needs no other check, nor one of its numbers.
         if guard is None or not guard.surely_passes(now):
@@ -132,13 +133,6 @@ class SampleStream:
         if guard is not None:
             guard.accept(now, sample.dq, dt_s)
         return sample
-
-    def _with_gravity(self, rows: Array) -> Array:
-        """Samples whose torque leaves gravity out, with it."""
-        rows = rows.copy()
-        rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
-        rows.setflags(write=False)
-        return rows
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
         memory, observer, last_s = self.memory, self._observer, dt_s

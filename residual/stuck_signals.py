@@ -9,7 +9,6 @@ force is then left to `residual.consistency_checks` to notice.
 
 import math
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,23 +20,19 @@ ORDER = 3
 """Of the differences: a smooth motion has almost none over three ticks."""
 LEAST_S, LEAST_REPEATS = 0.02, 8
 """No shorter repeat counts as a stuck source, whatever the signal."""
-FAR_LONGER = 20.0
-"""Times the longest repeat of the first half second."""
+FAR_LONGER = 20.0  # times the longest repeat of the first half second
 LONGEST_USUAL_S = 0.1
-"""No source of torque is slower than ten samples a second."""
+"""No source of positions or torques is slower than ten samples a second."""
 LONGEST_REFUSAL_S = 5.0
 """After this nothing is rejected any more, only reported: should a valid signal fall still after
 all, on an arm at rest, then not for ever."""
-LEAST_ALONE_S = 0.5
-"""No shorter repeat of a single joint is reported."""
+LEAST_ALONE_S = 0.5  # no shorter repeat of a single joint is reported
 LEAST_WHITENESS = 0.5
 """Ratio of third to second differences: 1.8 for white noise, next to nothing for a smooth motion
 that has none."""
-ROUNDING = 1e-9
-"""No smaller difference counts as one [rad, rad/s, Nm]."""
+ROUNDING = 1e-9  # no smaller difference counts as one [rad, rad/s, Nm]
 LEAST_ROWS = 16
-LEAST_SAMPLES, MOST_SAMPLES = 32, 2048
-"""Of which noise is learnt, however slow or fast the clock."""
+LEAST_SAMPLES, MOST_SAMPLES = 32, 2048  # of which noise is learnt, however slow or fast the clock
 
 
 def new_rows(rows: Array) -> Array:
@@ -78,14 +73,9 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
 class NoiseProbe:
     """Noise of a smooth vector signal, from its first samples; see `white_noise`."""
 
-    rows: Array  # Samples so far, then room, shape (MOST_SAMPLES, size)
+    rows: Array  # Room for samples, shape (MOST_SAMPLES, size)
     count: int = 0  # Number of samples so far
     left_s: float = 0.5  # Time until they are enough [s]
-
-    @classmethod
-    def of_size(cls, size: int) -> Self:
-        """Nothing seen yet of so many signals."""
-        return cls(np.zeros((MOST_SAMPLES, size)))
 
     def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.

@@ -25,8 +25,7 @@ MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 torque sensors are among it."""
 LEAST_OFFSETS = 3.0
 """Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
-NEAR = 0.15
-"""So near to a factor with a reason a factor is that one."""
+NEAR = 0.15  # so near to a factor with a reason a factor is that one
 STILL_RAD, MOVED_RAD = 1e-9, 0.01
 """Means of the same number differ by rounding; an arm that moves so far moves every encoder."""
 OFFSET_BLOCKS = 10.0

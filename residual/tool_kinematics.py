@@ -9,8 +9,7 @@ from residual.input_validation import vector_of_three
 from urdf import Robot
 
 _LOCAL = pin.ReferenceFrame.LOCAL
-MOST_OFFSET_M = 10.0
-"""No tool is longer."""
+MOST_OFFSET_M = 10.0  # no tool is longer
 
 
 class ToolKinematics:
@@ -38,17 +37,13 @@ class ToolKinematics:
         offset_m: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         self._model, self._data = robot.model, robot.create_data()
-        self._frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
         self.axis_in_tool = unit_axis(insertion_axis)
         # One row of the Jacobian is the row along the axis, where the axis is one of the frame's.
         aligned = np.flatnonzero(self.axis_in_tool == 1.0)
         self._row = int(aligned[0]) if len(aligned) else None
-        offset_m = check_offset(offset_m)
-        self._tip = None
-        if offset_m.any():
-            at = robot.model.frames[self._frame_id]
-            self._joint_id = at.parentJoint
-            self._tip = at.placement * pin.SE3(np.eye(3), offset_m)
+        at = robot.model.frames[robot.frame_id(frame if frame is not None else robot.tool_frame)]
+        self._joint_id = at.parentJoint
+        self._tip = at.placement * pin.SE3(np.eye(3), check_offset(offset_m))
         self.jacobian = np.zeros((6, robot.nv))
         self.pose = np.eye(4)
 
@@ -57,20 +52,13 @@ class ToolKinematics:
 
         ``computed`` is a workspace in which joint placements and Jacobians of q stand already.
         """
-        model, data, frame = self._model, self._data, self._frame_id
+        data = self._data if computed is None else computed
         if computed is None:
-            pin.computeJointJacobians(model, data, q)
-        else:
-            data = computed
-        if self._tip is None:
-            jacobian = pin.getFrameJacobian(model, data, frame, _LOCAL)
-            pose = pin.updateFramePlacement(model, data, frame).homogeneous
-        else:
-            jacobian = pin.getFrameJacobian(model, data, self._joint_id, self._tip, _LOCAL)
-            pose = (data.oMi[self._joint_id] * self._tip).homogeneous
-        if jacobian.ndim == 1:  # of a single joint it comes as a vector
-            jacobian = jacobian[:, None]
-        self.jacobian, self.pose = jacobian, pose
+            pin.computeJointJacobians(self._model, data, q)
+        jacobian = pin.getFrameJacobian(self._model, data, self._joint_id, self._tip, _LOCAL)
+        # Of a single joint it comes as a vector.
+        self.jacobian = jacobian[:, None] if jacobian.ndim == 1 else jacobian
+        self.pose = (data.oMi[self._joint_id] * self._tip).homogeneous
 
     @property
     def axial_jacobian(self) -> Array:

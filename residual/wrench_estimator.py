@@ -14,10 +14,8 @@ from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-COMPONENTS = {"axial": 1, "point": 3, "full": 6}
-"""Unknowns of every mode."""
-EXPECTED_TORQUE_NM = 10.0
-"""Of the full mode: as `SensorConfig`'s ``expected_force_N``."""
+COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
+EXPECTED_TORQUE_NM = 10.0  # of the full mode: as `SensorConfig`'s ``expected_force_N``
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 # What is compiled uses constants of its own file only.
@@ -56,13 +54,6 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
     scale = seen / np.where(seen, values, 1.0)
     unseen = (vectors * vectors).dot(1.0 - seen)
     return (vectors * scale).dot(vectors.T), unseen > 1e-18
-
-
-@compiled
-def inverse_of(symmetric: Matrix) -> tuple[float, Array]:
-    """Least eigenvalue, and the inverse where that is positive."""
-    values, vectors = np.linalg.eigh(symmetric)
-    return values[0], (vectors / np.maximum(values, 1e-300)).dot(vectors.T)
 
 
 @compiled
@@ -250,10 +241,10 @@ class WrenchEstimator:
         if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
             raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
-        least, inverse = inverse_of(covariance)
-        if not least > 0.0:
+        values, vectors = np.linalg.eigh(covariance)
+        if not values[0] > 0.0:
             raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self.torque_covariance, self._inverse = covariance, inverse
+        self.torque_covariance, self._inverse = covariance, (vectors / values).dot(vectors.T)
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).

@@ -8,7 +8,6 @@ from residual_signals import gravity_of, jacobian_of, pose_of
 
 from groundtruth.arm_control import drive
 from groundtruth.arm_motion import (
-    JointMotion,
     LWR_POSTURE_rad,
     insertion_path,
     joint_excitation,
@@ -17,7 +16,7 @@ from groundtruth.arm_motion import (
     scenario_path,
 )
 from groundtruth.arm_plant import ArmPlant, TissueContact, arm_model, blended_links, lwr_bodies
-from groundtruth.errors import PathError, PlantError, PlantModelError
+from groundtruth.errors import MotionError, PlantError, PlantModelError
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.scenarios import SCENARIOS
 from groundtruth.tissue import Tissue, TissueForce
@@ -80,10 +79,10 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
     np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
     in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
     np.testing.assert_allclose(start.translation, in_place, atol=1e-10)
-    path = insertion_path(ROBOT, START, (0.0, REACH_M))
+    spline, line = insertion_path(ROBOT, START, (0.0, REACH_M))
     for travel in np.linspace(0.0, REACH_M, 97):
-        q = path.spline(travel)
-        moved = path.transform_start_to_base.actInv(pose_of(ROBOT, q))
+        q = spline(travel)
+        moved = line.actInv(pose_of(ROBOT, q))
         np.testing.assert_allclose(moved.translation, [0.0, 0.0, travel], atol=2e-9)
         np.testing.assert_allclose(moved.rotation, np.eye(3), atol=2e-9)
         margin = np.minimum(ROBOT.position_upper_rad - q, q - ROBOT.position_lower_rad)
@@ -97,42 +96,42 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
 
 
 def test_a_line_that_the_arm_cannot_follow_is_refused():
-    with pytest.raises(PathError, match="no posture reaches"):
+    with pytest.raises(MotionError, match="no posture reaches"):
         insertion_path(ROBOT, START, (0.0, 2.0))
-    with pytest.raises(PathError, match="limits of lwr_joint_6 are exceeded"):
+    with pytest.raises(MotionError, match="limits of lwr_joint_6 are exceeded"):
         insertion_path(ROBOT, START, (-0.3, 0.0))
-    with pytest.raises(PathError, match="nearly singular"):
+    with pytest.raises(MotionError, match="nearly singular"):
         needle_down(ROBOT, np.array([0.0, 1.57, 0.0, -0.02, 0.0, 1.57, 0.0]))
 
 
 def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_rest_to_rest():
     gel = SCENARIOS["gel-25-constant"]
     insertion = scenario_motion(scenario_path(ROBOT, gel), gel)
-    for motion in (insertion, joint_excitation(START, 12.0)):
-        numeric = (motion.q_rad[2:] - motion.q_rad[:-2]) / (2.0 * TICK_s)
-        np.testing.assert_allclose(motion.dq_rad_s[1:-1], numeric, atol=2e-6)
-    motion = joint_excitation(START, 20.0)
-    peak = np.abs(motion.dq_rad_s).max(axis=0)
+    for q_rad, dq_rad_s in (insertion, joint_excitation(START, 12.0)):
+        numeric = (q_rad[2:] - q_rad[:-2]) / (2.0 * TICK_s)
+        np.testing.assert_allclose(dq_rad_s[1:-1], numeric, atol=2e-6)
+    q_rad, dq_rad_s = joint_excitation(START, 20.0)
+    peak = np.abs(dq_rad_s).max(axis=0)
     assert ((peak > 0.3) & (peak < 0.6)).all()
-    assert (motion.q_rad > ROBOT.position_lower_rad).all()
-    assert (motion.q_rad < ROBOT.position_upper_rad).all()
-    np.testing.assert_array_equal(motion.dq_rad_s[[0, -1]], 0.0)
-    assert np.abs(np.diff(motion.dq_rad_s, axis=0)).max() / TICK_s < 2.0
+    assert (q_rad > ROBOT.position_lower_rad).all()
+    assert (q_rad < ROBOT.position_upper_rad).all()
+    np.testing.assert_array_equal(dq_rad_s[[0, -1]], 0.0)
+    assert np.abs(np.diff(dq_rad_s, axis=0)).max() / TICK_s < 2.0
     free = SCENARIOS["free-motion"]
-    whole = scenario_motion(scenario_path(ROBOT, free), free)
-    assert len(whole.q_rad) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
-    assert np.abs(np.diff(whole.q_rad, axis=0)).max() < 1e-3
+    whole, _ = scenario_motion(scenario_path(ROBOT, free), free)
+    assert len(whole) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
+    assert np.abs(np.diff(whole, axis=0)).max() < 1e-3
 
 
 def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
     bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
     plant, motion = plant_in(Tissue(()), bodies), joint_excitation(START, 10.0)
     trace = drive(plant, bodies.model(), motion)
-    assert np.abs(trace.q_rad - motion.q_rad[:-1]).max() < 1e-6
+    assert np.abs(trace.q_rad - motion[0][:-1]).max() < 1e-6
     assert not trace.external_torque_Nm.any()
     jump = np.repeat([START, START + 1.0], (500, 502), axis=0)
     with pytest.raises(PlantError, match="off its motion at tick 500"):
-        drive(plant, bodies.model(), JointMotion(q_rad=jump, dq_rad_s=np.zeros_like(jump)))
+        drive(plant, bodies.model(), (jump, np.zeros_like(jump)))
 
 
 class Push:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
-from groundtruth.errors import MotionError, RunError, ScenarioError
+from groundtruth.errors import MotionError, PlantModelError, ScenarioError
 from groundtruth.materials import TABLE_I_SPEED_M_S
 from groundtruth.motion import TARE_STROKE_M, Motion, Stroke, constant_motion, sinusoidal_motion
 from groundtruth.plant_model import MINI45, ForceNoise
@@ -189,9 +189,9 @@ def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives
 
 def test_unusable_settings_are_refused_by_name():
     for value in (0.0, -1.0, float("nan"), float("inf")):
-        with pytest.raises(RunError, match="rate_hz"):
+        with pytest.raises(MotionError, match="rate_hz"):
             insert_needle("gel-25-constant", rate_hz=value)
-    with pytest.raises(RunError, match="white_std_N"):
+    with pytest.raises(PlantModelError, match="white_std_N"):
         ForceNoise(white_std_N=-1.0)
 
 

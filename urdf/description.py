@@ -14,7 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from urdf.errors import Array, InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
+from urdf.errors import InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
 from urdf.payload import require_physical
 
 MAX_LINKS = 1000
@@ -23,6 +23,7 @@ and end the process when the stack is used up (between 3000 and 6000 links at 8 
 number to load a larger robot."""
 _BYTES_PER_LINK = 64 * 1024  # a file of more than MAX_LINKS times this is not read
 _ONE_NUMBER_JOINTS = ("revolute", "prismatic", "fixed")
+_MOMENTS = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
 # What urdfdom reads as a number: blanks before it but not after it, no nan, inf, hexadecimal or _.
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -80,10 +81,14 @@ def check_description(
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is not None:
-            owner = f"{source}: link {link.get('name')!r}"
-            parameters = _inertial_parameters(inertial, owner)
+            owner, origin = f"{source}: link {link.get('name')!r}", inertial.find("origin")
+            # Only parsed: a body is physical wherever it is, in any axes.
+            for key in () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib):
+                _numbers(inertial, "origin", key, owner, count=3)
+            mass = _numbers(inertial, "mass", "value", owner)
+            inertia = [_numbers(inertial, "inertia", key, owner)[0] for key in _MOMENTS]
             if check_inertias:
-                require_physical(parameters, owner)
+                require_physical(np.array([*mass, 0.0, 0.0, 0.0, *inertia]), owner)
 
 
 def build_model(root: Element, source: str) -> pin.Model:
@@ -154,18 +159,6 @@ def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
 def _link_of(joint: Element, end: str) -> str | None:
     element = joint.find(end)
     return None if element is None else element.get("link")
-
-
-def _inertial_parameters(inertial: Element, owner: str) -> Array:
-    """Return the ten parameters about the centre of mass, in the axes of the inertial's origin."""
-    origin = inertial.find("origin")
-    # Only parsed: a body is physical wherever it is, in any axes.
-    for key in () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib):
-        _numbers(inertial, "origin", key, owner, count=3)
-    mass = _numbers(inertial, "mass", "value", owner)
-    moments = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
-    inertia = [_numbers(inertial, "inertia", key, owner)[0] for key in moments]
-    return np.array([*mass, 0.0, 0.0, 0.0, *inertia])
 
 
 def _numbers(inertial: Element, tag: str, key: str, owner: str, count: int = 1) -> list[float]:

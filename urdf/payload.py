@@ -24,8 +24,6 @@ from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
 _ROUNDING = 1e-6
 # Fraction of the inertia about the origin that subtracting m c^2 may lose in double precision.
 _CANCELLATION = 1e-12
-# Where the six moments stand in a matrix, in the order of the parameters.
-_MOMENTS = ([0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2])
 # No link or tool comes near this in kg, kg m or kg m^2, and no product of them overflows.
 _LARGEST_PARAMETER = 1e9
 
@@ -103,12 +101,7 @@ class Payload:
     @property
     def parameters(self) -> Array:
         """The ten parameters, shape (10,)."""
-        mass, com = self.mass_kg, self.com_m
-        # What overflows comes out as infinite, which `require_mass` refuses by name.
-        with np.errstate(over="ignore", invalid="ignore"):
-            steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
-            about_origin = self.inertia_kg_m2 + steiner
-            return np.concatenate([[mass], mass * com, about_origin[_MOMENTS]])
+        return self.spatial_inertia.toDynamicParameters()
 
     @property
     def spatial_inertia(self) -> pin.Inertia:

@@ -253,7 +253,9 @@ class Replay:
             is_rejected = found.status is Status.REJECTED
             gaps.append(not is_rejected and self._has_gap(now_s))
             if is_rejected:
-                self._count(found.message if advances else "time does not advance")
+                reason = found.message.split(";")[0] if advances else "time does not advance"
+                is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
+                self.rejected[reason if is_known else "other reasons"] += 1
             else:
                 taring.after(now_s, found.status)
                 is_settled = found.status is not Status.INITIALIZING
@@ -294,11 +296,6 @@ class Replay:
                 now_s = self._latest_s + dt_s
             self._latest_s = now_s
         return now_s
-
-    def _count(self, message: str) -> None:
-        reason = message.split(";")[0]
-        is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
-        self.rejected[reason if is_known else "other reasons"] += 1
 
     def _has_gap(self, now_s: float) -> bool:
         gap_s, self._used_s = now_s - self._used_s, now_s

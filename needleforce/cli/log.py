@@ -88,33 +88,30 @@ class LogSession:
         """Yield the rows."""
         is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
         with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
-            yield from self._chunks(progress)
+            request = self._request
+            options = FollowOptions(
+                follow=self._output.follow,
+                idle_s=self._output.idle,
+                should_stop=self.is_stopped,
+                progress=progress,
+                warn=self._warn,
+            )
+            tables = recordings.stream_tables(self._source, options, request)
+            channels = {"required": request.required, "optional": request.optional}
+            stream = LogStream(tables, request.mapping, **channels)
+            try:
+                for chunk in stream:
+                    self.start_ns = stream.start_ns
+                    self._warn(*stream.take_warnings())
+                    yield chunk
+            except RecordingError:
+                if self.is_stopped():
+                    raise KeyboardInterrupt from None
+                raise
+            finally:
+                self._warn(*stream.take_warnings())
         if self.exit_code:
             say("interrupted: the results are those of the rows read so far")
-
-    def _chunks(self, progress: Callable[[float], None]) -> Iterator[LogChunk]:
-        request = self._request
-        options = FollowOptions(
-            follow=self._output.follow,
-            idle_s=self._output.idle,
-            should_stop=self.is_stopped,
-            progress=progress,
-            warn=self._warn,
-        )
-        tables = recordings.stream_tables(self._source, options, request)
-        channels = {"required": request.required, "optional": request.optional}
-        stream = LogStream(tables, request.mapping, **channels)
-        try:
-            for chunk in stream:
-                self.start_ns = stream.start_ns
-                self._warn(*stream.take_warnings())
-                yield chunk
-        except RecordingError:
-            if self.is_stopped():
-                raise KeyboardInterrupt from None
-            raise
-        finally:
-            self._warn(*stream.take_warnings())
 
     def _warn(self, *warnings: str) -> None:
         self.warnings += warnings

@@ -183,7 +183,12 @@ class _McapReader:
             self._at = len(MAGIC)
         done = 0
         for opcode, start, end in _records(held):
-            if self._is_damaged(opcode, end - start):
+            size = end - start
+            if self._limit < size <= self._path.stat().st_size:
+                require_size(size, self._limit, "holds a record that")
+            # After a lost byte any bytes stand for a record: no record can be so.
+            is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
+            if not is_known or size > self._limit or (opcode == _DATA_END and size != 4):
                 self._is_over, at = True, self._at + done
                 self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
             if self._is_over or end > len(held):
@@ -195,13 +200,6 @@ class _McapReader:
                 break
         self._at += done
         del held[:done]
-
-    def _is_damaged(self, opcode: int, size: int) -> bool:
-        """Return whether no record can be so: after a lost byte any bytes stand for one."""
-        if self._limit < size <= self._path.stat().st_size:
-            require_size(size, self._limit, "holds a record that")
-        is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
-        return not is_known or size > self._limit or (opcode == _DATA_END and size != 4)
 
     def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""

@@ -230,7 +230,16 @@ class JoinedRows:
             for name, topic in bag.topics.items()
             if topic.columns.keys() & needed
         }
-        chosen = _reference_topic(bag, request.mapping.reference_topic, list(columns))
+        chosen = request.mapping.reference_topic
+        if chosen is None:
+            # A few messages that were lost shall make no difference.
+            most = max(bag.topics[name].count for name in columns)
+            chosen = next(name for name in columns if bag.topics[name].count >= _AS_MANY * most)
+        elif chosen not in bag.topics or bag.topics[chosen].fault:
+            raise ColumnError(
+                f"reference_topic = {chosen!r} is no topic that can be read; topics are: "
+                f"{', '.join(bag.topics)}"
+            )
         self.topics = {name: bag.topics[name] for name in {**columns, chosen: ()}}
         self.reference = rows = self.topics[chosen]
         self._others = [topic for topic in self.topics.values() if topic is not rows]
@@ -265,7 +274,11 @@ class JoinedRows:
                     1 if is_pause and not self._is_new else HEAD_ROWS
                 ):
                     yield self._table(min(ready, MOST_ROWS))
-                self._forget()
+                # What no row needs that waits or may still come, be it a little late, is forgotten.
+                newest_ns = max(topic.latest_ns for topic in self.topics.values())
+                oldest_ns = int(reference.stamps_ns.min(initial=newest_ns - _LATE_NS))
+                for topic in self._others:
+                    topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
         self._ready()
         self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
         while reference.stamps_ns.size or self._is_new or self._warnings:
@@ -284,13 +297,6 @@ class JoinedRows:
             for topic in self.topics.values()
         )
         return int(np.searchsorted(last_ns, until_ns, side="right"))
-
-    def _forget(self) -> None:
-        """Forget what no row needs that waits or may still come, be it a little late."""
-        newest_ns = max(topic.latest_ns for topic in self.topics.values())
-        oldest_ns = int(self.reference.stamps_ns.min(initial=newest_ns - _LATE_NS))
-        for topic in self._others:
-            topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
 
     def _table(self, rows: int) -> Table:
         reference = self.reference
@@ -311,19 +317,6 @@ class JoinedRows:
         return Table(
             columns=columns, warnings=warnings, joint_names=joints, start_ns=self._start_ns
         )
-
-
-def _reference_topic(bag: Bag, name: str | None, needed: list[str]) -> str:
-    if name is None:
-        # A few messages that were lost shall make no difference.
-        most = max(bag.topics[topic].count for topic in needed)
-        return next(topic for topic in needed if bag.topics[topic].count >= _AS_MANY * most)
-    if name not in bag.topics or bag.topics[name].fault:
-        raise ColumnError(
-            f"reference_topic = {name!r} is no topic that can be read; topics are: "
-            f"{', '.join(bag.topics)}"
-        )
-    return name
 
 
 def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:

@@ -8,7 +8,6 @@ from operator import attrgetter
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
@@ -29,6 +28,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
+_CHUNK_BYTES = 1 << 20  # of a bag that is written
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -168,9 +168,6 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
     return topic.name if path == ("data",) else "/".join((topic.name, *path))
 
 
-_CHUNK_BYTES = 1 << 20
-
-
 OutTopic = tuple[str, str, Iterable[Any]]
 """Name and type of a topic to write, and its messages, one for each row."""
 
@@ -182,15 +179,20 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
     `force_x_in_...`, `torque_x_in_...` and so on, become a `WrenchStamped`; every other column
     but `t_s` becomes a `Float64` of its own.
     """
+    types = standard_types().types
     left = {name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()}
     del left["t_s"]
     signals = {name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2}
     width = next(iter(signals.values())).shape[1] if signals else 0
     signals = {name: left.pop(name) for name, v in signals.items() if v.shape[1] == width}
     if signals:
-        empty = np.empty((len(stamps_ns), 0))
-        numbers = [signals.get(name, empty) for name in _SIGNALS]
-        yield _joint_states(labels.joint_names, numbers, _headers(stamps_ns, ""))
+        joints, joint_state = list(labels.joint_names), "sensor_msgs/msg/JointState"
+        if len(joints) != width:
+            joints = [f"joint_{i + 1}" for i in range(width)]
+        numbers = (signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS)
+        rows, make = zip(_headers(stamps_ns, ""), *numbers, strict=True), types[joint_state]
+        messages = (make(header, joints, *row) for header, *row in rows)
+        yield "/joint_states", joint_state, messages
     if all(name in left and left[name].shape[1:] == (3,) for name in _SENSOR):
         vectors = [left.pop(name) for name in _SENSOR]
         yield _wrenches("/ft_sensor/wrench", vectors, _headers(stamps_ns, "ft_sensor"))
@@ -203,24 +205,13 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
         # Without a header: its time stamp is the one of the record.
         kind = "std_msgs/msg/Float64"
-        yield topic, kind, map(standard_types().types[kind], values.tolist())
+        yield topic, kind, map(types[kind], values.tolist())
 
 
 def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
     types = standard_types().types
     time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
     return (header(time(*divmod(stamp_ns, NS_PER_S)), frame) for stamp_ns in stamps_ns)
-
-
-def _joint_states(
-    names: Sequence[str], numbers: list[np.ndarray], headers: Iterable[Any]
-) -> OutTopic:
-    kind, width = "sensor_msgs/msg/JointState", max(values.shape[1] for values in numbers)
-    if len(names) != width:
-        names = [f"joint_{i + 1}" for i in range(width)]
-    cls, named = standard_types().types[kind], list(names)
-    rows = zip(headers, *numbers, strict=True)
-    return "/joint_states", kind, (cls(header, named, *row) for header, *row in rows)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
@@ -260,7 +251,14 @@ class McapWriter:
 
         `LogError` if there is no time stamp `t_s`, or one that no message can carry.
         """
-        stamps_ns = _stamps(columns, self._labels.start_ns).tolist()
+        t_s = columns.get("t_s")
+        if t_s is None or t_s.ndim != 1:
+            raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
+        if not np.isfinite(t_s).all():
+            raise LogError("a bag needs a time stamp in every row; one is not finite")
+        stamps_ns = to_nanoseconds(t_s, self._labels.start_ns).tolist()
+        if min(stamps_ns, default=0) < 0:
+            raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
         topics = list(bag_topics(columns, self._labels, stamps_ns))
         for name, kind, _ in topics:
             if name not in self._channels:
@@ -277,15 +275,3 @@ class McapWriter:
     def finish(self) -> None:
         """Write the index."""
         self._bag.finish()
-
-
-def _stamps(columns: Columns, start_ns: int) -> NDArray[np.int64]:
-    t_s = columns.get("t_s")
-    if t_s is None or t_s.ndim != 1:
-        raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
-    if not np.isfinite(t_s).all():
-        raise LogError("a bag needs a time stamp in every row; one is not finite")
-    stamps_ns = to_nanoseconds(t_s, start_ns)
-    if stamps_ns.size and stamps_ns.min() < 0:
-        raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
-    return stamps_ns

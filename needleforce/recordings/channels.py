@@ -225,21 +225,18 @@ def _in_order(table: Table, numbered: Mapping[int, str], pattern: str) -> Found:
 
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
-    reported = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
-    hint = _hint(list(table.columns), pattern)
-    return ColumnError(f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}")
-
-
-def _hint(names: list[str], pattern: str) -> str:
-    """Say what may have been meant."""
-    if "*" in pattern:
-        return " The * stands for one number; all the rest of the name must be written out."
+    """Return the error, with what may have been meant."""
+    names, hint = list(table.columns), ""
     head, colon, unit = pattern.rpartition(":")
-    if colon and any(name.startswith(head) for name in names):
-        return f" The unit {unit!r} is none of this channel's; --help lists them."
     with_unit = [name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)]
-    close = with_unit or get_close_matches(pattern, names[:1000], n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
+    if "*" in pattern:
+        hint = " The * stands for one number; all the rest of the name must be written out."
+    elif colon and any(name.startswith(head) for name in names):
+        hint = f" The unit {unit!r} is none of this channel's; --help lists them."
+    elif close := with_unit or get_close_matches(pattern, names[:1000], n=1):
+        hint = f" Did you mean {close[0]!r}?"
+    reported = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
+    return ColumnError(f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}")
 
 
 def detect_columns(table: Table, channel: Channel) -> Found:

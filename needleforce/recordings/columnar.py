@@ -132,11 +132,11 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
 
 def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     columns: dict[str, np.ndarray] = {}
-    warnings: list[str] = []
+    warnings, types = [], arrow.types
     start_ns = int((file.schema_arrow.metadata or {}).get(START_KEY.encode(), 0))
     for name in file.schema_arrow.names if file.metadata.num_rows else ():
         cells = file.read(columns=[name]).column(0).combine_chunks()
-        if arrow.types.is_timestamp(cells.type):
+        if types.is_timestamp(cells.type):
             nanoseconds = cells.cast(arrow.timestamp("ns", cells.type.tz)).cast(arrow.int64())
             is_known = cells.is_valid().to_numpy(zero_copy_only=False)
             stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
@@ -145,24 +145,18 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
             columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
             continue
         try:
-            columns[name] = _numbers(cells, arrow)
+            if types.is_string(cells.type) or types.is_large_string(cells.type):
+                raise TypeError("text, which a cast would read as numbers")
+            if not types.is_integer(cells.type) or cells.null_count:
+                # Without the check of `safe`, which refuses integers that a double rounds.
+                cells = cells.cast(arrow.float64(), safe=False)
+            columns[name] = cells.to_numpy(zero_copy_only=False)  # empty ones are NaN
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
             warnings.append(f"column {name!r} holds {cells.type}, no numbers, and was left out")
     if not columns:
         left_out = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
     return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns)
-
-
-def _numbers(cells: Any, arrow: Any) -> np.ndarray:
-    """Return cells as numbers, empty ones as NaN."""
-    types = arrow.types
-    if types.is_string(cells.type) or types.is_large_string(cells.type):
-        raise TypeError("text, which a cast would read as numbers")
-    if types.is_integer(cells.type) and not cells.null_count:
-        return cells.to_numpy(zero_copy_only=False)
-    # Without the check of `safe`, which refuses integers that a double rounds.
-    return cells.cast(arrow.float64(), safe=False).to_numpy(zero_copy_only=False)
 
 
 class ParquetWriter:

@@ -159,10 +159,13 @@ class _CsvRows:
                 self._choose(values)
         warnings = () if self._is_chosen else tuple(self.omitted.values())
         self._is_chosen = True
-        columns = {n: values[:, i] for i, n in enumerate(self.names) if i not in self.omitted}
+        kept = (i for i in range(width) if i not in self.omitted)
+        columns: dict[str, np.ndarray] = {self.names[i]: values[:, i] for i in kept}
         for name in [name for name, column in columns.items() if exceed_float64(column)]:
-            exact = self._exact(self.names.index(name))
-            columns[name] = columns[name] if exact is None else exact
+            cells = (self._split_row(row) for row in rows)
+            whole = [row[self.names.index(name)] for row in cells if len(row) == width]
+            with suppress(ValueError, OverflowError):  # some are no whole numbers
+                columns[name] = np.array([int(cell) for cell in whole], dtype=np.int64)
         self.rows = []
         return Table(columns=columns, start_ns=self._start_ns, warnings=warnings)
 
@@ -212,15 +215,6 @@ class _CsvRows:
         if len(self.omitted) == width:
             reasons = "; ".join(self.omitted.values())
             raise FormatError(f"no column holds a number: {reasons[:500]}; {_EXPECTED}")
-
-    def _exact(self, column: int) -> np.ndarray | None:
-        """Read whole numbers that float64 would round once more; None if some are none."""
-        rows = (self._split_row(row) for _, row in self.rows)
-        whole = [cells[column] for cells in rows if len(cells) == len(self.names)]
-        try:
-            return np.array([int(cell) for cell in whole], dtype=np.int64)
-        except (ValueError, OverflowError):
-            return None
 
     def notes(self) -> tuple[str, ...]:
         """What was left out or could not be read so far, a line for each kind of fault."""
@@ -300,9 +294,7 @@ class CsvWriter:
         texts = (map(repr, column.tolist()) for column in cells)
         if rows := [",".join(row) for row in zip(*texts, strict=True)]:
             self._stream.write(("\n".join(rows) + "\n").encode())
+        self._stream.flush()  # for readers of a file that grows
 
-    def flush(self) -> None:
-        """Let readers of the file see what was written."""
-        self._stream.flush()
-
-    finish = flush
+    def finish(self) -> None:
+        """Do nothing: all is written."""

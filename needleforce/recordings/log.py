@@ -246,13 +246,29 @@ class LogStream:
         self.start_ns = head.start_ns
         self._find_channels(head)
         if self._mapping.rate_hz is None:
-            self._find_time(head)
+            time = _find_source(head, CHANNELS["time"], self._mapping.channels.get("time"))
+            if time is None:
+                raise ColumnError(
+                    "no time column found; say which one with --time, or the sample rate with "
+                    "--rate (rate_hz in the mapping). "
+                    f"Columns are: {head.describe()}{head.left_out()}"
+                )
+            self._sources = {"t_s": time, **self._sources}
         self._watches = {key: _Watch(key, source) for key, source in self._sources.items()}
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
                 yield from self._chunk(table)
-        self._finish()
+        # What only the whole log shows.
+        if self._lost:
+            what = f"time: rows without a stamp, left out: {self._lost}"
+            self._report((f"{what} (first: row {self._first_lost})",))
+        if self._lost == self._rows:
+            raise LogError(f"of {self._rows} rows none has a time stamp")
+        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
+        self._report(self._stamps.warnings())
+        for key, watch in self._watches.items():
+            self._report(() if key == "t_s" else watch.not_finite())
 
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
@@ -272,19 +288,16 @@ class LogStream:
             else:
                 self._report((f"{name}: its columns hold no finite value and were left out",))
         if missing:
-            raise _missing(table, *missing)
-        if not self._sources:
-            raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
-
-    def _find_time(self, table: Table) -> None:
-        time = _find_source(table, CHANNELS["time"], self._mapping.channels.get("time"))
-        if time is None:
+            channel, *others = missing
+            also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
             raise ColumnError(
-                "no time column found; say which one with --time, or the sample rate with "
-                "--rate (rate_hz in the mapping). "
+                f"no column found for {channel.name} ({channel.meaning}); usual names are "
+                f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
+                f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
                 f"Columns are: {table.describe()}{table.left_out()}"
             )
-        self._sources = {"t_s": time, **self._sources}
+        if not self._sources:
+            raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
 
     def _chunk(self, table: Table) -> Iterator[LogChunk]:
         values = {key: source.read(table) for key, source in self._sources.items()}
@@ -324,18 +337,6 @@ class LogStream:
             return to_seconds(raw, self._clock_ns)
         return found_s - self._clock_ns / NS_PER_S
 
-    def _finish(self) -> None:
-        """Report and refuse what only the whole log shows."""
-        if self._lost:
-            what = f"time: rows without a stamp, left out: {self._lost}"
-            self._report((f"{what} (first: row {self._first_lost})",))
-        if self._lost == self._rows:
-            raise LogError(f"of {self._rows} rows none has a time stamp")
-        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
-        self._report(self._stamps.warnings())
-        for key, watch in self._watches.items():
-            self._report(() if key == "t_s" else watch.not_finite())
-
     def _report(self, warnings: Iterable[str]) -> None:
         self._reported |= {w: False for w in warnings if w not in self._reported}
 
@@ -356,16 +357,6 @@ class LogStream:
             warnings=self.take_warnings(),
             start_ns=self.start_ns,
         )
-
-
-def _missing(table: Table, channel: Channel, *others: Channel) -> ColumnError:
-    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
-    return ColumnError(
-        f"no column found for {channel.name} ({channel.meaning}); usual names are "
-        f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
-        f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
-        f"Columns are: {table.describe()}{table.left_out()}"
-    )
 
 
 def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:

@@ -19,26 +19,23 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import Labels, checked_columns
 
-Writer = Callable[[BinaryIO, Labels], Any]
-"""Makes what appends checked columns to a stream, flushes and finishes it."""
-
-WRITERS: Mapping[str, Writer] = {
+WRITERS: Mapping[str, Callable[[BinaryIO, Labels], Any]] = {
     ".csv": CsvWriter,
     ".npz": NpzWriter,
     ".parquet": ParquetWriter,
     ".mcap": McapWriter,
 }
+"""By suffix, what appends checked columns to a stream and finishes it."""
 
 
 class OpenTable:
     """A table under construction; made by `open_table`.
 
-    `begin` opens the file and returns what writes its format, with the first rows. A live table
-    shows readers every chunk at once.
+    `begin` opens the file and returns what writes its format, with the first rows.
     """
 
-    def __init__(self, begin: Callable[[], Any], *, is_live: bool, name: str) -> None:
-        self._begin, self._is_live, self._name = begin, is_live, name
+    def __init__(self, begin: Callable[[], Any], name: str) -> None:
+        self._begin, self._name = begin, name
         self._writer: Any = None
         self._kinds: list[str] = []
 
@@ -57,8 +54,6 @@ class OpenTable:
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
                 )
             self._writer.append(arrays)
-            if self._is_live:
-                self._writer.flush()
 
     def finish(self) -> None:
         """Write what is still held back."""
@@ -81,23 +76,20 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, writer, grows = "standard output", CsvWriter, True
+        name, writer = "standard output", CsvWriter
         file = nullcontext(sys.stdout.buffer)
     else:
         name, writer = str(path), _find_writer(Path(path))
-        grows = is_live and Path(path).suffix.lower() == ".csv"
-        file = whole_file(path, is_in_place=grows)
+        file = whole_file(path, is_in_place=is_live and Path(path).suffix.lower() == ".csv")
     with ExitStack() as files:
-        table = OpenTable(
-            lambda: writer(files.enter_context(file), labels()), is_live=grows, name=name
-        )
+        table = OpenTable(lambda: writer(files.enter_context(file), labels()), name)
         yield table
         with file_errors(name, "write"):
             table.finish()
             files.close()
 
 
-def _find_writer(path: Path) -> Writer:
+def _find_writer(path: Path) -> Callable[[BinaryIO, Labels], Any]:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer

@@ -191,18 +191,15 @@ def interpolate(
         return np.full((at_ns.size, values.shape[1]), np.nan)
     order = np.argsort(stamps_ns, kind="stable")
     stamps_ns, values = stamps_ns[order], values[order]
-    before = np.searchsorted(stamps_ns, at_ns, side="right") - 1
-    low = np.clip(before, 0, stamps_ns.size - 1)
-    high = np.clip(before + 1, 0, stamps_ns.size - 1)
-    span = (stamps_ns[high] - stamps_ns[low]).astype(np.float64)
-    inside = (before >= 0) & (span > 0.0) & (span <= limit_ns)
-    fraction = np.divide(at_ns - stamps_ns[low], span, out=np.zeros(at_ns.size), where=inside)
-    with np.errstate(invalid="ignore"):
-        result = values[low] + fraction[:, None] * (values[high] - values[low])
-    result[~inside] = np.nan
-    exact = (before >= 0) & (stamps_ns[low] == at_ns)
-    result[exact] = values[low[exact]]
-    return result
+    low = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, None)
+    high = np.clip(low + 1, None, stamps_ns.size - 1)
+    is_far = (stamps_ns[high] - stamps_ns[low] > limit_ns) & (stamps_ns[low] != at_ns)
+    # float64 holds differences of stamps, not stamps.
+    at, known = at_ns - stamps_ns[0], stamps_ns - stamps_ns[0]
+    rows = [np.interp(at, known, each, left=np.nan, right=np.nan) for each in values.T]
+    rows = np.stack(rows, axis=1)
+    rows[is_far] = np.nan
+    return rows
 
 
 _SET_BACK = "clock set back, from where it counts anew"
