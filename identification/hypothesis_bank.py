@@ -60,7 +60,7 @@ class Bank(NamedTuple):
     spreads: Array  # their covariances, shape (n, 19, 19)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
     facts: Array  # what it takes for certain, shape (n, 10)
-    records: Array  # what it says of the last rupture, shape (n, 15)
+    records: Array  # what it says of the last rupture, shape (n, 16)
 
     @property
     def damage(self) -> str:

@@ -35,7 +35,7 @@ from needleforce.jit import (
 OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING, KEPT = range(8)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(8, 12)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(12, 19)
-UNKNOWNS, FACTS, RECORDS = 19, 10, 15
+UNKNOWNS, FACTS, RECORDS = 19, 10, 16
 _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
 # Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
@@ -51,9 +51,9 @@ CONTACT, EXIT, PARTIAL, MEETING = range(4)
 # Places of what a report needs: when, where, how fast and at which force the last rupture was, and
 # whether it was partial; where the shaft since the last one reported begins and ends, its friction;
 # stiffness, Coulomb and viscous friction per length of its last part and their variances; where
-# tissue was first met.
+# tissue was first met; the least force since the last rupture.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
-PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM = 5, 6, 7, 8, 14
+PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = 5, 6, 7, 8, 14, 15
 
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
 """Room for hypotheses, a row each: means, covariances, log weights, facts, records."""
@@ -88,10 +88,8 @@ NO_FORCE, NO_SLOPE = 0.02, 0.002
 """Cutting force or friction [N] and stiffness [N/mm] that count as none."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
-PUSHED_MM = 12.0
-"""A membrane hardly gives more."""
-LEAST_DROP = 0.12
-"""Of a layer's force, released at its rupture."""
+PUSHED_MM = 12.0  # a membrane hardly gives more
+LEAST_DROP = 0.12  # of a layer's force, released at its rupture
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
 """Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
 
@@ -208,9 +206,10 @@ def absorb(
     store: Store, n: int, scene: Scene, force: float, variance: float, depth_std: float
 ) -> None:
     """Use the mean force of a block for n hypotheses, with a variance that is common to them."""
-    means, spreads, log_weights, facts, _ = store
+    means, spreads, log_weights, facts, records = store
     for k in range(n):
         mean, spread, fact = means[k], spreads[k], facts[k]
+        records[k, LEAST_FORCE] = min(records[k, LEAST_FORCE], force)
         row = regressor(fact, scene)
         gone = min(max((scene[0] - fact[RELEASE]) / fact[LENGTH], 0.0), 1.0)
         early = max(1.0 - max(scene[0] - fact[TIP], 0.0) / CUTTING_ONSET_MM, 0.0)
@@ -325,6 +324,7 @@ def add_children(
         fact[RELEASE], fact[RUPTURES] = depth, min(fact[RUPTURES], reported) + 1.0
         record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = time_s, depth, speed
         record[RUPTURE_FORCE], record[WAS_PARTIAL] = force, 1.0 if what == PARTIAL else 0.0
+        record[LEAST_FORCE] = force
     if was == LAYER:
         start = begin if facts[k, RUPTURES] <= reported else record[PART_START]
         record[PART_START], record[PART_END], record[PART_FRICTION] = start, depth, mean[LEFT]

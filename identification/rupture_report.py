@@ -24,6 +24,8 @@ _LEAST_WEIGHT = 1e-3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
+_VISIBLE = 0.3
+"""Part of that by which the force must have been lower since: else it only grows more slowly."""
 _LATE_S = 0.5
 """An alarm after more travel, at the usual speed, wants a force still lower than at the rupture."""
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
@@ -95,13 +97,16 @@ def denied(bank: Bank, alarm: Rupture, known: int) -> Bank:
 
 def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    limits = float(known), max(_CLEAR_SIGMAS * place.noise, _CLEAR_N), law.LAYER
+    least = max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
     force = bank.records[:, law.RUPTURE_FORCE]
     is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
     # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
-    return Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT))
+    limits = float(known), least, law.LAYER
+    found = Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT))
+    lower = force[found.pick] - bank.records[found.pick, law.LEAST_FORCE]
+    return found if lower > _VISIBLE * least else found._replace(more=0.0)
 
 
 @compiled

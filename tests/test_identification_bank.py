@@ -174,14 +174,15 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
 
 
 @pytest.mark.parametrize(
-    ("travel_s", "force", "more"), [(0.1, 1.1, 1.0), (0.6, 0.8, 1.0), (0.6, 1.1, 0.0)]
+    ("travel_s", "force", "least", "more"),
+    [(0.1, 1.1, 0.9, 1.0), (0.1, 1.1, 0.98, 0.0), (0.6, 0.8, 0.8, 1.0), (0.6, 1.1, 0.8, 0.0)],
 )
-def test_a_rupture_thought_of_late_counts_only_while_the_force_is_lower(travel_s, force, more):
+def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(travel_s, force, least, more):
     bank = first_bank()
     bank.facts[0, [law.KIND, law.RUPTURES]] = law.LAYER, 1.0
     bank.means[0, law.RELEASED] = 0.3
     before = PLACE.depth - travel_s * PLACE.usual_speed
-    bank.records[0, [law.RUPTURE_MM, law.RUPTURE_FORCE]] = before, 1.0
+    bank.records[0, [law.RUPTURE_MM, law.RUPTURE_FORCE, law.LEAST_FORCE]] = before, 1.0, least
     assert count_ruptures(bank, 0, PLACE._replace(force=force)).more == more
 
 
