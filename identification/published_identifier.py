@@ -420,13 +420,8 @@ def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
     k = b = 0.0
     p, q = variances
     for i in range(len(windows)):
-        kk, kb, bb, kf, bf = (
-            windows[i, 0],
-            windows[i, 1],
-            windows[i, 2],
-            windows[i, 3],
-            windows[i, 4],
-        )
+        kk, kb, bb = windows[i, 0], windows[i, 1], windows[i, 2]
+        kf, bf = windows[i, 3], windows[i, 4]
         pb, qb = p * kb, q * kb
         first, second = 1.0 + q * bb, 1.0 + p * kk
         excitation = max(kk * bb - kb * kb, 0.0)

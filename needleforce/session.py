@@ -369,7 +369,7 @@ class InsertionSession:
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _keep_checkpoint(self, *, has_events: bool) -> None:
-        """Now and then, and with events: what has been reported is not reported again."""
+        """Keep where to go back to, not before events: what was reported is not reported again."""
         now = Checkpoint(self._time_s, self._identifier.snapshot())
         self._earlier = now if has_events else self._earlier[1], now
 
