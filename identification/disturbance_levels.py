@@ -13,16 +13,12 @@ from identification.estimate import Array
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
-STEP_S = 0.01
-"""Time between two forces in the differences."""
+STEP_S = 0.01  # time between two forces in the differences
 BEATS = ((1.2, 0.3), (0.3, 0.5))
 """Frequency [Hz] and damping of the tissue's own motion: heartbeat, breathing."""
-COLOUR_S = 0.025
-"""Correlation time of a force sensor's noise behind its filter."""
-_MEMORY = 400
-"""Differences over which a level is learned: four seconds."""
-_MOVED_MM = 3.0
-"""Over more travel it is the tissue that varies, not its motion."""
+COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
+_MEMORY = 400  # differences over which a level is learned: four seconds
+_MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
 _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 

@@ -16,36 +16,24 @@ from identification import hypothesis_filter as law
 from identification.estimate import Array
 from needleforce.jit import Matrix, Vector, compiled
 
-STEP_MM = 0.02
-"""Least travel between new hypotheses."""
-HAZARD = 0.02
-"""Ruptures per mm of travel, beforehand."""
+STEP_MM = 0.02  # least travel between new hypotheses
+HAZARD = 0.02  # ruptures per mm of travel, beforehand
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 2.0])
 """Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
-PARTIAL_RELEASES_MM = np.array([0.5, 1.5])
-"""Of a partial rupture: within liver 0.5 to 2 mm."""
+PARTIAL_RELEASES_MM = np.array([0.5, 1.5])  # of a partial rupture: within liver 0.5 to 2 mm
 _NO_RELEASES_MM = np.array([0.3])
-PARTIAL_FRACTION = 0.15
-"""Of ruptures."""
-KEPT_PROBABILITY = 0.2
-"""Of ends of a layer after which some of the tip's force stays for a while."""
-AIR_FRACTION = 0.25
-"""Of ends into free air."""
-MEMBRANE_FRACTION = 0.15
-"""Membranes met under a layer, per rupture."""
-MEMBRANE_STEP_MM = 0.25
-"""Travel between hypotheses of a membrane met."""
-LEAST_MM = 1.2
-"""Least travel between two ruptures: about a needle diameter."""
+PARTIAL_FRACTION = 0.15  # of ruptures
+KEPT_PROBABILITY = 0.2  # of ends of a layer after which some of the tip's force stays for a while
+AIR_FRACTION = 0.25  # of ends into free air
+MEMBRANE_FRACTION = 0.15  # membranes met under a layer, per rupture
+MEMBRANE_STEP_MM = 0.25  # travel between hypotheses of a membrane met
+LEAST_MM = 1.2  # least travel between two ruptures: about a needle diameter
 QUOTAS = (60, 8, 16, 6)
 """Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
 What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
-CAPACITY = sum(QUOTAS) + 90
-"""With the children of one step, before they are pruned."""
-NEGLIGIBLE = -30.0
-"""Logarithm of a weight that no force will raise again."""
-_LIKELY = 25.0
-"""By so much less may the logarithm be of what has children."""
+CAPACITY = sum(QUOTAS) + 90  # with the children of one step, before they are pruned
+NEGLIGIBLE = -30.0  # logarithm of a weight that no force will raise again
+_LIKELY = 25.0  # by so much less may the logarithm be of what has children
 _OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
 _OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
 """Places, for compiled code: it does not use constants of another file."""

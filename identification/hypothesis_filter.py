@@ -69,19 +69,14 @@ LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
 friction of the layers left: it depends on the motion alone."""
 CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
 """Cutting force [N], and the travel over which stiffness would reach what it is more or less."""
-OFFSET_WALK = 1e-6
-"""Drift of the sensor's zero [N²/s]."""
+OFFSET_WALK = 1e-6  # drift of the sensor's zero [N²/s]
 KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
 """Of a tip force that stays after its rupture, and the travel over which it fades: chosen, between
 the 30 and 60 % that partial ruptures in liver suggest."""
-NO_RELEASE, NEVER = -1e9, -1e8
-"""Depth of a release before any, and one that no release is above."""
-SHAPE_ERROR = 0.1
-"""Of a release or an onset of cutting, as part of its force."""
-TEMPER = 0.5
-"""Weight of evidence: errors of the law are alike from one block to the next."""
-FREEDOM = 8.0
-"""Degrees of freedom of Student's t: a single surprise proves little."""
+NO_RELEASE, NEVER = -1e9, -1e8  # depth of a release before any, and one that no release is above
+SHAPE_ERROR = 0.1  # of a release or an onset of cutting, as part of its force
+TEMPER = 0.5  # weight of evidence: errors of the law are alike from one block to the next
+FREEDOM = 8.0  # degrees of freedom of Student's t: a single surprise proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
 """Growth of the force in a layer, before data [N/mm], and the growth of that growth [N/mm²]."""
 NO_FORCE, NO_SLOPE = 0.02, 0.002

@@ -81,8 +81,7 @@ _REPORTED = (
 )
 """What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
-HEAD_ROWS = 200
-"""The usual time step is the median over so many first rows."""
+HEAD_ROWS = 200  # the usual time step is the median over so many first rows
 
 
 class ReplayStream:

@@ -16,8 +16,7 @@ from identification.estimate import Array, LayerEstimate, Outputs, Rupture, Rupt
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled, working_copy
 
 _FULL = 1.0 - 1e-9  # length of a reset window in periods, but for rounding
-_MOST_LAYERS = 256
-"""Layers kept: far more than a needle meets; the oldest go first."""
+_MOST_LAYERS = 256  # layers kept: far more than a needle meets; the oldest go first
 _SMALLEST_RATIO = 1e-3
 _LEAST_THICKNESS_M = 1e-9
 _LEAST_SPEED_M_S = 1e-6
@@ -40,11 +39,9 @@ Setting = tuple[bool, float, float, float, float, float, float, float, float, fl
 """What holds for many samples: whether `ml`; drift and threshold of (9), reset frequency, time
 constant and least speed; start of the layer, cumulative friction, threshold beta of the derivative,
 T_drop; ruptures so far, number of the rupture machine's state."""
-NO_WINDOWS = np.empty((0, len(NO_SUMS)))
-"""Sums of the windows of a layer, one row of `Sums` each."""
+NO_WINDOWS = np.empty((0, len(NO_SUMS)))  # sums of the windows of a layer, one row of `Sums` each
 NO_WINDOWS.setflags(write=False)
-_SLACK = 16
-"""Windows beyond the most before neighbours are added up: not at every window."""
+_SLACK = 16  # windows beyond the most before neighbours are added up: not at every window
 
 
 class RupturedLayer(NamedTuple):

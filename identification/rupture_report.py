@@ -19,8 +19,7 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
-_LEAST_WEIGHT = 1e-3
-"""Less likely hypotheses do not show in an answer."""
+_LEAST_WEIGHT = 1e-3  # less likely hypotheses do not show in an answer
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
@@ -33,8 +32,7 @@ _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 a fall that is large."""
 _SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
 """By which a speed that nobody measures may be late: of the sensor, and of the travel filter."""
-_LEAST_SLOWED = 0.02
-"""Part of the speed lost that is no noise of a filtered speed."""
+_LEAST_SLOWED = 0.02  # part of the speed lost that is no noise of a filtered speed
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
 """Fall of viscous friction, per part of the speed lost so far: the speed is late, and travel shows
 its mean; of a large fall it must show half."""
@@ -44,8 +42,7 @@ _LEAST_PROBABILITY = 0.3
 """Hypotheses with the last rupture must be so likely, together, to say what it was."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
-_TIP = slice(law.RELEASED, law.KEPT + 1)
-"""The tip's unknowns."""
+_TIP = slice(law.RELEASED, law.KEPT + 1)  # the tip's unknowns
 _OF_COUNT = law.KIND, law.IS_HELD, law.RUPTURES, law.RELEASED, law.KEPT, law.HELD
 """Places, for compiled code: it does not use constants of another file."""
 

@@ -21,13 +21,11 @@ _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timed
 """What Python or numpy would make a float of, though nobody measures it."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
 """Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
-LARGEST_MOTION = 1e3
-"""No needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow."""
+LARGEST_MOTION = 1e3  # no needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow
 _ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
 one standard deviation. Starts and stops are quicker, see `_density`."""
-_MEMORY_S = 2.0
-"""Over which noise is learned."""
+_MEMORY_S = 2.0  # over which noise is learned
 _FIRST, _CLIP = 50.0, 9.0
 """After so many values a square counts at most so many times the known one: no noise, but motion
 or a slip."""
@@ -42,15 +40,12 @@ _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
 _MOST_SURPRISE = 5.0
 """Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
-_GAP_S = 0.25
-"""After a step longer than this, and than ten usual ones, the filter starts anew."""
-_FASTEST_M_S = 0.1
-"""Of a needle that nobody has seen move."""
+_GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
+_FASTEST_M_S = 0.1  # of a needle that nobody has seen move
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
 """At its first sample: 0.1 mm, and a tenth of a metre per second."""
 
-STATUSES = tuple(SampleStatus)
-"""In the order of their numbers; those used come first."""
+STATUSES = tuple(SampleStatus)  # in the order of their numbers; those used come first
 _OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
 _DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
 LAST_USED = _TIME_GAP

@@ -29,14 +29,10 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
 
 _MM = 1e3
-_HELD_DRIFT = 0.05
-"""Relative change of cutting force, per square root of a mm."""
-_RESUMED_MM = 0.6
-"""Travel over which friction is as it was before a rest: twice that of presliding."""
-_SETTLED = 0.1
-"""Of a rest or reversal is left in the friction when that counts as back."""
-_GAP_S = 0.25
-"""A longer block is a gap: what it says is not used."""
+_HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
+_RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twice that of presliding
+_SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
+_GAP_S = 0.25  # A longer block is a gap: what it says is not used
 _USUAL_S, _USUAL_MM = 10.0, 3.0
 """The usual speed is the highest of so much time and travel: the approach may be quick."""
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
@@ -48,12 +44,9 @@ _CHANNEL_MM = 0.02
 """Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
 _UNSETTLED = 0.3
 """Error of the friction while presliding turns or after a rest, as part of the force."""
-_TAKEN_BACK = 0.9
-"""Probability of fewer ruptures at which an alarm is taken back."""
-_PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3
-"""Travel after a rupture at which its layer is reported."""
-_REVISE_S = 0.1
-"""Time between two revisions of the layers left."""
+_TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
+_PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3  # travel after a rupture at which its layer is reported
+_REVISE_S = 0.1  # time between two revisions of the layers left
 _MOTION_MM = 0.1
 """Of tissue with the heart, one standard deviation, if its beat is not known better."""
 _FAR_MM = 1e9

@@ -25,15 +25,11 @@ _REST_SPEED, _REST_S = 0.1, 8.5
 _RELAXED, _UNKNOWN = 0.6, 0.3
 """Part of the friction lost in a long rest, as of the whole force in real liver (19 holds of 60 s);
 and standard deviation of that part, and of friction while presliding turns."""
-_UNLOADED_M = 1e-3
-"""A tip drawn back by a needle diameter touches nothing."""
-_UNLOADING_MM = 0.5
-"""Travel over which its force goes on the way."""
-IDENTIFIED = 0.25
-"""A value is identified if its standard deviation is no more of it."""
+_UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
+_UNLOADING_MM = 0.5  # travel over which its force goes on the way
+IDENTIFIED = 0.25  # A value is identified if its standard deviation is no more of it
 _TINY = 1e-12
-_NOWHERE_M = -1e9
-"""Deepest point before the first sample."""
+_NOWHERE_M = -1e9  # deepest point before the first sample
 
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
 # speed [m], presliding deflection [s], force [N s] and unfiltered depth [m s]. That deflection, -1

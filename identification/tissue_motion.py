@@ -25,12 +25,10 @@ from identification.hypothesis_bank import Place
 from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_STD
 from identification.switching_update import contact_along
 
-_STEP_S, _SIZE = 0.05, 256
-"""The window: means over so long, so many of them at most."""
+_STEP_S, _SIZE = 0.05, 256  # the window: means over so long, so many of them at most
 _LEAST_S, _MARGIN = 2.5, 7
 """Least length of a window, and newest means left out: a release may have begun there."""
-_SETTLE_S = 0.25
-"""After an alarm, until its release is over."""
+_SETTLE_S = 0.25  # after an alarm, until its release is over
 BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
 """Frequencies scanned [Hz]: 9 to 27 breaths and 48 to 114 beats a minute."""
 _SLOWEST_HEART = 0.6
@@ -49,8 +47,7 @@ _FAIR, _LOST, _PATIENCE = 0.5, 1.0, 8
 steps in a row."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
-_STEPS = 8
-"""Gauss-Newton steps of a new fit."""
+_STEPS = 8  # Gauss-Newton steps of a new fit
 _UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1
 """Of a search."""
 _FADE_S, _BELIEF_S = 1.0, 2.0

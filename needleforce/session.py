@@ -109,9 +109,10 @@ _NOT_USED = (
     | SensorWarning.FROZEN
     | SensorWarning.TARE_EXPIRED
     | SensorWarning.VELOCITY
+    | SensorWarning.ARM_PUSHED
 )
-_TAKEN_BACK_S = 0.25
-"""A push on the arm grows for so long before it is known as one."""
+_PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
+_TAKEN_BACK_S = 0.25  # A push on the arm grows for so long before it is known as one
 # Looking up a name of an enumeration takes as long as a call, so it is done once.
 _OK, _REJECTED = Status.OK, Status.REJECTED
 _USED = tuple(status for status in SampleStatus if status.is_used)
@@ -358,7 +359,7 @@ class InsertionSession:
         if found.rupture is not None:
             # A lateral push looks like a rupture before its mismatch has lasted long enough.
             wrench = self._sensor.recheck(wrench)
-            if wrench.warnings & SensorWarning.MODEL_MISMATCH:
+            if wrench.warnings & _PUSHED:
                 return self._skip(wrench, elapsed_s)
         self._identification = found
         has_events = found.has_events
@@ -381,7 +382,7 @@ class InsertionSession:
         self._unused_s += elapsed_s
         before = self._earlier[0]
         used_s = self._time_s - self._unused_s - before.time_s
-        if used_s > 0.5 * elapsed_s and wrench.warnings & SensorWarning.MODEL_MISMATCH:
+        if used_s > 0.5 * elapsed_s and wrench.warnings & _PUSHED:
             self._identifier.resume(before.identifier)  # checks take longer than a tick
             self._identification = before.identifier.last
             self._unused_s, self._earlier = self._time_s - before.time_s, (before, before)

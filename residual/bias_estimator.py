@@ -18,8 +18,7 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-MOST_TORQUES = 1000
-"""As many samples are kept between two renewals at most; then their sum is."""
+MOST_TORQUES = 1000  # as many samples are kept between two renewals at most; then their sum is
 MOST_BLOCKS = 400
 """When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
 WEIGH_S = 0.25

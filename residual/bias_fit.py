@@ -21,8 +21,7 @@ OCTAVES = np.arange(-2.0, 5.1)
 OCTAVES_STD = 1.5
 """How far an arm may be from the prior's sizes: keeps what the motion does not show."""
 SWEEPS = 3  # passes over the groups, one at a time
-WALK_TERMS = 8
-"""Of the Karhunen-Loeve series of a random walk: 96 % of its variance."""
+WALK_TERMS = 8  # of the Karhunen-Loeve series of a random walk: 96 % of its variance
 CONTACT_STD_N = 100.0  # of a contact's force before data: any
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import Array, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
-from residual.wrench_estimator import WrenchEstimator
+from residual.wrench_estimator import WrenchEstimator, unusual_change
 from urdf import Robot
 
 TRAVEL_S = 1.0
@@ -29,8 +29,7 @@ MOST_ACCELERATION_RAD_S2 = 20.0
 """As in `residual.fault_detection`: a position that jumps has no rate."""
 LEAST_TRAVEL_RAD = 0.015
 """Ten steps of a very coarse encoder; a stroke in air of 60 mm makes thrice as much."""
-DQ_RATIO = 20.0
-"""So many times that travel by dq alone is used too, whatever q does."""
+DQ_RATIO = 20.0  # so many times that travel by dq alone is used too, whatever q does
 TOLERATED_LAG_S = 0.03
 """A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
 TOLERATED_RAD = 0.02
@@ -58,19 +57,22 @@ UNEXPLAINED = 0.1
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
 """A filtered velocity is late by 20 ms; what is late by more, over that much motion, is
 reported."""
-STILL = 1e-3
-"""What moves by less than this fraction of the other stands still."""
+STILL = 1e-3  # what moves by less than this fraction of the other stands still
 
 LIMIT_MARGIN_RAD = 0.01  # half a degree from its limit a joint counts as being there
-MOST_RAD = 4.0 * math.pi
-"""Two turns: beyond a limit and this a position is hardly in radians."""
+MOST_RAD = 4.0 * math.pi  # two turns: beyond a limit and this a position is hardly in radians
 LEAST_SINGULAR_VALUE = 0.05
 """Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
 of one torque sample."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
-MOST_MISMATCH = 4.0
-"""The covariance holds for the arm that was tared; four times its standard deviation does not
-happen by chance in all joints together."""
+MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
+NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0
+"""Torque now is compared with that before, and the difference with what it usually is."""
+PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
+"""Mean squares, in units of that, of what no wrench explains: the arm is pushed, let go, unmoved.
+The last one is of what no axial force explains, where a rupture would be reported."""
+LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
+LEARNED_S = 1.0  # before anything is called unusual
 
 
 class VelocityMatch(NamedTuple):
@@ -212,6 +214,16 @@ def _factor(match: VelocityMatch, i: int) -> str:
     return f"is {factor:.3g} times the rate of q: {reason}"
 
 
+class TorqueChange(NamedTuple):
+    """Joint torque without its offset [Nm], now and before, both smoothed."""
+
+    now: Array  # shape (n,)
+    before: Array  # the same while the arm is pushed, shape (n,)
+    usual: Array  # mean product of their differences [Nm^2], shape (n, n)
+    learned_s: float = 0.0  # time over which that was learned
+    pushed_s: float = 0.0  # time since the arm is pushed
+
+
 class MonitorState(NamedTuple):
     """All that a `ConsistencyMonitor` remembers."""
 
@@ -221,6 +233,7 @@ class MonitorState(NamedTuple):
     at_limit: tuple[int, ...] = ()  # Indices of joints that were at a position limit then
     # Of measured velocities with positions; None before a check, and where velocities are estimated
     match: VelocityMatch | None = None
+    change: TorqueChange | None = None  # None before the tare
 
 
 class ConsistencyMonitor:
@@ -265,6 +278,9 @@ class ConsistencyMonitor:
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
+        change = self._changed(residual, dt_s) if tared else None
+        if change is not None and change.pushed_s > 0.0:
+            found |= SensorWarning.ARM_PUSHED
         match = self.state.match
         if dq is None:
             match = None
@@ -273,11 +289,32 @@ class ConsistencyMonitor:
         else:
             match = velocity_match_step(match, q, dq, dt_s)
         last_match, fault = self.state.match, self.velocity_fault
-        self.state = MonitorState(square, widening, int(found), at_limit, match)
+        self.state = MonitorState(square, widening, int(found), at_limit, match, change)
         # While nothing moves the sums stay.
         if match is None or last_match is None or match.beyond is not last_match.beyond:
             fault = "" if match is None else velocity_fault(match)
         self._report(fault)
+
+    def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
+        """How far torques are from what they were, in directions that no wrench makes."""
+        last = self.state.change
+        if last is None or dt_s <= 0.0:
+            return last or TorqueChange(residual, residual, np.zeros((len(residual),) * 2))
+        _, before, usual, learned_s, pushed_s = last
+        now = last.now - math.expm1(-dt_s / NOW_S) * (residual - last.now)
+        change, square = now - before, 0.0
+        if learned_s >= LEARNED_S:
+            square = unusual_change(self._wrench.rows, change, usual)
+        if square > (LET_GO if pushed_s else PUSHED):
+            if pushed_s < LONGEST_PUSH_S:
+                return TorqueChange(now, before, usual, learned_s, pushed_s + dt_s)
+            before = now
+        if square < USUAL:
+            learned_s += dt_s
+            part = dt_s / min(learned_s, USUAL_S)
+            usual = usual + min(part, 1.0) * (np.outer(change, change) - usual)
+        before = before - math.expm1(-dt_s / BEFORE_S) * (now - before)
+        return TorqueChange(now, before, usual, learned_s)
 
     @property
     def _wanted(self) -> float:
@@ -304,15 +341,19 @@ class ConsistencyMonitor:
         self.restore(self.state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit.
+        """The last estimate, with a warning if its sample or its change is not the needle's alone.
 
         Not for every sample, since a knock does it too: for what must not wait.
         """
-        square = self.state.widening * self._wrench.mismatch_squared(last.residual)
-        if square <= MOST_MISMATCH**2:
-            return last
-        found = SensorWarning.MODEL_MISMATCH
-        message = "; ".join(filter(None, (last.message, _REASONS[found])))
+        change, square = self.state.change, self._wrench.mismatch_squared(last.residual)
+        is_off = self.state.widening * square > MOST_MISMATCH**2
+        found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
+        if change is not None and change.learned_s >= LEARNED_S:
+            axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
+            if unusual_change(axial, change.now - change.before, change.usual) > BESIDE:
+                found |= SensorWarning.ARM_PUSHED
+        reasons = [text for one, text in _REASONS.items() if one in found]
+        message = "; ".join(filter(None, (last.message, *reasons)))
         return last._replace(warnings=last.warnings | found, message=message)
 
     @property
@@ -348,4 +389,5 @@ class ConsistencyMonitor:
 _REASONS = {
     SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
     SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
+    SensorWarning.ARM_PUSHED: "the joint torques change as no force at the tip changes them",
 }

@@ -54,6 +54,9 @@ class SensorWarning(IntFlag):
     VELOCITY = 128
     """Measured velocities are not the rate of the measured positions: other units, another sign,
     another order of the joints, or far too late. The message names the joints."""
+    ARM_PUSHED = 256
+    """The joint torques have just changed as no force at the tip changes them: a hand on the arm?
+    At most 2.5 s; then they count as what the arm feels by itself."""
 
 
 class WrenchEstimate(NamedTuple):

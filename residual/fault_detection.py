@@ -28,8 +28,7 @@ from residual.stuck_signals import (
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-SIGMAS = 12.0
-"""A jump within this many standard deviations of the signal's noise is noise."""
+SIGMAS = 12.0  # A jump within this many standard deviations of the signal's noise is noise
 TORQUE_RATIO = 0.02
 """Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
 at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
@@ -58,19 +57,16 @@ MOST_UNEXPLAINED = 0.35
 """Fraction of the jump that the force may leave over; a spike of one joint leaves most of
 itself."""
 CHECK_S = 0.02  # every so often each torque is checked by itself [s]
-STAYED_S = 5e-3
-"""A jump that has stayed for this long is accepted: the signal is elsewhere now [s]."""
+STAYED_S = 5e-3  # A jump that has stayed for this long is accepted: the signal is elsewhere now [s]
 LONGEST_HOLD_S = 0.1
 """Whatever a signal that jumps does, it is not held back for longer than this [s]."""
-SATURATED_RATIO = 0.99
-"""Fraction of the effort limit from which a torque counts as clipped."""
+SATURATED_RATIO = 0.99  # fraction of the effort limit from which a torque counts as clipped
 MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
 STILL_S = 1.0
 """A torque that has not changed for this long may be missing, or come from a simulation."""
-LOADED_RATIO = 0.9
-"""Fraction of the effort limit from which every torque is watched."""
+LOADED_RATIO = 0.9  # fraction of the effort limit from which every torque is watched
 
 
 @compiled

@@ -12,10 +12,8 @@ import numpy as np
 
 from residual.errors import Array, ConfigurationError, SampleError, named_joints
 
-MOST_PLAUSIBLE = 1e9
-"""No joint signal in SI units comes near it; beyond it products overflow."""
-SHORTEST_STEP_S = 1e-12
-"""No clock ticks faster, and the inverse of what is far shorter overflows."""
+MOST_PLAUSIBLE = 1e9  # no joint signal in SI units comes near it; beyond it products overflow
+SHORTEST_STEP_S = 1e-12  # no clock ticks faster, and the inverse of what is far shorter overflows
 LONGEST_STEP_S = 86_400.0
 """A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
 ROUNDING_S = 1e-5
@@ -213,8 +211,7 @@ class SampleClock:
             self.missed_s += step_s
 
 
-LEAST_LIMIT = 1e-6
-"""No motor is weaker [Nm, N]; what is expected in fractions of it would vanish."""
+LEAST_LIMIT = 1e-6  # no motor is weaker [Nm, N]; what is expected in fractions of it would vanish
 
 
 def known_limits(limits: Array, instead: float) -> Array:

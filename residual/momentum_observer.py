@@ -39,15 +39,12 @@ NOISE_THRESHOLD_SIGMAS = 3.0
 _LEAST_MOMENTUM_NOISE = 1e-9
 """Keeps the ratios of `momentum_step` finite for a signal without noise [kg m^2/s]."""
 _NAMES = ("q", "dq", "tau")
-_PACKED = {(8,)}
-"""Distance in memory of the numbers of a contiguous array."""
+_PACKED = {(8,)}  # distance in memory of the numbers of a contiguous array
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
-END = 4
-"""The last four at the end of the tick follow in the same order."""
-BEFORE, ROWS = 5, 9
-"""So many rows are known before the tick, and so many there are."""
+END = 4  # the last four at the end of the tick follow in the same order
+BEFORE, ROWS = 5, 9  # so many rows are known before the tick, and so many there are
 
 
 @compiled

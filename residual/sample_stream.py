@@ -17,8 +17,7 @@ from residual.tool_kinematics import ToolKinematics
 from residual.velocity_estimator import VelocityEstimator, VelocityState
 from urdf import Robot
 
-COARSE = 2.0
-"""Times the white noise of positions: steps of an encoder last longer than a sample."""
+COARSE = 2.0  # times the white noise of positions: steps of an encoder last longer than a sample
 SETTLING_LAGS = 5.0  # lags after which the start of the residual has faded to 1 %
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 

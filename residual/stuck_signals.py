@@ -16,13 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
-ORDER = 3
-"""Of the differences: a smooth motion has almost none over three ticks."""
-LEAST_S, LEAST_REPEATS = 0.02, 8
-"""No shorter repeat counts as a stuck source, whatever the signal."""
+ORDER = 3  # of the differences: a smooth motion has almost none over three ticks
+LEAST_S, LEAST_REPEATS = 0.02, 8  # no shorter repeat counts as a stuck source, whatever the signal
 FAR_LONGER = 20.0  # times the longest repeat of the first half second
-LONGEST_USUAL_S = 0.1
-"""No source of positions or torques is slower than ten samples a second."""
+LONGEST_USUAL_S = 0.1  # no source of positions or torques is slower than ten samples a second
 LONGEST_REFUSAL_S = 5.0
 """After this nothing is rejected any more, only reported: should a valid signal fall still after
 all, on an arm at rest, then not for ever."""

@@ -13,10 +13,8 @@ from residual.errors import Array, TareError, named_joints
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
 
-SIGMAS = 5.0
-"""A force must exceed this many standard deviations to count as contact."""
-INTERVALS = 24
-"""Parts of the motion; a contact begins and ends with one of them."""
+SIGMAS = 5.0  # A force must exceed this many standard deviations to count as contact
+INTERVALS = 24  # parts of the motion; a contact begins and ends with one of them
 IMPLAUSIBLE = 32.0
 """Times the prior's drift or walk: no sensor drifts so, but a needle pushed into tissue does."""
 
@@ -29,8 +27,7 @@ NEAR = 0.15  # so near to a factor with a reason a factor is that one
 STILL_RAD, MOVED_RAD = 1e-9, 0.01
 """Means of the same number differ by rounding; an arm that moves so far moves every encoder."""
 OFFSET_BLOCKS = 10.0
-FURTHEST_M = 0.5
-"""No hand or tool has its centre of mass further from the last joint."""
+FURTHEST_M = 0.5  # no hand or tool has its centre of mass further from the last joint
 
 
 def check_free_of_contact(

@@ -119,7 +119,7 @@ class VirtualForceSensor:
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, with `SensorWarning.MODEL_MISMATCH` if this sample does not fit."""
+        """As `ConsistencyMonitor.recheck`."""
         return self._monitor.recheck(last)
 
     def update(

@@ -94,8 +94,7 @@ def data_file(folder):
 
 
 ASKED = {"required": ("q", "tau", "depth")}
-LONGEST_S = 20.0
-"""So long nothing comes before a test gives up."""
+LONGEST_S = 20.0  # so long nothing comes before a test gives up
 HEADER = b"\x01" + pack("<QII", 8, 0, 0)
 END = b"\x0f" + pack("<QI", 4, 0)
 

@@ -28,8 +28,7 @@ FLAGS = (
 )
 SECONDS = 120.0
 
-PHONE = (390, 844)
-"""Width and height of a window."""
+PHONE = (390, 844)  # width and height of a window
 needs_chromium = pytest.mark.skipif(
     PROGRAM is None, reason="no chromium on this machine: apt-get install chromium"
 )

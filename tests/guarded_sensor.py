@@ -41,8 +41,7 @@ def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
     return sensor, rows[2000:]
 
 
-TARED = {}
-"""States of sensors that were tared before, by all that they depend on."""
+TARED = {}  # states of sensors that were tared before, by all that they depend on
 
 
 def tared_sensor(robot, config=DEFAULT, *, with_velocity=True):

@@ -203,9 +203,6 @@ def test_names_and_links_of_the_page_exist(names):
     assert callable(urdf.identify_payload_static)
 
 
-# docs/notation.md names what exists.
-
-
 NOTATION = (ROOT / "docs" / "notation.md").read_text(encoding="utf-8")
 PACKAGES = ("urdf", "residual", "identification", "groundtruth")
 NAMES = sorted(set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION)))

@@ -79,8 +79,6 @@ def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
         Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
 
-# The catalogue.
-
 GELS = [f"gel-{percent}-{kind}" for percent in (25, 50, 70) for kind in ("constant", "sinusoidal")]
 STACKS = ["stack-constant", "stack-sinusoidal", "stack-glove-constant", "stack-glove-sinusoidal"]
 RUPTURES = dict.fromkeys(GELS, 1) | dict.fromkeys(STACKS, 3)

@@ -154,9 +154,6 @@ def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated()
     assert (gaps > 0).sum() / (10 * N) == pytest.approx(DEGRADED.drop_probability, rel=0.15)
 
 
-# Friction of the joint bearings: it holds at rest and opposes motion.
-
-
 COULOMB = 1e-3
 LEVEL_Nm = COULOMB * LIMIT_Nm
 STEP_s = 2.5e-4

@@ -151,9 +151,6 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
         np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
 
 
-# Joint friction models.
-
-
 def test_smooth_friction_opposes_motion_and_reaches_coulomb_plus_viscous():
     friction = JointFriction(viscous_Nms=[2.0], coulomb_Nm=[1.0], offset_Nm=[0.25])
     assert friction.torque(np.array([0.5]))[0] == pytest.approx(2.0 * 0.5 + 1.0 + 0.25)

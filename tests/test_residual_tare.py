@@ -204,9 +204,6 @@ def test_settings_that_cannot_work_are_refused(lwr):
         BiasModel(lwr, "quadratic", BiasPrior())
 
 
-# Friction between torque sensor and link, and contact in the motion of a tare.
-
-
 DT_S = 4e-3
 REACH_RAD = np.array([0.01, 0.1, 0.02, 0.13, 0.035, 0.22, 0.03])
 NOISE_NM = np.array([0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011]) * 0.19

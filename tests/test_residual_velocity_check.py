@@ -164,9 +164,6 @@ def test_a_position_that_stands_still_under_a_velocity_is_reported():
     assert "moves while q stands still" in found[-1][1]
 
 
-# What is reported of wrong velocities: by the sensor and by a session.
-
-
 def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
     q, dq, tau = signals(robot, seconds, start=start)
     return [(q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)]

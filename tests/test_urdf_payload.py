@@ -147,9 +147,6 @@ def test_tools_that_cannot_be_built():
             NeedleTool(**{name: value})
 
 
-# Identification: what simulation knows, it finds; its uncertainty is true.
-
-
 @pytest.fixture(scope="module")
 def posed(lwr):
     q = HOME_RAD + np.random.default_rng(4).uniform(-1, 1, (60, 7))
