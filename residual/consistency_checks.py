@@ -69,8 +69,9 @@ MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no
 NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0
 """Torque now is compared with that before, and the difference with what it usually is."""
 PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
-"""Mean squares, in units of that, of what no wrench explains: the arm is pushed, let go, unmoved.
-The last one is of what no axial force explains, where a rupture would be reported."""
+"""Mean squares, in units of that, of what no wrench explains: from the first on the arm is pushed,
+down to the second; up to the third it is learnt as usual. From the last on, of what no axial force
+explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
 LEARNED_S = 1.0  # before anything is called unusual
 

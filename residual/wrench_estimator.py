@@ -23,7 +23,6 @@ _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
-
 LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
 """A change of so much, and of such a part of the largest one explained, may be hysteresis of any
 joint's sensor, or an error of the lever arms."""
