@@ -109,7 +109,6 @@ _NOT_USED = (
     | SensorWarning.FROZEN
     | SensorWarning.TARE_EXPIRED
     | SensorWarning.VELOCITY
-    | SensorWarning.ARM_PUSHED
 )
 _PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
 _TAKEN_BACK_S = 0.25  # A push on the arm grows for so long before it is known as one
@@ -125,9 +124,9 @@ class InsertionSession:
     For another insertion with the same tare call `begin_insertion` above the tissue.
 
     Only forces of this tick (`Status.OK`) without a warning that makes them worthless (joint limit,
-    singular pose, frozen signal, model mismatch, pushed arm, expired tare, wrong velocity) are used
-    for identification. In other ticks its last estimate stays and time passes: after a longer gap
-    it reports ``TIME_GAP`` and starts its local predictions again.
+    singular pose, frozen signal, model mismatch, expired tare, wrong velocity) are used for
+    identification. In other ticks its last estimate stays and time passes: after a longer gap it
+    reports ``TIME_GAP`` and starts its local predictions again.
 
     Depth counts from the tare or the last `begin_insertion` (before both, from the first sample).
 
@@ -357,7 +356,7 @@ class InsertionSession:
         time_s, force_N, std_N = self._time_s, wrench.axial, wrench.axial_std
         found = self._identifier.update(depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N)
         if found.rupture is not None:
-            # A push looks like a rupture before the checks, every 20 ms, know it.
+            # A push on the arm looks like a rupture, even before the checks, every 20 ms, know it.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & _PUSHED:
                 return self._skip(wrench, elapsed_s)

@@ -114,7 +114,7 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(nee
     assert len(identify(status=np.ones(count))[1]) == 1
     marked = {"force_warnings": np.full(count, 32)}
     _, layers, said = identify(**marked)
-    assert f"arm pushed) were left out: {count}" in said
+    assert f"velocity) were left out: {count}" in said
     assert layers == []
     assert len(identify("--ignore-status", **marked)[1]) == 1
 

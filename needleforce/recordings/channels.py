@@ -39,7 +39,6 @@ WORTHLESS = {
     "model mismatch": 32,
     "tare expired": 64,
     "velocity": 128,
-    "arm pushed": 256,
 }
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
