@@ -16,10 +16,8 @@ from needleforce.scene.state_ring import Array
 from urdf import Robot
 
 PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
-EXPECTED = (90, 200, 250)
-"""The next boundary, moved by what the ruptures have shown."""
-CAMERA_m = np.array([0.29, -0.35, 0.16])
-"""From the tip, at first."""
+EXPECTED = (90, 200, 250)  # the next boundary, moved by what the ruptures have shown
+CAMERA_m = np.array([0.29, -0.35, 0.16])  # from the tip, at first
 RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
 OPACITY = 0.35
 RING_m = 6e-3
@@ -41,8 +39,7 @@ class PlanScene(NamedTuple):
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
 
 
-EMPTY = PlanScene()
-"""Neither anatomy nor plan."""
+EMPTY = PlanScene()  # neither anatomy nor plan
 
 
 class ArmNodes:

@@ -5,6 +5,7 @@ from LPS metres to Slicer's RAS millimetres.
 """
 
 import json
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ class SlicerOutput(Closing):
 
         self._igtl: Any = pyigtl
         self._server = pyigtl.OpenIGTLinkServer(port=port, local_server=not any_address)
+        self._send = partial(self._server.send_message, wait=False)
         self._next_s = -np.inf
 
     @property
@@ -50,17 +52,13 @@ class SlicerOutput(Closing):
         if now.time_s < self._next_s:
             return rupture is not None
         self._next_s = now.time_s + 1.0 / MOST_HZ
-        matrix = np.array(pose_m, dtype=float)
+        matrix = LPS_TO_RAS @ np.array(pose_m, dtype=float)
         matrix[:3, 3] *= 1e3
-        place = LPS_TO_RAS @ matrix
-        self._send(self._igtl.TransformMessage(place, device_name="NeedleToReference"))
+        self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
         forces = {"force_N": now.wrench.axial, "force_std_N": now.wrench.axial_std}
         forces |= {"tip_force_N": now.identification.tip_force_N, "depth_mm": 1e3 * now.depth_m}
         self._send(self._igtl.StringMessage(json.dumps(forces), device_name="Force"))
         return True
-
-    def _send(self, message: Any) -> None:
-        self._server.send_message(message, wait=False)
 
     def close(self) -> None:
         """End the connection."""

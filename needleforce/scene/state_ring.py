@@ -17,8 +17,7 @@ Array = NDArray[np.float64]
 PLAN_FIELDS = (
     *("layer", "probability", "offset_m", "offset_std_m", "next_m", "next_std_m"),
     *("matched", "matched_probability"),
-)
-"""Of a `PlanState`, nan without a plan."""
+)  # of a `PlanState`, nan without a plan
 FIELDS = (
     *("time_s", "depth_m", "speed_m_s", "force_N", "force_std_N", "tip_N", "tip_std_N"),
     *("friction_N", "layer", "rupture", "rupture_depth_m", "retracted", "is_good"),
@@ -73,9 +72,7 @@ class StateRing(Closing):
         self._memory = SharedMemory(name, create=self._is_owner, size=size if name is None else 0)
         self._buffer: Any = self._memory.buf
         self.name = self._memory.name
-        self._count = 0
-        if self._is_owner:
-            _COUNT.pack_into(self._buffer, 0, 0)
+        self._count = 0  # the memory, too, begins with zeros
 
     def put(self, row: tuple[float, ...]) -> None:
         """Write a `view_row`; takes microseconds and never waits."""

@@ -28,10 +28,8 @@ from needleforce.scene.state_ring import FIELDS, Array
 from urdf import Robot
 
 LOOPBACK = "127.0.0.1"
-MOST_N = 4.0
-"""Force at which the bar is full."""
-POINTS = 500
-"""Of a curve; older ones are thinned."""
+MOST_N = 4.0  # force at which the bar is full
+POINTS = 500  # of a curve; older ones are thinned
 KEPT_HZ = 50.0
 MOST_ROWS = 30_000
 FRAME_s = 0.05
@@ -39,8 +37,7 @@ NOTE = "Simulation and research only: not a medical device."
 CURVES = {
     "force": ("force_N", "force_std_N", "42, 157, 111"),
     "tip force": ("tip_N", "tip_std_N", "138, 58, 185"),
-}
-"""Name, fields of the rows, colour."""
+}  # name, fields of the rows, colour
 AT = {name: column for column, name in enumerate(FIELDS)}
 
 
@@ -137,7 +134,6 @@ class Viewer:
         self._server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
         self._shown_s = -1.0
         self._add_panel()
-        self._has_camera = False
 
     def _add_panel(self) -> None:
         gui = self._server.gui
@@ -210,8 +206,8 @@ class Viewer:
             at = int(np.clip(np.searchsorted(times, now_s, "right") - 1, 0, len(times) - 1))
             if times[at] == self._shown_s:
                 return
-            self._shown_s = float(times[at])
             self._draw(at)
+            self._shown_s = float(times[at])
 
     def follow(self) -> None:
         """Show the newest, unless somebody has moved the time line."""
@@ -238,8 +234,7 @@ class Viewer:
             self._events.content = "\n".join(f"- {mark.text}" for mark in past)
             self._bar.value = float(np.clip(100.0 * seen.tip_N / MOST_N, 0.0, 100.0))
             self._draw_curves(at)
-        if not self._has_camera:
-            self._has_camera = True
+        if self._shown_s < 0.0:  # the first
             self._server.initial_camera.look_at = tuple(tip)
             self._server.initial_camera.position = tuple(tip + CAMERA_m)
 
