@@ -9,6 +9,7 @@ air it is so like friction that either would take half of the other.
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.optimize import nnls
 
 from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.errors import Array
@@ -16,18 +17,15 @@ from residual.errors import Array
 LEARNT = ("links", "friction", "drift")
 """Groups of columns whose size is learnt, and the random walk; offset and ripple are seen
 directly."""
-OCTAVES = np.arange(-2.0, 5.1)
-"""Sizes that are tried, as powers of two of the prior's: a quarter to thirty-two times."""
-OCTAVES_STD = 1.5
-"""How far an arm may be from the prior's sizes: keeps what the motion does not show."""
+OCTAVES = np.arange(-2.0, 5.1)  # sizes that are tried, as powers of two of the prior's
+OCTAVES_STD = 1.5  # how far an arm may be from those: keeps what the motion does not show
 SWEEPS = 3  # passes over the groups, one at a time
 WALK_TERMS = 8  # of the Karhunen-Loeve series of a random walk: 96 % of its variance
 CONTACT_STD_N = 100.0  # of a contact's force before data: any
 FEW_BLOCKS = 8
 """From seven differences between neighbours a variance is known to two thirds of itself; from fewer
 it may be nearly nothing by chance, and a few blocks would count for too much."""
-BATCHES = (1, 2, 4)
-"""Blocks averaged to see how far noise is coloured: a filter of 8 Hz outlasts two blocks."""
+BATCHES = (1, 2, 4)  # blocks averaged to see coloured noise: a filter of 8 Hz outlasts two
 
 
 class FreeMotionFit:
@@ -129,9 +127,26 @@ class FreeMotionFit:
         std = _sized(std, groups, self.sizes)
         # In units of the prior: well conditioned.
         units = np.outer(std, std)
-        covariance = np.linalg.inv(np.eye(len(std)) + information * units)
-        self._mean, self._covariance = std * (covariance @ (std * evidence)), covariance * units
+        covariance = np.linalg.inv(np.eye(len(std)) + information * units).astype(float)
+        mean = covariance @ (std * evidence)
+        self._mean, self._covariance = std * self._lagging(mean, covariance), covariance * units
         return np.stack([residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1)
+
+    def _lagging(self, mean: Array, covariance: Array) -> Array:
+        """The likeliest parameters with which wide loops of hysteresis lag; in units of the prior.
+
+        Noise of the torque moves the loops, too, so that least squares finds loops that lead: wide
+        ones would hide changes of the force. The narrowest takes some of the noise away.
+        """
+        basis, loops = self.basis, self.basis.groups.get("hysteresis")
+        if loops is None or basis.loops == 1:
+            return mean
+        own = np.arange(loops.start, loops.stop).reshape(basis.loops, basis.joints)
+        wide = np.delete(own, np.argmin(basis.prior.hysteresis_widths), axis=0).ravel()
+        shared = np.linalg.inv(covariance[np.ix_(wide, wide)])
+        root = np.linalg.cholesky(shared).T
+        change = nnls(root, root @ mean[wide])[0] - mean[wide]
+        return mean + covariance[:, wide] @ (shared @ change)
 
     def information_on(self, torque: Array) -> tuple[Array, Array]:
         """What the motion says of causes that were not fitted, all that was fitted left free.

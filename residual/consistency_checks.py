@@ -19,21 +19,16 @@ from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator, unusual_change
 from urdf import Robot
 
-TRAVEL_S = 1.0
-"""Travel fades with this time constant: shorter makes slow strokes short, longer adds up bias."""
+TRAVEL_S = 1.0  # in which travel fades: shorter makes slow strokes short, longer adds up bias
 MEMORY_S = 10.0
 """Of the motion that is used; time at rest does not count, so an arm that waits for its tare
 does not forget."""
 LONGEST_S = 0.2  # a trapezoid over more means nothing
-MOST_ACCELERATION_RAD_S2 = 20.0
-"""As in `residual.fault_detection`: a position that jumps has no rate."""
-LEAST_TRAVEL_RAD = 0.015
-"""Ten steps of a very coarse encoder; a stroke in air of 60 mm makes thrice as much."""
+MOST_ACCELERATION_RAD_S2 = 20.0  # as in `residual.fault_detection`: a jump has no rate
+LEAST_TRAVEL_RAD = 0.015  # ten steps of a very coarse encoder; 60 mm in air make thrice as much
 DQ_RATIO = 20.0  # so many times that travel by dq alone is used too, whatever q does
-TOLERATED_LAG_S = 0.03
-"""A filtered velocity is late by 20 ms, a held one by ten; the same may hold for a position."""
-TOLERATED_RAD = 0.02
-"""A vibration of 50 Hz, seen every 20 ms, seems a velocity; 6 rad/s^2 of it make this travel."""
+TOLERATED_LAG_S = 0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
+TOLERATED_RAD = 0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
 LEAST_SECONDS = 1.0  # of motion, before anything is reported
 LEAST_BEYOND = 0.01
 """Root mean square difference beyond what is tolerated that is judged, relative to the travel."""
@@ -66,8 +61,7 @@ LEAST_SINGULAR_VALUE = 0.05
 of one torque sample."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
-NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0
-"""Torque now is compared with that before, and the difference with what it usually is."""
+NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0  # torque now, that before, what it usually differs by
 PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
 """Mean squares, in units of that, of what no wrench explains: from the first on the arm is pushed,
 down to the second; up to the third it is learnt as usual. From the last on, of what no axial force

@@ -132,8 +132,7 @@ OTHER_KIND = (
 )
 
 
-MILLISECONDS_S = 0.5
-"""A time step from here on, sample after sample, is one in milliseconds, or a very slow log."""
+MILLISECONDS_S = 0.5  # time steps from here on are in milliseconds, or of a very slow log
 
 
 def long_step(dt_s: float, max_gap_s: float) -> str:

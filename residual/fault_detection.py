@@ -33,10 +33,8 @@ TORQUE_RATIO = 0.02
 """Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
 at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
 by more, see `is_contact`."""
-LEAST_TORQUE_NM = 0.7
-"""Never less than this: the gears of a moving wrist of 12 Nm make as much in a millisecond."""
-TORQUE_RATIO_PER_S = 2.0
-"""Fraction of the effort limit per second, beyond the step: for lost samples."""
+LEAST_TORQUE_NM = 0.7  # the gears of a moving wrist of 12 Nm make as much in a millisecond
+TORQUE_RATIO_PER_S = 2.0  # of the effort limit, beyond the step: for lost samples
 ACCELERATION_RAD_S2 = 20.0  # an arm that inserts a needle stays far below
 LEAST_POSITION_RAD = 1e-4
 COARSE_RAD = 5e-4
@@ -51,21 +49,18 @@ needle it is nothing: 0.1 rad/s make half a milliradian of it."""
 HELD_ACCELERATION_RAD_S2 = 4.0
 """Change of an estimated velocity that positions do not show while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
-MOST_STEP_N = 100.0
-"""A force that may come or go within one sample: a rupture is newtons, a stiff contact tens."""
+MOST_STEP_N = 100.0  # may come or go within a sample: a rupture is newtons, a contact tens
 MOST_UNEXPLAINED = 0.35
 """Fraction of the jump that the force may leave over; a spike of one joint leaves most of
 itself."""
 CHECK_S = 0.02  # every so often each torque is checked by itself [s]
 STAYED_S = 5e-3  # A jump that has stayed for this long is accepted: the signal is elsewhere now [s]
-LONGEST_HOLD_S = 0.1
-"""Whatever a signal that jumps does, it is not held back for longer than this [s]."""
+LONGEST_HOLD_S = 0.1  # whatever a signal that jumps does, it is not held back for longer
 SATURATED_RATIO = 0.99  # fraction of the effort limit from which a torque counts as clipped
 MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
-STILL_S = 1.0
-"""A torque that has not changed for this long may be missing, or come from a simulation."""
+STILL_S = 1.0  # a torque unchanged for so long may be missing, or come from a simulation
 LOADED_RATIO = 0.9  # fraction of the effort limit from which every torque is watched
 
 
