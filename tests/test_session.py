@@ -243,7 +243,7 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
 @pytest.mark.parametrize(("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.4, 2.7))])
 def test_a_push_too_small_for_a_mismatch_shows_in_how_torques_change(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
-    found = [session.update(*row) for row in pushed(rows, (0.0, 0.6, 0.0), 500, count, joint=4)]
+    found = [session.update(*row) for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)]
     flagged = [k for k, e in enumerate(found) if SensorWarning.ARM_PUSHED in e.warnings]
     assert 500 < flagged[0] < 620
     assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
