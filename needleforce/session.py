@@ -359,7 +359,7 @@ class InsertionSession:
             # A push on the arm looks like a rupture, even before the checks, every 20 ms, know it.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & _PUSHED:
-                return self._skip(wrench, elapsed_s)
+                return self._skip(wrench, 0.0)  # its time was used: that is taken back
         self._identification = found
         has_events = found.has_events
         if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
@@ -374,7 +374,7 @@ class InsertionSession:
         self._earlier = now if has_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
-        """A valid tick that the identification does not get.
+        """A valid tick that the identification does not get, or that raised a rupture in a push.
 
         The first with a push on the arm also takes back what that has done before it was known.
         """

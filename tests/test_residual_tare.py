@@ -75,8 +75,8 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     truth = basis.columns(ahead, forward, 20.0) @ theta
     fitted = FreeMotionFit(basis, blocks).tare
     fit = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks)
-    wide = basis.groups["hysteresis"]
-    assert fitted.mean[wide][7:].min() > -1e-9 > theta[wide][7:].min()
+    loops = basis.groups["hysteresis"]  # the narrowest first
+    assert fitted.mean[loops][7:].min() > -1e-9 > theta[loops][7:].min()
     ours = np.abs(basis.bias_Nm(fitted, ahead, forward, 20.0) - truth).max()
     paper = np.abs(fit.basis.bias_Nm(fit.tare, ahead, forward, 20.0) - truth).max()
     assert ours < 0.5 * paper
