@@ -36,11 +36,12 @@ ANSWERS = {number: None if number == 5 else number**2 for number in range(10)}
 
 
 def quick_job(job, progress=None):
-    """Instead of `run_job`: a tenth of a second, and a number that depends on the seed."""
+    """Instead of `run_job`: a number of the seed; from the tenth on it waits while HOLD exists."""
     from benchmarks.benchmark import Outcome
     from benchmarks.rows import Measurement
 
-    time.sleep(0.1)
+    while job.seed >= 10 and os.path.exists(os.environ.get("HOLD", "")):
+        time.sleep(0.02)
     value = float(np.random.default_rng(job.seed).normal())
     row = Measurement("virtual", "default", "wrench_rmse_N", value)
     return Outcome(job=job, rows=(row.row(job.benchmark, job.plant, job.seed),))
