@@ -1,7 +1,8 @@
 """How noisy the force is, part by part: white, colour of the sensor, heartbeat, breathing.
 
 Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
-and each part shows most at lags near its own time. A part takes what the faster ones leave.
+and each part shows most at lags near its own time. A part takes what the faster ones leave, the
+tissue's own motion only what they cannot leave by chance: else noise alone would look like one.
 """
 
 import math
@@ -21,6 +22,9 @@ _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
 _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
+_CHANCE = (4.6, 8.0)
+"""Two standard errors of a median of n squares of white and of coloured noise, relative to its
+own size and times the root of n: a sensor's noise must show more to be a motion of the tissue."""
 
 
 @compiled
@@ -149,7 +153,7 @@ def _learn(
 @compiled
 def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vector:
     """Variance of each part, each taking what the faster ones leave."""
-    levels, left = np.zeros(4), np.zeros(8)
+    levels, left, chance = np.zeros(4), np.zeros(8), np.zeros(8)
     for k in range(8):
         known = min(int(seen[k]), _MEMORY)
         if known > min(2 * 2**k, 30):
@@ -158,6 +162,9 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM
             if seen[k] > 2 * 2**k and not is_tissue:
-                levels[part] = max(levels[part], left[k] / design[part, k])
+                levels[part] = max(levels[part], (left[k] - chance[k]) / design[part, k])
         left -= levels[part] * design[part]
+        if part == 1:
+            spread = _CHANCE[0] * levels[0] * design[0] + _CHANCE[1] * levels[1] * design[1]
+            chance = spread / np.sqrt(np.minimum(seen + 1.0, _MEMORY))
     return levels

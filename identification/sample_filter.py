@@ -139,44 +139,21 @@ def _check_motion(
 
 
 @compiled
-def check_sample(
-    depth_m: float,
-    speed_m_s: float,
-    force_N: float,
-    dt_s: float,
-    is_measured: bool,
-    memory: WrittenVector,
-    limits: Limits,
-) -> tuple[int, float]:
-    """Check one raw sample: depth, speed, force and interval as `Identifier.update` takes them.
-
-    Where nobody measured the speed, it is the last one estimated, which contradicts no depth.
-
-    Time runs on over samples that are rejected, as long as their interval is valid: a dropped
-    force does not shift the clock of what follows.
-
-    Returns:
-        The status by its place in `STATUSES`, and of a sample to use the interval since the one
-        used before [s].
-    """
+def _check_numbers(
+    depth_m: float, speed_m_s: float, force_N: float, dt_s: float, most_N: float
+) -> int:
+    """Status of a raw sample whose motion is not checked yet."""
     if not math.isfinite(dt_s):
-        return _NOT_FINITE, 0.0
+        return _NOT_FINITE
     if dt_s <= 0.0:
-        return _TIME_NOT_FORWARD, 0.0
+        return _TIME_NOT_FORWARD
     if dt_s < LEAST_DT_S or dt_s > LARGEST_DT_S:
-        return _TIME_RANGE, 0.0
-    status = _OK
+        return _TIME_RANGE
     if not math.isfinite(depth_m + speed_m_s + force_N):
-        status = _NOT_FINITE
-    elif max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
-        status = _MOTION_RANGE
-    elif abs(force_N) > limits[4]:
-        status = _FORCE_RANGE
-    if status == _OK:
-        return _check_motion(depth_m, speed_m_s, dt_s, is_measured, memory, limits)
-    memory[TIME] += dt_s
-    memory[_PENDING] += dt_s
-    return status, 0.0
+        return _NOT_FINITE
+    if max(abs(depth_m), abs(speed_m_s)) > LARGEST_MOTION:
+        return _MOTION_RANGE
+    return _FORCE_RANGE if abs(force_N) > most_N else _OK
 
 
 @compiled
@@ -319,11 +296,21 @@ def take_sample(
 ) -> tuple[int, float, float, float, Motion]:
     """Check one raw sample and, if it can be used, filter its depth and speed.
 
+    Depth, speed, force and interval are as `Identifier.update` takes them; a speed that nobody
+    measured is the last one estimated, which contradicts no depth. Time runs on over a sample that
+    is rejected, as long as its interval is valid: a dropped force does not shift the clock.
+
     Returns:
-        As `check_sample`; the time since the start; the depth less the jumps removed; the motion.
+        The status by its place in `STATUSES`, and of a sample to use the interval since the one
+        used before [s]; the time since the start; the depth less the jumps removed; the motion.
     """
     speed = speed_m_s if is_measured else memory[_SPEED]
-    number, elapsed_s = check_sample(depth_m, speed, force_N, dt_s, is_measured, memory, limits)
+    number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0
+    if number == _OK:
+        number, elapsed_s = _check_motion(depth_m, speed, dt_s, is_measured, memory, limits)
+    elif LEAST_DT_S <= dt_s <= LARGEST_DT_S:
+        memory[TIME] += dt_s
+        memory[_PENDING] += dt_s
     depth, time_s = depth_m - float(memory[SHIFT]), float(memory[TIME])
     if number > LAST_USED:
         return number, float(elapsed_s), time_s, depth, (0.0, 0.0, 0.0, 0.0)
