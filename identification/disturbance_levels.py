@@ -2,7 +2,7 @@
 
 Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
 and each part shows most at lags near its own time. A part takes what the faster ones leave, the
-tissue's own motion only what they cannot leave by chance: else noise alone would look like one.
+tissue's own motion only what they seldom leave by chance: else noise alone would look like one.
 """
 
 import math
@@ -23,8 +23,8 @@ _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
 _MEDIAN = 0.455
 """Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
 _CHANCE = (4.6, 8.0)
-"""Two standard errors of a median of n squares of white and of coloured noise, relative to its
-own size and times the root of n: a sensor's noise must show more to be a motion of the tissue."""
+"""About 1.6 standard errors of a median of n squares of such differences of white and of coloured
+noise, relative to its size and times the root of n: motion of the tissue must show beyond it."""
 
 
 @compiled

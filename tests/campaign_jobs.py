@@ -36,7 +36,7 @@ ANSWERS = {number: None if number == 5 else number**2 for number in range(10)}
 
 
 def quick_job(job, progress=None):
-    """Instead of `run_job`: a number of the seed; from the tenth on it waits while HOLD exists."""
+    """Instead of `run_job`: a number of the seed; after ten it waits while HOLD exists."""
     from benchmarks.benchmark import Outcome
     from benchmarks.rows import Measurement
 

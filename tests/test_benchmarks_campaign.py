@@ -56,6 +56,7 @@ def cluster():
 def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(campaign, "run_job", quick_job)
     monkeypatch.setattr(campaign, "LEAST_PAUSE_S", 0.0)
+    monkeypatch.setattr(campaign, "PAUSE_RATIO", 0.0)  # every answer is on disk at once
     serial, other = (tmp_path / name for name in ("serial.json", "cluster.json"))
     asked = ["run", "liver-constant", "--seeds", "30", "--json"]
     assert main([*asked, str(serial), "--workers", "1"]) == 0
@@ -65,16 +66,22 @@ def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch, cap
     with cluster() as (address, kill):
         assert answered(tmp_path, Workers(cluster=address)) == ANSWERS
 
+        killed = []
+
         def kill_midway():
-            while not other.exists() or len(read_results(other)) < 5:
-                time.sleep(0.02)
-            kill()
-            hold.unlink()
+            try:
+                while not other.exists() or len(read_results(other)) < 5:
+                    time.sleep(0.02)
+                kill()
+                killed.append(30 - len(read_results(other)))
+            finally:
+                hold.unlink()
 
         thread = threading.Thread(target=kill_midway)
         thread.start()
         assert main([*asked, str(other), "--cluster", address]) == 0
         thread.join()
+    assert killed[0] >= 20
     assert serial.read_bytes() == other.read_bytes()
 
 
