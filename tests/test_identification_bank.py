@@ -118,21 +118,21 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
     assert (row @ far.means[0] - force) > 0.0
 
 
-def test_noise_is_learned_part_by_part_and_a_ramp_is_none():
-    rng = np.random.default_rng(8)
-    levels, ramp = DisturbanceLevels(), DisturbanceLevels()
-    t = 0.01 * np.arange(2000)
-    beat = 0.05 * np.sin(2.0 * np.pi * 1.2 * t)
-    for force, place in zip(
-        (beat + 0.01 * rng.standard_normal(2000)).tolist(), t.tolist(), strict=True
-    ):
-        levels = levels.with_force(force, 0.01, 2.0)
-        ramp = ramp.with_force(0.1 * place, 0.01, 2.0)
+def test_noise_is_learned_part_by_part_and_neither_a_ramp_nor_chance_is_a_motion():
+    levels, ramp, chance = (DisturbanceLevels() for _ in range(3))
+    motions = []
+    for k, noise in enumerate((0.01 * np.random.default_rng(9).standard_normal(2000)).tolist()):
+        beat = 0.05 * np.sin(2.0 * np.pi * 1.2 * 0.01 * k)
+        levels = levels.with_force(beat + noise, 0.01, 2.0)
+        ramp = ramp.with_force(0.001 * k, 0.01, 2.0)
+        chance = chance.with_force(noise, 0.01, 2.0)
+        motions.append(chance.levels[2:].any())
     white, colour, heart, _ = np.sqrt(levels.levels)
     assert white == pytest.approx(0.01, rel=0.15)
     assert colour < 0.008
     assert 0.02 < heart < 0.08
     assert np.sqrt(ramp.levels).max() < 1e-6
+    assert np.mean(motions) < 0.1
     assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
 
 
