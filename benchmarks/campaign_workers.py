@@ -77,8 +77,8 @@ def answers(
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     # Matrices are 7 by 7: more threads than processes only get in each other's way.
-    for name in THREAD_SETTINGS:
-        os.environ.setdefault(name, "1")
+    single = {name: "1" for name in THREAD_SETTINGS if name not in os.environ}
+    os.environ.update(single)
     # Ctrl-C reaches the whole group: workers end without a traceback each, the parent reports.
     ended = (signal.SIGINT, signal.SIG_DFL)
     context = get_context("spawn")
@@ -91,6 +91,8 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
         raise
     finally:
         pool.shutdown(cancel_futures=True)
+        for name in single:
+            os.environ.pop(name, None)
 
 
 def _on_processes(

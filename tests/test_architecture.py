@@ -32,7 +32,7 @@ def file_of(code):
     if not path.is_relative_to(ROOT):
         return ""
     name = path.relative_to(ROOT)
-    return name.as_posix() if name.parts[0] not in ("tests", "benchmarks") else ""
+    return name.as_posix() if name.parts[0] in PRODUCT else ""
 
 
 @contextmanager
