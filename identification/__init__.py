@@ -8,8 +8,8 @@ the enhanced force without the friction of the layers traversed, and the force a
 
 Reading order: `identifier`, `sample_filter`; the published method in `published_identifier`; the
 multi-layer method, a switching filter, in `hypothesis_filter` (one history), `hypothesis_bank`,
-`switching_update` (every sample), `switching_identifier` (every block), `rupture_report`; known
-layers in `offline`.
+`switching_update` (every sample), `switching_identifier` (every block), `speed_trend`,
+`rupture_report`; known layers in `offline`.
 """
 
 from identification.config import (

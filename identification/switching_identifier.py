@@ -25,6 +25,7 @@ from identification.estimate import (
     layers_traversed,
 )
 from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
+from identification.speed_trend import NO_TREND, follow_speed
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
 
@@ -38,10 +39,9 @@ _USUAL_S, _USUAL_MM = 10.0, 3.0
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
-_DEADBAND = 3.0
-"""Standard deviations of the speed's noise within which the speed may not have changed."""
 _CHANNEL_MM = 0.02
 """Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
+_DEADBAND = 3.0  # deviations of the speed's noise within which it is the same, in moving tissue
 _UNSETTLED = 0.3
 """Error of the friction while presliding turns or after a rest, as part of the force."""
 _TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
@@ -60,7 +60,7 @@ class Course(NamedTuple):
     spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
     usual_speed: float = 0.0  # [mm/s]
     resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
-    speed: float = 0.0  # less the jitter of its measurement [mm/s]
+    trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
 
 
 class SwitchingState(NamedTuple):
@@ -186,19 +186,17 @@ class SwitchingMethod:
         course, levels, last = state.course, state.levels, state.course.deepest
         place, jitter, speed_noise = _block(sample[-1], memory)
         filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
-        # Friction at a noisy speed would seem to be the same at all speeds: only a change that
-        # noise does not explain is one.
-        deadband = _DEADBAND * speed_noise
-        steady = v - deadband if course.speed < v - deadband else min(course.speed, v + deadband)
         faded = math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM)
         usual = max(course.usual_speed * faded, v)
         fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
         is_gap = filled > max(_GAP_S, 10.0 * state.place.dt_s)
+        course = course._replace(trend=NO_TREND) if is_gap else course
+        steady, trend = self._law_speed(course.trend, place, (jitter, speed_noise))
         is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
         is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
         left = levels.beside(state.tissue, sample[-1])
         place = place._replace(speed=steady, usual_speed=usual, noise=left.noise)
-        course = course._replace(deepest=max(last, z), usual_speed=usual, speed=steady)
+        course = course._replace(deepest=max(last, z), usual_speed=usual, trend=trend)
         _predict(bank, place, fresh, left, state.tissue)
         is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, _REPORT
         if (is_advancing or not is_met) and not is_gap:
@@ -220,6 +218,19 @@ class SwitchingMethod:
             tissue = tissue.with_block(place._replace(speed=v), is_met=is_met)
         state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
         self._state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
+
+    def _law_speed(
+        self, trend: Array, place: Place, noise: tuple[float, float]
+    ) -> tuple[float, Array]:
+        """The needle's own speed, less jitter, and its trend; less the tissue's, if that moves."""
+        tissue, last = self._state.tissue, self._state.place.speed
+        if not self._is_moving:
+            return follow_speed(trend, place.raw, place.speed, noise, place.dt_s)
+        at_mm, speed = tissue.at(place.time_s)
+        own, trend = follow_speed(trend, place.raw + at_mm, place.speed + speed, noise, place.dt_s)
+        # The tissue's speed is an estimate as well: only what noise does not explain is a change.
+        deadband = _DEADBAND * noise[1]
+        return min(max(last, own - speed - deadband), own - speed + deadband), trend
 
     def _branch(self) -> None:
         """Begin hypotheses of what may have happened in the block's travel."""

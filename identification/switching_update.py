@@ -183,6 +183,8 @@ def shift_depth(memory: WrittenVector, by_m: float) -> None:
     """Count depth from elsewhere."""
     memory[_FOLLOWER] += by_m
     memory[_DEEPEST] += by_m
+    memory[DEPTH_SUM] += by_m * memory[FILLED]
+    memory[RAW_SUM] += by_m * memory[FILLED]
 
 
 @compiled
