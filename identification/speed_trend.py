@@ -17,7 +17,7 @@ _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
 _MEMORY_S, _MOST_SURPRISE, _SIGNIFICANT = 0.2, 5.0, 16.0
 """Time over which innovations are averaged; standard deviations that one of them counts at most;
 square of such a mean, in units of its variance, from which on the filter is quicker."""
-_WIDEST = 6.0
+_WIDEST = 4.0
 """Standard deviations of the filtered speed's noise by which the trend may lie beside it; less,
 where it must be quick."""
 # Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed innovation.
