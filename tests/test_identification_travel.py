@@ -7,6 +7,7 @@ import pytest
 
 from identification import Identifier, SampleStatus
 from identification.sample_filter import LEAST_DEPTHS, OF_DEPTH, SAMPLE_MEMORY, filter_travel
+from identification.speed_trend import NO_TREND, follow_speed
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
@@ -139,3 +140,17 @@ def test_nobody_need_measure_the_speed():
         assert found.status is SampleStatus.OK
     (layer,) = identifier.layers
     assert layer.rupture.depth_m == pytest.approx(0.01, abs=3e-4)
+
+
+def test_the_speed_of_the_law_is_quiet_in_a_slow_change_and_stops_with_the_needle():
+    rng, noise = np.random.default_rng(1), (2.5e-3, 0.05)
+    t_s = np.arange(0.0, 16.0, 0.01)
+    speed = np.where(t_s < 12.0, 3.0 + 0.5 * np.sin(0.2 * t_s), 0.0)
+    filtered_speed = speed + noise[1] * rng.standard_normal(len(t_s))
+    depth = 0.01 * np.cumsum(speed) + 5e-3 / math.sqrt(10.0) * rng.standard_normal(len(t_s))
+    found, trend = np.zeros(len(t_s)), NO_TREND
+    for k in range(len(t_s)):
+        found[k], trend = follow_speed(trend, depth[k], filtered_speed[k], noise, 0.01)
+    assert np.sqrt(np.mean((found - speed)[200:1199] ** 2)) < 0.2 * noise[1]
+    assert np.abs(found - filtered_speed)[1200:].max() < 4.01 * noise[1]
+    assert np.abs(found - speed)[1500:].max() < 0.2 * noise[1]
