@@ -195,8 +195,7 @@ class BiasEstimator:
         # them; what turns and accelerates the links is still as uncertain as the prior says.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
-        acceleration = behind / SMOOTHING_S
-        motion = pin.rnea(self._weightless, self._data, q, memory.dq, acceleration)
+        motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)
         memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
 
     def sum_torques(self) -> None:

@@ -255,8 +255,7 @@ class FaultDetector:
         memory.torque.is_telling = bool(torque.all())
         memory.alone.learn(torque, memory.torque.usual_s)
         # Encoders may be too coarse for noise where velocities are not.
-        motion = stands_out(rows[:, :-n]).reshape(-1, n).any(axis=0)
-        memory.motion.is_telling = bool(motion.all())
+        memory.motion.is_telling = bool(stands_out(rows[:, :-n]).reshape(-1, n).any(axis=0).all())
 
     def _check_each(self) -> None:
         """Every so often: does one torque repeat by itself, is one near its limit?"""

@@ -215,9 +215,7 @@ class SigmoidFriction:
         return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
 
     def _sigmoid(self, speed: Array) -> Array:
-        """The sigmoid, 0 to 1."""
-        exponent = -self.slope_s_rad * speed
-        return 1.0 / (1.0 + np.exp(np.minimum(exponent, _MOST_EXPONENT)))
+        return 1.0 / (1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT)))
 
 
 def _check_length(friction: FrictionModel, joints: int) -> None:

@@ -125,8 +125,7 @@ class SampleStream:
         # What is hardly off the last sample needs no other check, nor one of its numbers.
         if guard is None or not guard.surely_passes(now):
             check_rows(self._names, rows)
-            has_jumped = guard is not None and guard.check(now, dt_s)
-            if has_jumped and self._velocity is not None:
+            if guard is not None and guard.check(now, dt_s) and self._velocity is not None:
                 self._velocity.reset()  # the position reading is elsewhere now
         sample = self._estimate(rows, dt_s)
         if guard is not None:

@@ -34,8 +34,7 @@ LEAST_SAMPLES, MOST_SAMPLES = 32, 2048  # of which noise is learnt, however slow
 
 def new_rows(rows: Array) -> Array:
     """Rows that are not all of the one before: a source slower than the clock, by its own clock."""
-    changed = (np.diff(rows, axis=0) != 0.0).any(axis=1)
-    return rows[np.concatenate(([True], changed))]
+    return rows[np.concatenate(([True], (np.diff(rows, axis=0) != 0.0).any(axis=1)))]
 
 
 def white_noise(rows: Array) -> Array:
@@ -62,8 +61,7 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
     resolution = np.where(gaps > ROUNDING, gaps, np.inf).min(axis=0)
     second, third = (np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3))
     # As in `white_noise`. Resolution alone makes less than two thirds of a step of such noise.
-    noise = third / (0.6745 * np.sqrt(20.0))
-    return (third > LEAST_WHITENESS * second) & (noise >= resolution)
+    return (third > LEAST_WHITENESS * second) & (third / (0.6745 * np.sqrt(20.0)) >= resolution)
 
 
 @dataclass(slots=True, eq=False)

@@ -157,8 +157,7 @@ def example_robot_path(name: str) -> Path:
         )
     prefixes = [Path(sys.prefix)]  # here conda puts shared data, and there pip (a cmeel wheel)
     with suppress(metadata.PackageNotFoundError):
-        located = metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")
-        prefixes.insert(0, Path(str(located)))
+        prefixes.insert(0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix"))))
     folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
     for folder in (Path(str(files("urdf.data"))), *folders):
         if (folder / _EXAMPLES[name]).is_file():

@@ -208,11 +208,10 @@ class NeedleTool:
     def beyond_sensor(self) -> Payload:
         """Hub and shaft, whose weight and inertia the sensor reads, in the sensor frame."""
         hub_mass = self.needle_mass_kg - self.shaft_mass_kg
-        hub = _cylinder(hub_mass, 0.0, self.hub_length_m, self.hub_diameter_m)
         shaft = _cylinder(
             self.shaft_mass_kg, self.hub_length_m, self.needle_length_m, self.needle_diameter_m
         )
-        return hub + shaft
+        return _cylinder(hub_mass, 0.0, self.hub_length_m, self.hub_diameter_m) + shaft
 
     @property
     def payload(self) -> Payload:

@@ -102,9 +102,8 @@ def identify_payload_static(
     mass_kg, com_m = 0.0, np.zeros(3)
     if parameters[0] >= _NO_MASS_KG:
         mass_kg, com_m = parameters[0], parameters[1:] / parameters[0]
-    payload = Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3)))
     return PayloadEstimate(
-        payload=payload,
+        payload=Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3))),
         parameters=read_only(parameters),
         covariance=read_only(covariance * np.outer(_UNITS, _UNITS)),
         rank=rank,

@@ -198,7 +198,6 @@ def assemble_robot(
 
 
 def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, adder: str) -> None:
-    """Add a frame at a placement in an existing one."""
     names = [frame.name for frame in model.frames]
     if name in names:
         raise UnknownNameError(

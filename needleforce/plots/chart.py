@@ -204,8 +204,7 @@ def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
     from matplotlib.figure import Figure
 
-    size_in = chart.width_in, chart.height_in
-    figure = Figure(size_in, layout="constrained", facecolor="white")
+    figure = Figure((chart.width_in, chart.height_in), layout="constrained", facecolor="white")
     heights = [panel.height for panel in chart.panels]
     grid = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
     places = list(grid[:, 0])

@@ -109,8 +109,7 @@ def save_page_figure(
     """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``."""
     wide = None
     if is_alone:
-        beside = path.with_stem(f"{path.stem}-wide")
-        wide = save_figure(replace(chart, width_in=WIDE_IN), beside)
+        wide = save_figure(replace(chart, width_in=WIDE_IN), path.with_stem(f"{path.stem}-wide"))
     return PageFigure(path=save_figure(chart, path), alt=alt, caption=caption, wide=wide)
 
 

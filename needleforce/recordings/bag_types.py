@@ -191,8 +191,7 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
             joints = [f"joint_{i + 1}" for i in range(width)]
         numbers = (signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS)
         rows, make = zip(_headers(stamps_ns, ""), *numbers, strict=True), types[joint_state]
-        messages = (make(header, joints, *row) for header, *row in rows)
-        yield "/joint_states", joint_state, messages
+        yield "/joint_states", joint_state, (make(header, joints, *row) for header, *row in rows)
     if all(name in left and left[name].shape[1:] == (3,) for name in _SENSOR):
         vectors = [left.pop(name) for name in _SENSOR]
         yield _wrenches("/ft_sensor/wrench", vectors, _headers(stamps_ns, "ft_sensor"))

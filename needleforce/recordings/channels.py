@@ -134,8 +134,7 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         rest = match["stem"]
         if unit is None:
             rest, unit = split_unit(rest, units)
-    stem = rest.rsplit("/", 1)[-1].strip().lower()
-    return ColumnName(stem, family, number, unit)
+    return ColumnName(rest.rsplit("/", 1)[-1].strip().lower(), family, number, unit)
 
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:

@@ -52,8 +52,7 @@ def byte_blocks(
         else:
             handle = sys.stdin.fileno()
         try:
-            blocks = _blocks(handle, options, path)
-            yield from (block for block in blocks if block or with_pauses)
+            yield from (block for block in _blocks(handle, options, path) if block or with_pauses)
         finally:
             if path is not None:
                 os.close(handle)

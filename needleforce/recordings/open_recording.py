@@ -186,8 +186,7 @@ def suggest_mapping(
     `read_table`; `ColumnError` if the mapping names a column that is not there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
-    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
-    lines = [comment_line(title), ""]
+    lines = [comment_line(f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"), ""]
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
         bag = Bag(Path(source))
         survey(bag)
@@ -214,10 +213,9 @@ def _bag_head(bag: Bag, table: Table, channels: Sequence[str], joints: Sequence[
     topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
     if not topics:
         return []
-    reference = max(topics, key=lambda topic: topic.count)
     lines = [
         "# Rows are the messages of this topic; others are interpolated to its time stamps.",
-        f"reference_topic = {json.dumps(reference.name)}",
+        f"reference_topic = {json.dumps(max(topics, key=lambda topic: topic.count).name)}",
     ]
     here = list(dict.fromkeys(joint for topic in topics for joint in topic.joint_names))
     if here:
