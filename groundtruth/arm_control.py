@@ -78,11 +78,8 @@ def drive(
     plant.place(q_rad[0], dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
         error = q_rad[k] - plant.q_rad
-        # tau = tau_ff + M (w^2 e + 2 w de): with M all directions are equally fast. The loop runs
-        # inside the robot on fine motor encoders: it reads the true state, without noise.
-        acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * error
-        acceleration += (2.0 * BANDWIDTH_rad_s) * (dq_rad_s[k] - plant.dq_rad_s)
-        torque = ahead + mass[k // MASS_TICKS] @ acceleration
+        velocity_error = dq_rad_s[k] - plant.dq_rad_s
+        torque = _joint_torque(error, velocity_error, mass[k // MASS_TICKS], ahead)
         if k % _REPORT_TICKS == 0:
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
                 raise PlantError(
@@ -116,3 +113,15 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
         np.array([pin.rnea(model, data, *middle) for middle in middles]),
         np.array([pin.crba(model, data, row).copy() for row in q[:-1:MASS_TICKS]]),
     )
+
+
+def _joint_torque(error_rad: Array, error_rad_s: Array, mass: Array, ahead_Nm: Array) -> Array:
+    """Torque to hold over the next tick: tau = tau_ff + M (w^2 e + 2 w de).
+
+    The mass matrix makes all directions of the arm equally fast, whatever its posture. The loop
+    reads the true joint state: it runs inside the robot on the fine motor encoders, while the
+    noise of a plant model belongs to what the robot's interface reports.
+    """
+    acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * error_rad
+    acceleration += (2.0 * BANDWIDTH_rad_s) * error_rad_s
+    return ahead_Nm + mass @ acceleration

@@ -122,7 +122,8 @@ class ShaftFriction:
         """Friction per length in steady sliding; it has the sign of the speed, zero at rest."""
         if speed_m_s == 0.0:
             return 0.0
-        return math.copysign(self.coulomb_N_per_m, speed_m_s) + self.rising_N_per_m(speed_m_s)
+        coulomb = math.copysign(self.coulomb_N_per_m, speed_m_s)
+        return coulomb + self.rising_N_per_m(speed_m_s)
 
     def rising_N_per_m(self, speed_m_s: float) -> float:
         """The part of the friction per length that grows with speed, with the speed's sign."""
@@ -202,8 +203,9 @@ class Layer:
         p = penetration_m / cut_m
         elastic = (p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)) ** self.tip_exponent
         onset = min(penetration_m / CUTTING_ONSET_M, 1.0)
+        cutting = onset * (2.0 - onset)
         c = self.cutting_fraction
-        force = self.exit_force_N * ((1.0 - c) * elastic + c * (onset * (2.0 - onset)))
+        force = self.exit_force_N * ((1.0 - c) * elastic + c * cutting)
         if self.texture is None:
             return force
         inside = min(onset, max(cut_m - penetration_m, 0.0) / CUTTING_ONSET_M)

@@ -65,14 +65,19 @@ class Stroke:
         elif self.profile == "cosine":
             done, rate = 0.5 - 0.5 * np.cos(np.pi * s), 0.5 * np.pi * np.sin(np.pi * s)
         elif self.profile == "cruise":
-            # The speed rises as 3q² - 2q³, holds, falls alike.
-            ramp, mirrored = self.ramp_fraction, np.minimum(s, 1.0 - s)
-            q, full = np.minimum(mirrored / ramp, 1.0), 1.0 / (1.0 - ramp)
-            half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
-            done, rate = np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
+            done, rate = _cruise(s, self.ramp_fraction)
         else:
             done, rate = np.zeros_like(s), np.zeros_like(s)
         return self.start_m + self.travel_m * done, self.travel_m / self.duration_s * rate
+
+
+def _cruise(s: Array, ramp: float) -> tuple[Array, Array]:
+    """Fraction of the travel done and its rate: speed rises as 3q² - 2q³, holds, falls alike."""
+    mirrored = np.minimum(s, 1.0 - s)
+    q = np.minimum(mirrored / ramp, 1.0)
+    full = 1.0 / (1.0 - ramp)
+    half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
+    return np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,7 +133,8 @@ class Motion:
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
             raise MotionError("t_s has a value that is not finite; give times in seconds")
-        index = np.searchsorted([stroke.start_s for stroke in self.strokes[1:]], t, side="right")
+        starts = [stroke.start_s for stroke in self.strokes[1:]]
+        index = np.searchsorted(starts, t, side="right")
         out = np.empty_like(t)
         for i in np.unique(index):
             inside = index == i

@@ -128,8 +128,10 @@ class Trocar:
         nearest = add(tip, axis, along)
         lever = (along * axis[0], along * axis[1], along * axis[2])
         speed = add(motion.velocity_m_s, cross(motion.angular_velocity_rad_s, lever))
-        pull = add(NO_FORCE, add(self.point_m, nearest, -1.0), self.stiffness_N_per_m)
-        return add(pull, add(speed, axis, -dot(speed, axis)), -self.damping_Ns_per_m), nearest
+        across = add(speed, axis, -dot(speed, axis))
+        apart = add(self.point_m, nearest, -1.0)
+        pull = add(NO_FORCE, apart, self.stiffness_N_per_m)
+        return add(pull, across, -self.damping_Ns_per_m), nearest
 
 
 @dataclass(slots=True, kw_only=True)
@@ -218,7 +220,8 @@ class HandOnArm:
             push = fx, fy, fz
         if self.path_m is not None:
             px, py, pz = self.path_m(t_s)
-            self.stretch_m = add(add(self._hold_m, (px, py, pz)), motion.position_m, -1.0)
+            wanted = add(self._hold_m, (px, py, pz))
+            self.stretch_m = add(wanted, motion.position_m, -1.0)
             push = add(push, self.stretch_m, self.stiffness_N_per_m)
             push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
         self.applied_N = push
@@ -271,7 +274,8 @@ class TouchedPoint:
         for contact in self._contacts:
             part, where = contact.force(t_s, motion)
             force = add(force, part)
-            torque = add(torque, cross(add(add(where, position, -1.0), self._from_com_m), part))
+            lever = add(add(where, position, -1.0), self._from_com_m)
+            torque = add(torque, cross(lever, part))
         self._wrench[:] = force + torque
         end = add(position, speed, 0.5 * step_s)
         self._now = PointMotion(end, add(axis, change, 0.5 * step_s), speed, turning)

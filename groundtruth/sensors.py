@@ -51,7 +51,8 @@ class TorqueSensor:
         self._bias_Nm = bias * rng.choice((-1.0, 1.0), bias.shape)
         self._phase_rad = rng.uniform(0.0, 2.0 * np.pi, joints)
         self._drift_Nm = limit_Nm * _relative_drift(shape, plant_model, rng)
-        noise = coloured(rng.standard_normal(shape), TICK_s, plant_model.torque_noise_correlation_s)
+        white = rng.standard_normal(shape)
+        noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
         self._noise_Nm = np.array(plant_model.torque_noise_std_Nm) * noise
         self._plant_model, self._limit_Nm = plant_model, limit_Nm
         self.backlash_Nm = plant_model.torque_hysteresis * limit_Nm
@@ -91,7 +92,8 @@ def _relative_drift(
     if plant_model.torque_warm_up == 0.0:
         return drift
     cold = np.exp(-np.arange(shape[0]) * TICK_s / plant_model.warm_up_s)
-    return drift + plant_model.torque_warm_up * rng.choice((-1.0, 1.0), shape[1]) * cold[:, None]
+    sign = rng.choice((-1.0, 1.0), shape[1])
+    return drift + plant_model.torque_warm_up * sign * cold[:, None]
 
 
 def backlash(signal: Array, half_width: Array) -> Array:

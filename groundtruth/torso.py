@@ -78,15 +78,19 @@ class Torso:
         length = float(np.linalg.norm(along))
         direction = along / length
         cuts = {t for shape in self.shapes for t in shape.depths_m(entry, direction)}
+        depths = [0.0, *sorted(t for t in cuts if 0.0 < t < length), length]
         found: list[Stretch] = []
-        for begin, end in pairwise([0.0, *sorted(t for t in cuts if 0.0 < t < length), length]):
-            middle = entry + 0.5 * (begin + end) * direction
-            inside = [s.name for s in self.shapes if np.sum(s.scaled(middle) ** 2) < 1.0]
-            name = inside[-1] if inside else ""
+        for begin, end in pairwise(depths):
+            name = self.name_at(entry + 0.5 * (begin + end) * direction)
             if found and found[-1].name == name:
                 begin = found.pop().entry_m
             found.append(Stretch(name, begin, end))
         return found
+
+    def name_at(self, point_m: ArrayLike) -> str:
+        """Name of what lies at a point, empty for air."""
+        inside = [s.name for s in self.shapes if np.sum(s.scaled(point_m) ** 2) < 1.0]
+        return inside[-1] if inside else ""
 
     def voxels(
         self, shape: tuple[int, ...], origin_m: ArrayLike, axes_m: ArrayLike

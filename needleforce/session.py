@@ -212,7 +212,8 @@ class InsertionSession:
         As `update`, with the torque of the environment on the joints [Nm], shape (n,), in place of
         the measured one.
         """
-        return self._follow(self._sensor.update_external_torque(q, dq, external_torque, dt_s))
+        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
+        return self._follow(wrench)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -387,6 +388,7 @@ class InsertionSession:
         return self._idle(wrench)
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
+        """A tick that is not used for identification."""
         last = self._identification = self._identification.without_events()
         at = (False, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))

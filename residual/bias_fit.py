@@ -60,17 +60,19 @@ class FreeMotionFit:
         columns = np.stack(list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s)))
         touched = columns[:, :, :0] if contact is None else contact
         self._columns = np.concatenate((columns, touched), axis=2)
-        is_model, is_few = basis.kind == "model", len(blocks.residual_Nm) < FEW_BLOCKS
+        residual = blocks.residual_Nm
+        is_model, is_few = basis.kind == "model", len(residual) < FEW_BLOCKS
         terms = WALK_TERMS if is_model and not is_few else 0
         self._walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
         groups = {name: basis.groups[name] for name in LEARNT if name in basis.groups}
+        size = len(basis.std)
         std = np.concatenate((basis.std, np.full(touched.shape[2], CONTACT_STD_N), walk_std))
         if terms:
             groups["walk"] = slice(len(std) - len(walk_std), len(std))
 
         noise_Nm2 = self._fit(basis, std, groups if learn and not is_few else {}, is_few)
-        own = slice(0, len(basis.std))
+        own = slice(0, size)
         self.tare = Tare(
             self._mean[own].copy(),
             self._covariance[own, own].copy(),
@@ -96,12 +98,13 @@ class FreeMotionFit:
             for d, w, far in zip(density, wave, apart, strict=True)
         ]
         self._left = self._solve(std, groups)
-        return blocks.scatter_Nm2 + np.maximum(white + wave, np.square(self._left).mean(axis=0))
+        square = np.square(self._left).mean(axis=0)
+        return blocks.scatter_Nm2 + np.maximum(white + wave, square)
 
     def contact_N(self, axis: Array) -> tuple[float, float]:
         """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
         own = slice(len(self.tare.mean), len(self.tare.mean) + 3)
-        variance = axis @ self._covariance[own, own] @ axis
+        variance = float(axis @ self._covariance[own, own] @ axis)
         return float(axis @ self._mean[own]), float(np.sqrt(variance))
 
     def _rows(self) -> Iterator[tuple[int, Array]]:
@@ -197,7 +200,8 @@ def _likeliest_sizes(
     for _ in range(SWEEPS):
         before = dict(octaves)
         for name in groups:
-            octaves = max([octaves | {name: float(k)} for k in OCTAVES], key=likelihood)
+            tried = [octaves | {name: float(k)} for k in OCTAVES]
+            octaves = max(tried, key=likelihood)
         if octaves == before:
             break
     return {name: 2.0**k for name, k in octaves.items()}
@@ -229,4 +233,5 @@ def _wave_variance(left: Array, white: Array, travel_rad: Array, basis: BiasMode
     moved = travel_rad > 4.0 * basis.prior.wave_rad
     if not moved.any():
         return own
-    return np.maximum(own, np.mean(own[moved] / basis.effort_Nm[moved] ** 2) * basis.effort_Nm**2)
+    of_range = np.mean(own[moved] / basis.effort_Nm[moved] ** 2)
+    return np.maximum(own, of_range * basis.effort_Nm**2)

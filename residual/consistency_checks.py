@@ -106,7 +106,8 @@ def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Arr
     way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
     now[0], now[1], now[2] = q, dq, way / dt_s
-    if np.abs(now[2] - motion[2]).max() <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
+    jump = np.abs(now[2] - motion[2]).max()
+    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
         kept = math.exp(-dt_s / TRAVEL_S)
         now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
     return now, bool(travels(now).any())
@@ -138,7 +139,8 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
 def velocity_fault(match: VelocityMatch) -> str:
     """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
     square_dq, product, own = match.moments[:, 0, 0], match.moments[:, 0, 1], match.moments[:, 1, 1]
-    if not ((match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)).any():
+    differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
+    if not differs.any():
         return ""
     difference = square_dq - 2.0 * product + own
     off = (match.seconds >= LEAST_SECONDS) & (difference > LEAST_OFF**2 * own)

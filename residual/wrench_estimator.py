@@ -168,7 +168,8 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
         return weakest_m, np.zeros((joints, joints))
     weighted = rows.dot(precision)
     inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
-    return weakest_m, (precision - weighted.T.dot(inverse).dot(weighted)) / (joints - count)
+    left = precision - weighted.T.dot(inverse).dot(weighted)
+    return weakest_m, left / (joints - count)
 
 
 @compiled

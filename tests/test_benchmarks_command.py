@@ -138,7 +138,6 @@ def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatc
 
 
 def test_processes_return_outcomes_in_the_order_of_the_jobs():
-    """The names are unknown to the processes, which see the true catalogue: they fail at once."""
     jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
     done = {}
     outcomes = run_jobs(jobs, Workers(workers=2), done.__setitem__)

@@ -108,7 +108,6 @@ def test_an_alarm_belongs_to_one_rupture_in_its_window(ruptures, alarms, pairs):
 
 
 def test_the_window_of_an_alarm_is_the_documented_one():
-    """In numbers: a window as long as one likes would find every rupture and no false alarm."""
     assert (EARLY_s, LATE_s) == (0.2, 1.5)
     values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth())
     assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)

@@ -126,7 +126,6 @@ def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():
 
 
 def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
-    """Of five of the insertions."""
     monkeypatch.setattr("benchmarks.recorded.liver.NUMBERS", (0, 8, 18, 26, 34))
     by_key = values(run_liver_real, "liver-real", recordings_dir)
     assert 5.0 < by_key["guess", "pullout_error_median_pct"] < 30.0

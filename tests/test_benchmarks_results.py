@@ -241,7 +241,6 @@ def test_every_target_names_metrics_and_benchmarks_that_exist():
 
 
 def test_the_limits_are_those_asked_for():
-    """So that nobody eases one unseen."""
     limits = {"ft": [5.0, 10.0, 5.0, 40.0, 6.0], "virtual": [10.0, 20.0, 10.0, 80.0, 12.0]}
     further = {"ft": [40.0, 12.0], "virtual": [80.0, 18.0]}
     plants = {"clean": limits, "fri": further, "degraded": further}

@@ -28,7 +28,6 @@ number = st.floats(-2.0, 2.0)
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
 def test_rls_equals_ridge_regression(rows):
-    """(7)(8) from covariance Psi_0 is a ridge regression; its error is the innovation."""
     state = (0.0, 0.0, 4.0, 0.0, 9.0)
     for x, y, f in rows:
         innovation = f - x * state[0] - y * state[1]
@@ -44,7 +43,6 @@ def test_rls_equals_ridge_regression(rows):
 
 
 def test_cusum_is_that_of_equation_9():
-    """It stays at zero in the standard case and grows in the other."""
     drift, threshold = cusum_constants(0.01, 0.08)
     assert drift == pytest.approx((0.08**2 + 0.01**2) / 2)
     assert threshold == pytest.approx((0.08**2 - 0.01**2) / 2)
@@ -54,7 +52,6 @@ def test_cusum_is_that_of_equation_9():
 
 @given(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
 def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
-    """Two steps over a ramp equal one over both."""
     slope = 3.0
     twice = derivative_step(1.0, slope * first_s, first_s, 0.2)
     twice = derivative_step(twice, slope * second_s, second_s, 0.2)
@@ -76,7 +73,6 @@ def test_ratios_stay_physical_whatever_was_measured(drop, force):
 
 
 def test_reweighting_is_equation_12_and_splits_the_force_by_the_ratios():
-    """Collinear columns: RLS from Psi'_0 splits the force as r_K : r_B."""
     speed, ratio = 2.3e-3, 0.4
     variance = reweighted_friction_variance(1e6, 1 - ratio, ratio, speed)
     assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)

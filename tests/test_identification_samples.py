@@ -107,7 +107,6 @@ def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt
 
 
 def test_events_are_on_the_clock_of_the_caller():
-    """Absolute time where it is given, else the sum of the intervals."""
     summed, absolute = Identifier(), Identifier()
     for k in range(8000):
         depth = 2.5e-6 * k - 2e-3
@@ -135,7 +134,6 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_events_count_depth_from_the_zero_of_the_caller(config):
-    """He moves his zero by 50 mm in free air: the estimate goes on, events are in his depth."""
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
     plain, moved = Identifier(config), Identifier(config)
     for k in range(9000):
@@ -204,7 +202,6 @@ def test_a_deviation_that_is_none_counts_as_not_stated(std):
 
 
 def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
-    """2.5 s of it are a gap, not one sample of a millisecond."""
     rows = [(2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)]
     seen, time_s, _ = check_rows(rows)
     rejected = [k for k, status in enumerate(seen) if status is SampleStatus.SPEED_SIGN]

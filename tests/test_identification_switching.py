@@ -103,8 +103,8 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
 def test_jitter_of_the_speed_is_no_sign_that_friction_is_the_same_at_all_speeds():
     run = insert_needle("gel-70-sinusoidal", seed=1, rate_hz=100.0)
     jitter = np.random.default_rng(1).standard_normal((2, len(run.t_s)))
-    depth_m, speed_m_s = run.depth_m + 1e-5 * jitter[0], run.speed_m_s + 1e-4 * jitter[1]
-    found = replay(run.t_s, depth_m, run.force_N, speed_m_s)
+    speed_m_s = run.speed_m_s + 1e-4 * jitter[1]
+    found = replay(run.t_s, run.depth_m + 1e-5 * jitter[0], run.force_N, speed_m_s)
     after = (run.t_s > run.truth.rupture_s[0] + 1.0) & (run.speed_m_s > 1e-4)
     enhanced_N = np.array([one.enhanced_force_N for one in found.estimates])[after]
     assert run.force_N[after].mean() > 0.9

@@ -95,7 +95,6 @@ def test_a_topic_is_read_by_the_definition_in_the_bag(tmp_path):
 
 @pytest.mark.parametrize("is_split_by_topic", [False, True])
 def test_a_bag_split_into_files_is_one_log(tmp_path, is_split_by_topic):
-    """Also files that were recorded side by side, for longer than a topic may be late."""
     rows = [row for row in insertion_rows(3000) if row[0] in ("/joint_states", "/ft/wrench")]
     parts = [rows[::2], rows[1::2]] if is_split_by_topic else [rows[:2000], rows[2000:]]
     whole = tmp_path / "whole"

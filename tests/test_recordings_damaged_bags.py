@@ -67,7 +67,6 @@ def whole(bags, tmp_path_factory):
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("share", [0.0002, 0.2, 0.5, 0.95])
 def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, whole, kind, share):
-    """What a chunk at the cut still holds counts: no chunk is thrown away as a whole."""
     name, data = bags[kind]
     (tmp_path / name).write_bytes(data[: int(share * len(data))])
     found, faults = messages_in(tmp_path / name)
@@ -125,7 +124,6 @@ def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.9])
 def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, whole, kind, share):
-    """After it, any bytes stand where a record should begin; none of them is the regular end."""
     name, data = bags[kind]
     at = int(share * len(data))
     (tmp_path / name).write_bytes(data[:at] + data[at + 1 :])

@@ -52,7 +52,6 @@ def basis(lwr):
 
 
 def test_bias_is_linear_in_its_physical_causes(lwr, basis):
-    """The link columns are the gravity torque of an error of mass and first moments."""
     data = lwr.create_data()
     model = lwr.model.copy()
     heavier = model.inertias[5]
@@ -97,7 +96,6 @@ def test_stated_covariance_is_believable(lwr, basis):
 
 
 def test_waviness_does_not_pass_for_a_slope(lwr, basis):
-    """A ripple along joint position, half a period of it seen, must widen the uncertainty."""
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)))
     ripple = 0.02 * np.sin(320.0 * blocks.q_rad + 1.0)
     wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
@@ -287,7 +285,6 @@ def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
 
 
 def test_a_short_tare_says_what_it_does_not_know(lwr):
-    """Rest alone shows no friction: the standard deviation grows when the arm moves, and holds."""
     arm, estimator = Arm(lwr, drawn_friction(5), 5), BiasEstimator(lwr, DEFAULT)
     arm.feed(estimator, tare_times(1.0))
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)

@@ -79,7 +79,6 @@ def test_joints_of_several_numbers_or_none_of_their_own_are_refused_unless_locke
 
 
 def test_links_left_out_go_with_all_that_they_carry(urdf_file):
-    """Whatever the order of the joints: the hand, its finger and the finger's joint are gone."""
     path = urdf_file(
         joint("finger_joint", "hand", "finger", kind="continuous"),
         *(link(name) for name in ("finger", "hand", "a")),

@@ -173,7 +173,6 @@ def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(l
 @pytest.mark.parametrize("count", [30, 60])
 @pytest.mark.parametrize("options", [{}, {"torque_noise_std_Nm": NOISE_NM}])
 def test_standard_deviations_are_true(lwr, posed, count, options):
-    """Errors over stated standard deviations, over 40 seeds."""
     q, tau = (x[:count] for x in posed)
     rows = []
     for seed in range(40):
@@ -187,7 +186,6 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
 
 
 def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
-    """A single pose; poses without gravity."""
     q, tau = posed
     estimate = identify_payload_static(lwr, q[:1], tau[:1])
     assert estimate.rank < 4
@@ -209,7 +207,6 @@ def test_a_negative_mass_is_no_payload_but_is_seen_in_the_parameters(lwr, posed)
 
 
 def test_the_flange_may_be_off_its_joint():
-    """The answer is in the flange's own axes, wherever the flange sits."""
     link = np.array([1, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1])
     place = pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.3]))
     joints = [

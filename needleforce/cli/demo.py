@@ -109,7 +109,8 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
     def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
-        smooth = np.convolve(made.rows(name), np.full(step, 1.0 / step), "same")[::step]
+        kept = made.rows(name)
+        smooth = np.convolve(kept, np.full(step, 1.0 / step), "same")[::step]
         return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)  # type: ignore[arg-type]
 
     ends = tuple((item.onset_s, item.end_s) for item in made.ruptures if item.layer)
@@ -166,13 +167,14 @@ def _rcm(progress: Progress) -> Shown:
         rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))
         progress(arm.time_s / (CIRCLE_S + 0.5))
     t_s, entry, error = np.array(rows)[::10].T
+    panels = (
+        Panel(y_label="entry [µm]", curves=(Curve(style=palette.OURS, x=t_s, y=1e6 * entry),)),
+        Panel(y_label="tip [mm]", curves=(Curve(style=palette.TIP, x=t_s, y=1e3 * error),)),
+    )
     chart = Chart(
         title="Remote centre of motion\nerror at the entry and of the tip, circle of 40 mm in 8 s",
         x_label=palette.TIME,
-        panels=(
-            Panel(y_label="entry [µm]", curves=(Curve(style=palette.OURS, x=t_s, y=1e6 * entry),)),
-            Panel(y_label="tip [mm]", curves=(Curve(style=palette.TIP, x=t_s, y=1e3 * error),)),
-        ),
+        panels=panels,
     )
     table = (
         ("entry, largest error", f"{1e3 * entry.max():.4f} mm"),
@@ -197,8 +199,10 @@ def _autonomous(progress: Progress) -> Shown:
         step = profile.update(now)
         if step.event:
             manager.request(step.event)
-        arm.send(control.update(sample, [line, AxialSpeed(step.speed_m_s), posture]).dq_rad_s)
-        rows.append((arm.time_s, 1e3 * arm.truth.depth_m, now.estimate.wrench.axial))
+        stack = [line, AxialSpeed(step.speed_m_s), posture]
+        arm.send(control.update(sample, stack).dq_rad_s)
+        truth = arm.truth
+        rows.append((arm.time_s, 1e3 * truth.depth_m, now.estimate.wrench.axial))
         if now.state == "insertion":
             inserted_s = min(inserted_s, arm.time_s)
         elif inserted_s < arm.time_s:
@@ -262,7 +266,8 @@ def _guidance(progress: Progress) -> Shown:
         else:
             valid = wrench.status is Status.OK
             sigma_Nm = sensor.residual_std_Nm
-            stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
+            wish = guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)
+            stack = [wish]
         arm.send(control.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)
@@ -270,19 +275,24 @@ def _guidance(progress: Progress) -> Shown:
     moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
     yielded = int(np.argmax(moved > 0.5))
     rest = t_s > PUSH_END_S + 1.0
-    chart = Chart(
-        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
-        x_label=palette.TIME,
-        panels=(
-            Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
-            Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
-        ),
-    )
+    chart = _guidance_chart(t_s, force, moved)
     table = (
         ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
         ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
     )
     return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
+
+
+def _guidance_chart(t_s: np.ndarray, force: np.ndarray, moved: np.ndarray) -> Chart:
+    panels = (
+        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
+        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
+    )
+    return Chart(
+        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
+        x_label=palette.TIME,
+        panels=panels,
+    )
 
 
 DEMOS: dict[str, Callable[[Progress], Shown]] = {

@@ -29,6 +29,7 @@ from needleforce.anatomy import (
     Registration,
     RegistrationError,
     Structure,
+    Surface,
     TouchSurface,
     fit_landmarks,
     fit_surface,
@@ -93,8 +94,9 @@ class Insertion(NamedTuple):
 
         The shift lies along the needle; what registration errs by across it stays in both.
         """
+        truth = self.truth[0] @ self.target_m + self.truth[1]
         axis = self.truth[0] @ (self.target_m - self.entry_m) / self.length_m
-        wrong = self.fine.to_robot(self.target_m) - (self.truth[0] @ self.target_m + self.truth[1])
+        wrong = self.fine.to_robot(self.target_m) - truth
         across = float(np.linalg.norm(wrong - (wrong @ axis) * axis))
         true = self.length_m + self.shift_m
         by_plan, corrected = np.hypot([self.length_m - true, self.stop_m - true], across).tolist()
@@ -111,7 +113,8 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
             tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half, VOXEL_m * np.eye(3)
         )
         structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
-        return Labels.of([torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures)
+        numbers = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
+        return Labels.of([numbers], grid, structures)
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     scans = sorted(folder.glob("ct.n*"))
     if not files or not scans:
@@ -146,7 +149,8 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         if found is None or not LENGTHS_m[0] < found < LENGTHS_m[1]:
             continue
         entry = target + found * axis
-        layers = thick_layers(labels.layers_along(entry, target))
+        crossed = labels.layers_along(entry, target)
+        layers = thick_layers(crossed)
         rank = -len(layers), found
         ends_inside = len(layers) > 1 and layers[-1].name == organ
         is_better = best is None or rank < best[0]
@@ -177,7 +181,8 @@ def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) 
     distance = step * np.arange(1, int(0.3 / step))
     index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
     valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    outside = np.flatnonzero(~(valid & body[tuple(np.where(valid[:, None], index, 0).T)]))
+    is_body = valid & body[tuple(np.where(valid[:, None], index, 0).T)]
+    outside = np.flatnonzero(~is_body)
     return float(distance[outside[0]]) if len(outside) and valid[outside[0]] else None
 
 
@@ -188,10 +193,7 @@ def register(
 
     Where the touches cannot register (a torso that could spin), it is the landmarks twice.
     """
-    body = Labels.of(
-        [inside_body(labels).astype(np.uint8)], labels.grid, [Structure.named("skin", 1)]
-    )
-    skin = body.surfaces()["skin"]
+    skin = _skin(labels)
     front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
     marks = front[_spread(front, LANDMARKS, rng)]
     robot = marks @ truth[0].T + truth[1] + 1e-3 * rng.normal(size=marks.shape)
@@ -205,6 +207,11 @@ def register(
         return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
     except RegistrationError:
         return rough, rough
+
+
+def _skin(labels: Labels) -> Surface:
+    volume = inside_body(labels).astype(np.uint8)
+    return Labels.of([volume], labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
 
 
 def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:

@@ -295,6 +295,5 @@ def panel_of(label: str, rows: Rows, x: NDArray, components: Sequence[_Component
     """Return the curves; the scale is that of the tared rows, if there are any."""
     curves = [curve for part in components for curve in component_curves(rows, x, part)]
     tared = [curve for curve in curves if curve.std is not None]
-    return Panel(
-        y_label=label, curves=tuple(curves), limits=limits_of(tared, None) if tared else None
-    )
+    limits = limits_of(tared, None) if tared else None
+    return Panel(y_label=label, curves=tuple(curves), limits=limits)

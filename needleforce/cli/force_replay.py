@@ -245,8 +245,10 @@ class Replay:
             now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
             if advances:
                 taring.before(now_s)
+            # The sensor reads no time step of the first sample.
+            step_s = dt_s if advances else 0.0
             dq = None if dq_rad_s is None or self.is_external else dq_rad_s[k]
-            found = update(q_rad[k], dq, torque_Nm[k], dt_s if advances else 0.0)
+            found = update(q_rad[k], dq, torque_Nm[k], step_s)
             estimates.append(found)
             is_rejected = found.status is Status.REJECTED
             gaps.append(not is_rejected and self._has_gap(now_s))

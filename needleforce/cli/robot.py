@@ -123,7 +123,8 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     if value is None and mapping is not None:
         value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
     if value is None:
-        value = "needle" if options.urdf is None and options.robot in (None, LWR) else NOTHING
+        is_lwr = options.urdf is None and options.robot in (None, LWR)
+        value = "needle" if is_lwr else NOTHING
     if value == NOTHING:
         return None
     if value == "needle":
