@@ -259,7 +259,6 @@ class SimulatedArm:
         self._unreported_s = 0.0  # of samples that a fault has lost
 
     def __iter__(self) -> Iterator[ArmSample]:
-        """The samples from now on."""
         return self
 
     def __next__(self) -> ArmSample:

@@ -69,7 +69,6 @@ class Torso:
     shapes: Sequence[Ellipsoid]
 
     def __getitem__(self, name: str) -> Ellipsoid:
-        """Return the shape of that name."""
         return next(shape for shape in self.shapes if shape.name == name)
 
     def crossings(self, entry_m: ArrayLike, target_m: ArrayLike) -> list[Stretch]:

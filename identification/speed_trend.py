@@ -1,4 +1,4 @@
-"""The speed that the law takes: of the filtered depth, over half a second where it changes slowly.
+"""The speed that the law takes: of the depth, over half a second where it changes slowly.
 
 Noise of a regressor passes for knowledge (errors in variables): where the speed hardly changes, a
 thousand forces of a few mN find in jitter of 0.02 mm/s that friction is the same at all speeds. So
@@ -20,6 +20,9 @@ square of such a mean, in units of its variance, from which on the filter is qui
 _WIDEST = 4.0
 """Standard deviations of the filtered speed's noise by which the trend may lie beside it; less,
 where it must be quick."""
+_LOST, _HASTY = 12.0, 2.0
+"""Such deviations beside it, as after a hard stop, from which on the trend begins anew; and the
+mean innovation with which it does, so that it is quick at first."""
 # Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed innovation.
 _SPEED, _SPREAD, _SURPRISE, _SIZE = 1, slice(3, 12), 12, 13
 
@@ -43,9 +46,10 @@ def follow_speed(
     depth_std, speed_std = noise
     white = 0.545 * depth_std**3 / max(speed_std, 1e-9) + 1e-12
     now = np.zeros(_SIZE)
-    if trend[3] == 0.0:
+    if trend[3] == 0.0 or abs(trend[_SPEED] - speed) > _LOST * speed_std:
         now[:3] = depth, speed, 0.0
         now[3], now[7], now[11] = white / dt_s, 4.0 * speed_std**2 + 1e-8, 100.0
+        now[_SURPRISE] = math.copysign(_HASTY, speed - trend[_SPEED])
         return speed, now
     gain = -math.expm1(-dt_s / _MEMORY_S)
     least = _SIGNIFICANT * gain / (2.0 - gain)

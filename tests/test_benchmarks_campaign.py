@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from contextlib import contextmanager
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -41,6 +42,7 @@ def cluster():
 
     with (
         config.set({"distributed.scheduler.allowed-failures": 1}),
+        patch.dict(os.environ),  # in which Dask sets numbers of threads for good
         distributed.LocalCluster(
             2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
         ) as local,

@@ -124,7 +124,6 @@ class Payload:
         return Payload.from_parameters(body.toDynamicParameters())
 
     def __add__(self, other: "Payload") -> "Payload":
-        """Join two bodies given in the same frame into one."""
         if not isinstance(other, Payload):
             return NotImplemented
         return Payload.from_parameters(self.parameters + other.parameters)

@@ -150,7 +150,6 @@ class Labels:
         return cls(volumes, grid, tuple(found.values()))
 
     def __getitem__(self, name: str) -> Structure:
-        """Return the structure of that name."""
         named = {item.name: item for item in self.structures}
         if name not in named:
             there = ", ".join(named)

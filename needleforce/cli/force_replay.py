@@ -52,7 +52,6 @@ class TareWindow:
     tare: Tare | None = None
 
     def __str__(self) -> str:
-        """In words."""
         return f"{self.start_s:.12g} to {self.end_s:.12g} s"
 
 

@@ -85,7 +85,6 @@ class LogSession:
         return INTERRUPTED if self.is_stopped() and not self._output.follow else 0
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows."""
         is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
         with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
             request = self._request

@@ -64,7 +64,6 @@ class InsertionPlan:
     acceleration_m_s2: float = 0.3
 
     def __post_init__(self) -> None:
-        """Check every number."""
         require_positive(asdict(self), or_zero=("approach_m", "dwell_s"))
 
 

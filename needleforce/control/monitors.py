@@ -45,7 +45,6 @@ class SafetyLimits:
     reaction_s: float = 0.015
 
     def __post_init__(self) -> None:
-        """Check every limit."""
         require_positive(asdict(self))
 
 

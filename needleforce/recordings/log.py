@@ -75,11 +75,9 @@ class Log:
         object.__setattr__(self, "channels", MappingProxyType(channels))
 
     def __len__(self) -> int:
-        """Return the number of rows."""
         return self.t_s.size
 
     def __contains__(self, name: object) -> bool:
-        """Return whether the log has this channel."""
         return name in self.channels
 
     def __getitem__(self, name: str) -> FloatArray:

@@ -50,7 +50,6 @@ class Closing(AbstractContextManager[Any]):
         """End it."""
 
     def __exit__(self, *error: object) -> None:
-        """Close it."""
         self.close()
 
 
