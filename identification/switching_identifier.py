@@ -201,7 +201,8 @@ class SwitchingMethod:
         is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, _REPORT
         if (is_advancing or not is_met) and not is_gap:
             course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
-            levels = levels.with_force(force, filled, v)
+            # A force that is being released is no noise.
+            levels = levels.restarted() if state.is_open else levels.with_force(force, filled, v)
             left = levels.beside(state.tissue, sample[-1])
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.

@@ -193,21 +193,21 @@ def test_a_gap_in_time_is_no_rupture():
     rows = straight(9)
     early, late = rows[:2500], rows[3200:4000]
     identifier, _ = run(early)
-    depth, speed, force, _ = late[0]
-    first = identifier.update(depth, speed, force, 0.701)
+    first = identifier.update(*late[0][:3], 0.701)
     assert first.status is SampleStatus.TIME_GAP
     _, estimates = run(late[1:], identifier)
     assert of(estimates, "rupture") == []
 
 
 @pytest.mark.parametrize("rate_hz", [1000, 50, 20])
-def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
-    every = 1000 // rate_hz
-    rows = [(*row[:3], 1e-3 * every) for row in straight(seed=8, noise_N=0.02)[::every]]
+def test_noise_of_the_force_is_known_at_any_rate_and_ruptures_are_none(rate_hz):
+    every, slow = 1000 // rate_hz, insertion([(46e-3, 23.0)], seed=8, noise_N=0.02)
+    rows = [(*row[:3], 1e-3 * every) for row in slow[::every]]
     levels = run(rows)[0].snapshot().state.levels
     samples = max(round(0.01 * rate_hz), 1)
     assert levels.levels[0] == pytest.approx(0.02**2 / samples, rel=0.5)
     assert levels.step_s == pytest.approx(samples / rate_hz)
+    assert max(levels.levels[2:]) < 2e-3
 
 
 @pytest.mark.parametrize("probability", [0.3, 1.0, np.nan, -1.0])
