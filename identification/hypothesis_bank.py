@@ -89,6 +89,7 @@ class Place(NamedTuple):
     noise: float  # standard deviation of a block's force [N]
     raw: float = 0.0  # unfiltered depth [mm]
     lag_s: float = 0.0  # by which the speed may be late
+    before: float = 0.0  # mean force over the block before [N]
 
 
 def first_bank() -> Bank:
@@ -137,7 +138,8 @@ class BankMemory:
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
         scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
-        moment = (*scene, time_s, tissue_speed, place.force, float(reported))
+        # A release can be over within a block: what it fell from is the force of the one before.
+        moment = (*scene, time_s, tissue_speed, place.before, float(reported))
         for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
             for what, becomes, is_kept, releases, chance in happens:

@@ -17,12 +17,10 @@ _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
 _MEMORY_S, _MOST_SURPRISE, _SIGNIFICANT = 0.2, 5.0, 16.0
 """Time over which innovations are averaged; standard deviations that one of them counts at most;
 square of such a mean, in units of its variance, from which on the filter is quicker."""
-_WIDEST = 4.0
-"""Standard deviations of the filtered speed's noise by which the trend may lie beside it; less,
-where it must be quick."""
-_LOST, _HASTY = 12.0, 2.0
-"""Such deviations beside it, as after a hard stop, from which on the trend begins anew; and the
-mean innovation with which it does, so that it is quick at first."""
+_WIDEST, _LOST, _HASTY = 4.0, 12.0, 2.0
+"""Standard deviations of the filtered speed's noise by which the trend may lie beside it, less
+where it must be quick; from which on, as after a hard stop, it begins anew; and the mean innovation
+with which it does, so that it is quick at first."""
 # Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed innovation.
 _SPEED, _SPREAD, _SURPRISE, _SIZE = 1, slice(3, 12), 12, 13
 

@@ -184,7 +184,7 @@ class SwitchingMethod:
         """Let every hypothesis predict the force of the block, and learn from it."""
         state, memory, bank = self._state, self._memory, self._bank
         course, levels, last = state.course, state.levels, state.course.deepest
-        place, jitter, speed_noise = _block(sample[-1], memory)
+        place, jitter, speed_noise = _block(sample[-1], memory, state.place.force)
         filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
         faded = math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM)
         usual = max(course.usual_speed * faded, v)
@@ -247,7 +247,7 @@ class SwitchingMethod:
         self._state = state._replace(course=course, stage=_PRUNE)
 
 
-def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
+def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:
     """Means of a block that is full, and noise of its depth and speed; the next one begins."""
     filled, z, v, w, force, raw, *_, jitter, speed_noise = np.array(memory).tolist()
     memory[: samples.RAW_SUM + 1] = [0.0] * (samples.RAW_SUM + 1)
@@ -256,7 +256,7 @@ def _block(time_s: float, memory: Array) -> tuple[Place, float, float]:
     # A filter that leaves so much noise in both is as slow as their ratio.
     lag_s = reports.speed_lag(jitter, speed_noise)
     at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
-    return Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s), jitter, speed_noise
+    return Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before), jitter, speed_noise
 
 
 def _in_tissue(sample: Sample, tissue: TissueMotion, clock_s: float) -> Sample:

@@ -17,9 +17,7 @@ from identification.rupture_report import (
 )
 from identification.tissue_motion import TissueMotion
 
-PLACE = Place(
-    3.0, 0.01, depth=12.0, speed=4.0, deflection=1.0, force=0.9, usual_speed=4.0, noise=0.01
-)
+PLACE = Place(*(3.0, 0.01, 12.0, 4.0, 1.0, 0.9), usual_speed=4.0, noise=0.01, before=1.1)
 
 
 def hypothesis(seed, kind, *, is_held=False):
@@ -69,6 +67,7 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     before = hypothesis(5, law.LAYER)
     born = spawn(before, PLACE, PLACE.depth - 0.3)
     exits = (born.facts[:, law.RUPTURES] == 2.0) & (born.facts[:, law.IS_HELD] == 0.0)
+    assert set(born.records[exits, law.RUPTURE_FORCE]) == {1.1}  # of the block before
     length = PLACE.depth - 4.0
     own = before.means[0, law.OWN_COULOMB] + PLACE.speed * before.means[0, law.OWN_VISCOUS]
     assert born.means[exits, law.LEFT] == pytest.approx(np.full(exits.sum(), length * own))
