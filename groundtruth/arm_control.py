@@ -78,8 +78,7 @@ def drive(
     plant.place(q_rad[0], dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
         error = q_rad[k] - plant.q_rad
-        velocity_error = dq_rad_s[k] - plant.dq_rad_s
-        torque = _joint_torque(error, velocity_error, mass[k // MASS_TICKS], ahead)
+        torque = _joint_torque(error, dq_rad_s[k] - plant.dq_rad_s, mass[k // MASS_TICKS], ahead)
         if k % _REPORT_TICKS == 0:
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
                 raise PlantError(

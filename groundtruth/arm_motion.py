@@ -50,8 +50,7 @@ def needle_down(robot: Robot, posture_rad: Array) -> Array:
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)
     tool = data.oMf[robot.tool_frame_id]
-    down = np.array([0.0, 0.0, -1.0])
-    turn = pin.Quaternion.FromTwoVectors(tool.rotation[:, 2], down).matrix()
+    turn = pin.Quaternion.FromTwoVectors(tool.rotation[:, 2], np.array([0.0, 0.0, -1.0])).matrix()
     turned = _solve(robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation))
     _check_postures(robot, data, turned[None])
     return turned
@@ -79,8 +78,7 @@ def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]
     indices = sorted(knots)
     postures = np.array([knots[index] for index in indices])
     _check_postures(robot, data, postures)
-    spline = make_interp_spline(np.array(indices) * _KNOT_SPACING_m, postures, k=5)
-    return spline, start
+    return make_interp_spline(np.array(indices) * _KNOT_SPACING_m, postures, k=5), start
 
 
 def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
@@ -125,8 +123,7 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     angle = 2.0 * np.pi * _FREQUENCY_Hz
     sine, cosine = np.sin(moving[:, None] * angle), np.cos(moving[:, None] * angle)
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
-    at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
-    rate[at_rest] = 0.0
+    rate[(time <= _REST_s) | (time >= duration_s - _REST_s)] = 0.0
     return centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, _AMPLITUDE_rad * rate
 
 

@@ -79,8 +79,7 @@ class PlantBodies:
         model = self.kinematics.model.copy()
         for joint, link in enumerate(self.links, start=1):
             model.inertias[joint] = link
-        last = len(self.links)
-        model.inertias[last] = (
+        model.inertias[len(self.links)] = (
             self.links[-1]
             + _placement(self.robot, self.robot.flange_frame).act(self.sensor)
             + _placement(self.robot, "ft_sensor").act(self.needle)
@@ -273,8 +272,7 @@ class ArmPlant:
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
         self.tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
         self._tip_axis: Array = self.tip_axes[:, 2]
-        elbow = self._model.body("link_4").id
-        self._elbow_force: Array = self._data.xfrc_applied[elbow, :3]
+        self._elbow_force: Array = self._data.xfrc_applied[self._model.body("link_4").id, :3]
         self.tip_m: Array = self._data.xpos[self._tip]
         self._jacobian = np.zeros((3, self._model.nv))
         self.q_rad: Array = self._data.qpos

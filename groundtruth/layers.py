@@ -122,8 +122,7 @@ class ShaftFriction:
         """Friction per length in steady sliding; it has the sign of the speed, zero at rest."""
         if speed_m_s == 0.0:
             return 0.0
-        coulomb = math.copysign(self.coulomb_N_per_m, speed_m_s)
-        return coulomb + self.rising_N_per_m(speed_m_s)
+        return math.copysign(self.coulomb_N_per_m, speed_m_s) + self.rising_N_per_m(speed_m_s)
 
     def rising_N_per_m(self, speed_m_s: float) -> float:
         """The part of the friction per length that grows with speed, with the speed's sign."""

@@ -133,8 +133,7 @@ class Motion:
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
             raise MotionError("t_s has a value that is not finite; give times in seconds")
-        starts = [stroke.start_s for stroke in self.strokes[1:]]
-        index = np.searchsorted(starts, t, side="right")
+        index = np.searchsorted([stroke.start_s for stroke in self.strokes[1:]], t, side="right")
         out = np.empty_like(t)
         for i in np.unique(index):
             inside = index == i

@@ -129,8 +129,7 @@ class Trocar:
         lever = (along * axis[0], along * axis[1], along * axis[2])
         speed = add(motion.velocity_m_s, cross(motion.angular_velocity_rad_s, lever))
         across = add(speed, axis, -dot(speed, axis))
-        apart = add(self.point_m, nearest, -1.0)
-        pull = add(NO_FORCE, apart, self.stiffness_N_per_m)
+        pull = add(NO_FORCE, add(self.point_m, nearest, -1.0), self.stiffness_N_per_m)
         return add(pull, across, -self.damping_Ns_per_m), nearest
 
 
@@ -220,8 +219,7 @@ class HandOnArm:
             push = fx, fy, fz
         if self.path_m is not None:
             px, py, pz = self.path_m(t_s)
-            wanted = add(self._hold_m, (px, py, pz))
-            self.stretch_m = add(wanted, motion.position_m, -1.0)
+            self.stretch_m = add(add(self._hold_m, (px, py, pz)), motion.position_m, -1.0)
             push = add(push, self.stretch_m, self.stiffness_N_per_m)
             push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
         self.applied_N = push

@@ -92,8 +92,7 @@ def _relative_drift(
     if plant_model.torque_warm_up == 0.0:
         return drift
     cold = np.exp(-np.arange(shape[0]) * TICK_s / plant_model.warm_up_s)
-    sign = rng.choice((-1.0, 1.0), shape[1])
-    return drift + plant_model.torque_warm_up * sign * cold[:, None]
+    return drift + plant_model.torque_warm_up * rng.choice((-1.0, 1.0), shape[1]) * cold[:, None]
 
 
 def backlash(signal: Array, half_width: Array) -> Array:

@@ -131,10 +131,9 @@ def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
     """Lay the tissue so that the zero of the scenario's motion is its surface."""
     _, start = path
     axis = start.rotation[:, 2].copy()
-    surface = start.translation - scenario.motion.start_m * axis
     return TissueContact(
         law=scenario.new_tissue(),
-        surface_in_base_m=surface,
+        surface_in_base_m=start.translation - scenario.motion.start_m * axis,
         axis_in_base=axis,
         motion=scenario.tissue_motion,
         lateral=scenario.lateral,
@@ -203,8 +202,7 @@ def insert_needle(
         inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
     law = chosen.new_tissue()
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
-    forces = [law.step(z, v, 1.0 / rate_hz) for z, v in samples]
-    truth = collect_truth(law, t_s, inside_m, forces)
+    truth = collect_truth(law, t_s, inside_m, [law.step(z, v, 1.0 / rate_hz) for z, v in samples])
     rng = np.random.default_rng(seed)
     return NeedleRun(
         scenario=chosen,

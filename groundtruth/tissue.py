@@ -53,8 +53,7 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
     stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 % at 2.3 mm/s).
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
-    settled = 1.0 / (RELAXATION_S * rate)
-    return relaxed - (settled - relaxed) * math.expm1(-rate * dt_s)
+    return relaxed - (1.0 / (RELAXATION_S * rate) - relaxed) * math.expm1(-rate * dt_s)
 
 
 def bristle_step(

@@ -212,8 +212,7 @@ class InsertionSession:
         As `update`, with the torque of the environment on the joints [Nm], shape (n,), in place of
         the measured one.
         """
-        wrench = self._sensor.update_external_torque(q, dq, external_torque, dt_s)
-        return self._follow(wrench)
+        return self._follow(self._sensor.update_external_torque(q, dq, external_torque, dt_s))
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.

@@ -98,8 +98,7 @@ class FreeMotionFit:
             for d, w, far in zip(density, wave, apart, strict=True)
         ]
         self._left = self._solve(std, groups)
-        square = np.square(self._left).mean(axis=0)
-        return blocks.scatter_Nm2 + np.maximum(white + wave, square)
+        return blocks.scatter_Nm2 + np.maximum(white + wave, np.square(self._left).mean(axis=0))
 
     def contact_N(self, axis: Array) -> tuple[float, float]:
         """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
@@ -200,8 +199,7 @@ def _likeliest_sizes(
     for _ in range(SWEEPS):
         before = dict(octaves)
         for name in groups:
-            tried = [octaves | {name: float(k)} for k in OCTAVES]
-            octaves = max(tried, key=likelihood)
+            octaves = max([octaves | {name: float(k)} for k in OCTAVES], key=likelihood)
         if octaves == before:
             break
     return {name: 2.0**k for name, k in octaves.items()}

@@ -106,8 +106,7 @@ def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Arr
     way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
     now[0], now[1], now[2] = q, dq, way / dt_s
-    jump = np.abs(now[2] - motion[2]).max()
-    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
+    if np.abs(now[2] - motion[2]).max() <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
         kept = math.exp(-dt_s / TRAVEL_S)
         now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
     return now, bool(travels(now).any())

@@ -193,11 +193,10 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     """
     n = len(scale)
     masses = np.concatenate([basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad])
-    offsets = np.tile(np.eye(n), (len(blocks.q_rad), 1))
     # An offset is expected within one unit: beyond, it costs as much as so many blocks.
     prior = np.hstack((np.zeros((n, 4)), np.sqrt(OFFSET_BLOCKS) * np.eye(n)))
     residual = (blocks.residual_Nm / scale).ravel()
-    columns = np.vstack((np.hstack((masses, offsets)), prior))
+    columns = np.vstack((np.hstack((masses, np.tile(np.eye(n), (len(blocks.q_rad), 1)))), prior))
     # Directions that a short motion does not show stay at zero.
     found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
     mass, is_body = float(found[0]), np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])

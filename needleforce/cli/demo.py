@@ -109,8 +109,7 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
     def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
-        kept = made.rows(name)
-        smooth = np.convolve(kept, np.full(step, 1.0 / step), "same")[::step]
+        smooth = np.convolve(made.rows(name), np.full(step, 1.0 / step), "same")[::step]
         return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)  # type: ignore[arg-type]
 
     ends = tuple((item.onset_s, item.end_s) for item in made.ruptures if item.layer)
@@ -199,10 +198,8 @@ def _autonomous(progress: Progress) -> Shown:
         step = profile.update(now)
         if step.event:
             manager.request(step.event)
-        stack = [line, AxialSpeed(step.speed_m_s), posture]
-        arm.send(control.update(sample, stack).dq_rad_s)
-        truth = arm.truth
-        rows.append((arm.time_s, 1e3 * truth.depth_m, now.estimate.wrench.axial))
+        arm.send(control.update(sample, [line, AxialSpeed(step.speed_m_s), posture]).dq_rad_s)
+        rows.append((arm.time_s, 1e3 * arm.truth.depth_m, now.estimate.wrench.axial))
         if now.state == "insertion":
             inserted_s = min(inserted_s, arm.time_s)
         elif inserted_s < arm.time_s:
@@ -266,8 +263,7 @@ def _guidance(progress: Progress) -> Shown:
         else:
             valid = wrench.status is Status.OK
             sigma_Nm = sensor.residual_std_Nm
-            wish = guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)
-            stack = [wish]
+            stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
         arm.send(control.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)

@@ -113,8 +113,7 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
             tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half, VOXEL_m * np.eye(3)
         )
         structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
-        numbers = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
-        return Labels.of([numbers], grid, structures)
+        return Labels.of([torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures)
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     scans = sorted(folder.glob("ct.n*"))
     if not files or not scans:
@@ -149,8 +148,7 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         if found is None or not LENGTHS_m[0] < found < LENGTHS_m[1]:
             continue
         entry = target + found * axis
-        crossed = labels.layers_along(entry, target)
-        layers = thick_layers(crossed)
+        layers = thick_layers(labels.layers_along(entry, target))
         rank = -len(layers), found
         ends_inside = len(layers) > 1 and layers[-1].name == organ
         is_better = best is None or rank < best[0]
@@ -181,8 +179,7 @@ def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) 
     distance = step * np.arange(1, int(0.3 / step))
     index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
     valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    is_body = valid & body[tuple(np.where(valid[:, None], index, 0).T)]
-    outside = np.flatnonzero(~is_body)
+    outside = np.flatnonzero(~(valid & body[tuple(np.where(valid[:, None], index, 0).T)]))
     return float(distance[outside[0]]) if len(outside) and valid[outside[0]] else None
 
 

@@ -178,8 +178,7 @@ def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
         for name in ("shown_N", "raw_N"):
             force = run.rows(name)
             smooth = np.convolve(force[after], np.full(MEAN_TICKS, 1.0 / MEAN_TICKS), "valid")
-            first_N = force[before].mean()
-            drops.append(float(1.0 - max(smooth.min(), 0.0) / max(first_N, 0.05)))
+            drops.append(float(1.0 - max(smooth.min(), 0.0) / max(force[before].mean(), 0.05)))
         error_N = float(np.mean(run.rows("shown_N")[before] - run.rows("tip_N")[before]))
         late = alarms[(alarms >= rupture.onset_s) & (alarms < rupture.onset_s + LATEST_ALARM_s)]
         delay_s = float(late[0] - rupture.onset_s) if len(late) else float("nan")

@@ -123,8 +123,7 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     if value is None and mapping is not None:
         value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
     if value is None:
-        is_lwr = options.urdf is None and options.robot in (None, LWR)
-        value = "needle" if is_lwr else NOTHING
+        value = "needle" if options.urdf is None and options.robot in (None, LWR) else NOTHING
     if value == NOTHING:
         return None
     if value == "needle":
