@@ -18,7 +18,7 @@ from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02  # least travel between new hypotheses
 HAZARD = 0.02  # ruptures per mm of travel, beforehand
-RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 2.0])
+RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
 """Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
 PARTIAL_RELEASES_MM = np.array([0.5, 1.5])  # of a partial rupture: within liver 0.5 to 2 mm
 _NO_RELEASES_MM = np.array([0.3])
@@ -44,8 +44,8 @@ Rows = NDArray[np.int64]
 class Bank(NamedTuple):
     """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
 
-    means: Array  # of the unknowns, shape (n, 19)
-    spreads: Array  # their covariances, shape (n, 19, 19)
+    means: Array  # of the unknowns, shape (n, 20)
+    spreads: Array  # their covariances, shape (n, 20, 20)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
     facts: Array  # what it takes for certain, shape (n, 10)
     records: Array  # what it says of the last rupture, shape (n, 16)

@@ -1,15 +1,16 @@
 """One hypothesis: what is unknown of the force, once it is given how the tissue gave way.
 
-Given a history of events the axial force is linear in nineteen unknowns:
+Given a history of events the axial force is linear in twenty unknowns:
 
-    f = o + C w + V v + R r(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
+    f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
 
 with o the offset; C, V Coulomb and viscous friction of the layers left; R the tip force being
-released, U what of it stays and fades later, T the force held or needed to cut, K, H stiffness; c,
-b friction per length of shaft in the layer; d disturbances: the colour of the sensor's noise,
-heartbeat, breathing, and the error of this law. Known are w, the presliding deflection (1 when
-sliding inwards), v the speed, x the travel of the tip and y the length of shaft in the layer, and e
-is white. An event is a linear map of the unknowns that leaves the force as it is.
+released, L the part of it by which its release is longer than assumed, U what of it stays and fades
+later, T the force held or needed to cut, K, H stiffness; c, b friction per length of shaft in the
+layer; d disturbances: the colour of the sensor's noise, heartbeat, breathing, and the error of this
+law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel of
+the tip and y the length of shaft in the layer, and e is white. An event is a linear map of the
+unknowns that leaves the force as it is.
 
 So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
 well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
@@ -32,10 +33,10 @@ from needleforce.jit import (
 
 # Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the last one that
 # was reported before it; EARLIER: the same of that one.
-OFFSET, COULOMB, VISCOUS, RELEASED, HELD, STIFFNESS, STIFFENING, KEPT = range(8)
-OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(8, 12)
-COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(12, 19)
-UNKNOWNS, FACTS, RECORDS = 19, 10, 16
+OFFSET, COULOMB, VISCOUS, RELEASED, LONGER, HELD, STIFFNESS, STIFFENING, KEPT = range(9)
+OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(9, 13)
+COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(13, 20)
+UNKNOWNS, FACTS, RECORDS = 20, 10, 16
 _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
 # Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
@@ -74,7 +75,9 @@ KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
 """Of a tip force that stays after its rupture, and the travel over which it fades: chosen, between
 the 30 and 60 % that partial ruptures in liver suggest."""
 NO_RELEASE, NEVER = -1e9, -1e8  # depth of a release before any, and one that no release is above
-SHAPE_ERROR = 0.1  # of a release or an onset of cutting, as part of its force
+SHAPE_ERROR, SHAPE_MM, ONSET_ERROR = 0.08, 0.02, 0.1
+"""Of a release, as part of its force, alike over so much travel; of an onset of cutting."""
+LENGTH_ERROR = 0.12  # of the logarithm of a release's length: so far apart are those assumed
 TEMPER = 0.5  # weight of evidence: errors of the law are alike from one block to the next
 FREEDOM = 8.0  # degrees of freedom of Student's t: a single surprise proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
@@ -149,10 +152,11 @@ def _turn(spread: WrittenMatrix, at: int, turn: Vector) -> None:
 
 @compiled
 def regressor(fact: Vector, scene: Scene) -> Vector:
-    """Row of a hypothesis at one place: force = row @ unknowns, shape (19,)."""
+    """Row of a hypothesis at one place: force = row @ unknowns, shape (20,)."""
     depth, speed, deflection = scene
     row = np.zeros(UNKNOWNS)
-    released = (1.0 - min(max((depth - fact[RELEASE]) / fact[LENGTH], 0.0), 1.0)) ** 2
+    gone = min(max((depth - fact[RELEASE]) / fact[LENGTH], 0.0), 1.0)
+    released = (1.0 - gone) ** 2
     travel, length = max(depth - fact[TIP], 0.0), max(depth - fact[ROOT], 0.0)
     if fact[IS_PUNCTURED] > 0.0:
         # What a membrane had pushed in springs back along the shaft as its force is released.
@@ -160,6 +164,7 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
     onset = min(travel / CUTTING_ONSET_MM, 1.0)
     row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = 1.0, deflection, speed, released
     row[HELD] = 1.0 - released if fact[IS_HELD] > 0.0 else onset * (2.0 - onset)
+    row[LONGER] = 2.0 * gone * (1.0 - gone)  # derivative of `released` by the length's logarithm
     row[STIFFNESS], row[STIFFENING] = travel, travel * travel
     if fact[RELEASE] > NEVER:
         row[KEPT] = max(1.0 - (depth - fact[RELEASE]) / KEPT_MM, 0.0) ** 2 - released
@@ -198,19 +203,19 @@ def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turn
 
 @compiled
 def absorb(
-    store: Store, n: int, scene: Scene, force: float, variance: float, depth_std: float
+    store: Store, n: int, scene: Scene, force: float, block: tuple[float, float, float]
 ) -> None:
-    """Use the mean force of a block for n hypotheses, with a variance that is common to them."""
-    means, spreads, log_weights, facts, records = store
+    """Use a block's mean force for n hypotheses: its travel, variance, the depth's deviation."""
+    (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = store, block
+    shape = SHAPE_ERROR * math.sqrt(max(SHAPE_MM / max(travel, 0.1 * SHAPE_MM), 1.0))
     for k in range(n):
         mean, spread, fact = means[k], spreads[k], facts[k]
         records[k, LEAST_FORCE] = min(records[k, LEAST_FORCE], force)
         row = regressor(fact, scene)
-        gone = min(max((scene[0] - fact[RELEASE]) / fact[LENGTH], 0.0), 1.0)
         early = max(1.0 - max(scene[0] - fact[TIP], 0.0) / CUTTING_ONSET_MM, 0.0)
-        noise = variance + (SHAPE_ERROR * mean[RELEASED]) ** 2 * 4.0 * gone * (1.0 - gone)
-        noise += (SHAPE_ERROR * mean[HELD] * early) ** 2
-        noise += (2.0 * mean[RELEASED] * (1.0 - gone) / fact[LENGTH] * depth_std) ** 2
+        noise = variance + (shape * mean[RELEASED]) ** 2 * 2.0 * row[LONGER]
+        noise += (ONSET_ERROR * mean[HELD] * early) ** 2
+        noise += (2.0 * mean[RELEASED] / fact[LENGTH] * depth_std) ** 2 * row[RELEASED]
         cross = _times(spread, row)
         total = max(np.dot(row, cross), 0.0) + noise
         error = force - np.dot(row, mean)
@@ -272,6 +277,7 @@ def after_event(
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
     if what in (EXIT, PARTIAL):  # the error of the law was the tip's, and goes with it
+        noise[LONGER] = (LENGTH_ERROR * np.dot(tip, mean)) ** 2
         tip[LAW] = 1.0
         change[LAW : LAW_RATE + 1] = 0.0
         noise[LAW] = (LAW_ERROR * LEFT_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
@@ -393,8 +399,7 @@ def weigh(
     for k in range(n):
         mean, fact, kind, travel = means[k], facts[k], facts[k, KIND], depth - facts[k, TIP]
         if is_advancing and fact[IS_JUDGED] == 0.0 and travel > 1.0:
-            is_certain = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
-            fact[IS_JUDGED] = 1.0 if is_certain else 0.0
+            fact[IS_JUDGED] = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
         is_held, own = fact[IS_HELD] > 0.0, fact[OWN_FORCE]
         log_weights[k] += _hold(mean, spreads[k], kind == LAYER and not is_held)
         if own > 0.0 and depth > fact[RELEASE] + fact[LENGTH] + 0.1:

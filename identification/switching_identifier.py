@@ -49,6 +49,7 @@ _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3  # travel after a rupture at which its lay
 _REVISE_S = 0.1  # time between two revisions of the layers left
 _MOTION_MM = 0.1
 """Of tissue with the heart, one standard deviation, if its beat is not known better."""
+_SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _SPAWN, _PRUNE, _REPORT, _FOLLOW = range(5)
 
@@ -91,6 +92,14 @@ class SwitchingState(NamedTuple):
     def is_open(self) -> bool:
         """Whether the layer of the last alarm is not among the layers yet."""
         return self.alarm is not None and layers_traversed(self.layers) < self.alarm.layer
+
+    @property
+    def is_series(self) -> bool:
+        """Whether the last alarm came so soon after another that a heart may have raised both."""
+        if self.alarm is None:
+            return False
+        before = [layer.rupture.time_s for layer in self.layers if layer.layer < self.alarm.layer]
+        return bool(before) and self.alarm.time_s - before[-1] < _SERIES_S
 
     def friction_left(self, bank: Bank, *, before: bool = False) -> tuple[float, float] | None:
         """As `rupture_report.friction_left`, with what the force's error grew by since the air."""
@@ -201,8 +210,9 @@ class SwitchingMethod:
         is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, _REPORT
         if (is_advancing or not is_met) and not is_gap:
             course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
-            # A force that is being released is no noise.
-            levels = levels.restarted() if state.is_open else levels.with_force(force, filled, v)
+            # A force that is being released is no noise; beats are.
+            is_release = state.is_open and not state.is_series
+            levels = levels.restarted() if is_release else levels.with_force(force, filled, v)
             left = levels.beside(state.tissue, sample[-1])
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.
@@ -312,7 +322,8 @@ def _learn(
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
         variance += (loose * (place.force - best[law.OFFSET])) ** 2
     scene = (place.depth, place.speed, place.deflection)
-    law.absorb(bank.store, bank.size, scene, place.force, variance, depth_std)
+    block = (abs(place.speed) * place.dt_s, variance, depth_std)
+    law.absorb(bank.store, bank.size, scene, place.force, block)
 
 
 def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
@@ -379,14 +390,16 @@ def _raise_alarm(
     number = layers_traversed(layers) + 1
     at = (sample[0], sample[2], sample[-1])
     rupture = reports.rupture_of(bank, evaluation.pick, number, evaluation.more, at)
-    return state._replace(
+    state = state._replace(
         alarm=rupture,
         ruptures=int(bank.facts[evaluation.pick, law.RUPTURES]),
         layers=layers,
         rupture_state=RuptureState.DETECTED,
-        tissue=state.tissue.restarted(sample[-1]),
         events=events._replace(rupture=rupture),
     )
+    # Every beat may raise an alarm until it is known: then the window has to grow across them.
+    is_beat = state.is_series and not state.tissue.is_known
+    return state if is_beat else state._replace(tissue=state.tissue.restarted(sample[-1]))
 
 
 def _take_back(

@@ -26,7 +26,7 @@ from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 16
+SNAPSHOT_VERSION = 17
 """Grows whenever a file of the version before could no longer be read, or would be misread."""
 MOST_BYTES = 64 << 20
 """A snapshot has a megabyte or two; a device or a wrong file is not read to its end."""
