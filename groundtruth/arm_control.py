@@ -19,8 +19,7 @@ BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture
 move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
-MASS_TICKS = 10
-"""The mass matrix is refreshed every so many ticks: the arm turns by 5 mrad meanwhile at most."""
+MASS_TICKS = 10  # For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most
 
 _REPORT_TICKS = 500
 _MAX_POSITION_ERROR_rad = 0.02

@@ -15,8 +15,7 @@ LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
 bent and out of the vertical plane, tip 0.29 m above the base. Condition number of the Jacobian
 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
 
-FREE_MOTION_s = 20.0
-"""Length of the joint motion that follows the tare stroke where there is no tissue."""
+FREE_MOTION_s = 20.0  # Length of the joint motion after the tare stroke where there is no tissue
 
 _KNOT_SPACING_m = 5e-3
 _TOLERANCE = 1e-12
@@ -31,8 +30,7 @@ _REST_s = 1.0
 _FADE_s = 4.0
 
 
-JointMotion = tuple[Array, Array]
-"""Joint positions [rad] and velocities [rad/s] at equally spaced ticks, shape (n + 1, 7) each."""
+JointMotion = tuple[Array, Array]  # Positions [rad] and velocities [rad/s], (n + 1, 7) each
 InsertionPath = tuple[BSpline, pin.SE3]
 """A straight line of the tool frame along its own z axis: joint positions (7,) as a function of
 travel in m, and where the tool frame is in the base at travel zero.
@@ -123,7 +121,8 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     angle = 2.0 * np.pi * _FREQUENCY_Hz
     sine, cosine = np.sin(moving[:, None] * angle), np.cos(moving[:, None] * angle)
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
-    rate[(time <= _REST_s) | (time >= duration_s - _REST_s)] = 0.0
+    at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
+    rate[at_rest] = 0.0
     return centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, _AMPLITUDE_rad * rate
 
 

@@ -177,8 +177,7 @@ STRIBECK_SPEED_rad_s = 0.05
 """Speed over which the peak falls off. Chosen between the joint speeds of an insertion (0.005
 rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction than the insertion
 meets."""
-PRESLIDING_rad = 1e-4
-"""Rotation over which a bearing begins to slide. Chosen: 5 um at a bearing radius of 50 mm."""
+PRESLIDING_rad = 1e-4  # Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm
 
 
 def bearings(

@@ -15,13 +15,11 @@ from groundtruth.errors import (
     require_positive,
 )
 
-CUTTING_ONSET_M = 1e-3
-"""Penetration over which the cutting force builds up: about one needle diameter (18G 1.27 mm)."""
+CUTTING_ONSET_M = 1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
 a thinner layer the rest goes with its own rupture."""
-SPEED_ROUNDING_M_S = 2e-5
-"""Below it a power law of speed is linear: no physics step can follow an infinite slope."""
+SPEED_ROUNDING_M_S = 2e-5  # A power law of speed is linear below: no step follows an infinite slope
 TEXTURE_WAVES = 16
 
 

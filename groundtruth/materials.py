@@ -28,8 +28,7 @@ from typing import Any
 from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 
-TABLE_I_SPEED_M_S = 2.3e-3
-"""The paper's constant speed for single gels and liver: where gel friction is Table I's."""
+TABLE_I_SPEED_M_S = 2.3e-3  # The paper's constant speed: at it, gel friction is Table I's
 TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
 """B d of each gel (isinglass per cent), offline column."""
 GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the authors
@@ -44,8 +43,7 @@ STIFFENING = 0.1
 
 LIVER_SPEED_M_S = 5e-3  # speed of the recordings the liver friction comes from
 LIVER_FRICTION_N_PER_M = 10.6  # median pull-out force per embedded length (de Jong 2017)
-ABDOMEN_SPEED_M_S = 6e-3
-"""About the speed of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)."""
+ABDOMEN_SPEED_M_S = 6e-3  # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)
 TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
 TISSUE_RELAXED_FRACTION = 0.55

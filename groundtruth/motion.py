@@ -19,8 +19,7 @@ FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
 """Length of the tare stroke in free air: about as long as the deepest insertion, since what is
 learnt on it is carried on along the insertion."""
-TARE_SPEED_M_S = 25e-3
-"""Mean speed of the tare stroke: fast enough to excite the arm, slow enough to be safe in air."""
+TARE_SPEED_M_S = 25e-3  # Mean, of the tare stroke: excites the arm and is safe in air
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
 RAMP_S = 0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel

@@ -197,8 +197,7 @@ _FT_DRIFT = tuple(
     MINI45.drift_std_N_per_s * 60.0 * span / 290.0 for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
 )
 
-IDEAL = PlantModel(name="ideal")
-"""The estimator's own parameters and clean signals: proves algebra only."""
+IDEAL = PlantModel(name="ideal")  # The estimator's parameters, clean signals: proves algebra only
 
 CLEAN = PlantModel(
     name="clean",
@@ -250,8 +249,7 @@ DEGRADED = replace(
 )
 """A neglected arm seen through its bare research interface: twice the noise, further errors."""
 
-PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
-"""The plant models by name."""
+PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}  # By name
 
 
 def plant_named(plant: PlantModel | str) -> PlantModel:

@@ -93,11 +93,9 @@ class Scenario:
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
 CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
-SINE_STANDOFF_M = 20e-3
-"""With A = 70 mm the 70 % gel then ruptures 20.7 s into the stroke; the paper says about 20 s."""
+SINE_STANDOFF_M = 20e-3  # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20
 GEL_STROKE_M, GEL_FREQUENCY_HZ = 70e-3, 0.016
-STACK_STROKE_M = 130e-3
-"""The full gels are 98 mm together, more than the paper's 70 mm stroke crosses."""
+STACK_STROKE_M = 130e-3  # The full gels are 98 mm together, more than the paper's 70 mm stroke
 ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ = 115e-3, 0.02
 ABDOMEN_STANDOFF_M = 22e-3
 
@@ -156,8 +154,7 @@ def _catalogue() -> Iterator[Scenario]:
     )
 
 
-SCENARIOS = {item.id: item for item in _catalogue()}
-"""Every catalogued scenario under its permanent name."""
+SCENARIOS = {item.id: item for item in _catalogue()}  # Each of them under its permanent name
 
 RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law
 RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
@@ -214,8 +211,7 @@ HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
 PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
-RANDOM_STANDOFF_M = (12e-3, 22e-3)
-"""Of a sinusoid: deep enough inside the stroke for contact at speed."""
+RANDOM_STANDOFF_M = (12e-3, 22e-3)  # Of a sinusoid: deep enough in the stroke for contact at speed
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:

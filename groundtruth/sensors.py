@@ -12,8 +12,7 @@ from groundtruth.plant_model import PlantModel, TICK_s, coloured, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
 SECONDS_PER_MINUTE = 60.0
-JITTER_LIMIT = 0.4
-"""Largest error of a time stamp in ticks; below one half, so that stamps keep their order."""
+JITTER_LIMIT = 0.4  # Largest error of a time stamp in ticks; below one half stamps keep their order
 
 
 def measured_torque(

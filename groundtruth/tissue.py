@@ -20,8 +20,7 @@ from groundtruth.layers import Interface, Layer, interfaces
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
 8.5 s (median), the quick loss of viscous friction at the stop included."""
-RECOVERY_M = 0.3e-3
-"""Travel over which an advancing tip meets fresh tissue: a fraction of its diameter."""
+RECOVERY_M = 0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
 UNLOADING_M = 0.5e-3
 """Backward travel over which the tip unloads: it leaves the front of a channel already cut."""
 
@@ -53,7 +52,8 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
     stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 % at 2.3 mm/s).
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
-    return relaxed - (1.0 / (RELAXATION_S * rate) - relaxed) * math.expm1(-rate * dt_s)
+    settled = 1.0 / (RELAXATION_S * rate)
+    return relaxed - (settled - relaxed) * math.expm1(-rate * dt_s)
 
 
 def bristle_step(

@@ -7,8 +7,7 @@ from typing import Literal
 
 from identification.errors import InvalidConfigError
 
-Model = Literal["ml", "kv"]
-"""`ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)."""
+Model = Literal["ml", "kv"]  # `ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)
 
 
 def _is_finite(value: object) -> bool:
@@ -68,8 +67,7 @@ class MultilayerConfig:
             )
 
 
-MULTILAYER = MultilayerConfig()
-"""The one configuration for simulated and real, F/T and virtual sensors."""
+MULTILAYER = MultilayerConfig()  # For simulated and real, F/T and virtual sensors alike
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -121,8 +119,7 @@ class PublishedConfig:
             )
 
 
-PUBLISHED = PublishedConfig()
-"""The multi-layer model with the published settings."""
+PUBLISHED = PublishedConfig()  # The multi-layer model with the published settings
 
 PUBLISHED_KV = PublishedConfig(model="kv")
 """The Kelvin-Voigt model with the published settings (blue line of Figure 8)."""

@@ -15,13 +15,11 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01  # time between two forces in the differences
-BEATS = ((1.2, 0.3), (0.3, 0.5))
-"""Frequency [Hz] and damping of the tissue's own motion: heartbeat, breathing."""
+BEATS = ((1.2, 0.3), (0.3, 0.5))  # Frequency [Hz] and damping of heartbeat and breathing
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
-_MEDIAN = 0.455
-"""Of a squared standard normal. Ruptures are a minority of the differences, heartbeats are not."""
+_MEDIAN = 0.455  # Of a squared standard normal. Ruptures are few of the differences
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
 noise, relative to its size and times the root of n: motion of the tissue must show beyond it."""

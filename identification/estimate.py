@@ -173,8 +173,7 @@ class Estimate(NamedTuple):
         return self._replace(**Events()._asdict()) if self.has_events else self
 
 
-Outputs = tuple[Any, ...]
-"""The fields of an `Estimate` from ``in_contact`` up to the events."""
+Outputs = tuple[Any, ...]  # The fields of an `Estimate` from ``in_contact`` up to the events
 
 
 class Events(NamedTuple):

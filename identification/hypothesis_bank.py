@@ -37,8 +37,7 @@ _LIKELY = 25.0  # by so much less may the logarithm be of what has children
 _OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
 _OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
 """Places, for compiled code: it does not use constants of another file."""
-Rows = NDArray[np.int64]
-"""Of hypotheses, shape (m,)."""
+Rows = NDArray[np.int64]  # Of hypotheses, shape (m,)
 
 
 class Bank(NamedTuple):

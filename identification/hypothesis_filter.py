@@ -63,8 +63,7 @@ Moment = tuple[float, float, float, float, float, float, float]
 """A scene; time, standard deviation of the tissue's own speed, force, ruptures reported."""
 Event = tuple[int, float, bool]  # which, what the tip is in then, whether some of its force stays
 
-CUTTING_ONSET_MM = 1.0
-"""Travel over which the cutting force of a fresh layer builds up: about a needle diameter."""
+CUTTING_ONSET_MM = 1.0  # Until a fresh layer's cutting force is there: about a needle diameter
 LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
 """Relative error of the linear law, the same over so much travel; and part of that error for
 friction of the layers left: it depends on the motion alone."""

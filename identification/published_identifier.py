@@ -25,8 +25,7 @@ _NO_RUPTURE, _EXPECTED, _DETECTED, _MEASURING, _IDENTIFIED = range(5)
 
 Motion = tuple[float, float, float, float]  # interval, depth, speed, force
 Pair = tuple[float, float]
-Rls = tuple[float, float, float, float, float]
-"""Estimate K, B and covariance Psi[0, 0], Psi[0, 1], Psi[1, 1] of a two-parameter RLS."""
+Rls = tuple[float, float, float, float, float]  # K, B, covariance Psi[0, 0], Psi[0, 1], Psi[1, 1]
 Sums = tuple[float, float, float, float, float, float, float]
 """Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""

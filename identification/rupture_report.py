@@ -23,10 +23,8 @@ _LEAST_WEIGHT = 1e-3  # less likely hypotheses do not show in an answer
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
-_VISIBLE = 0.3
-"""Part of that by which the force must have been lower since: else it only grows more slowly."""
-_LATE_S = 0.5
-"""An alarm after more travel, at the usual speed, wants a force still lower than at the rupture."""
+_VISIBLE = 0.3  # Part of that by which the force must have fallen since: else it only grows slower
+_LATE_S = 0.5  # An alarm after more travel, at the usual speed, wants a force lower than before
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 """Of the force, no robot brakes so hard before its speed is known: a fall, and one per second; and
 a fall that is large."""
@@ -36,10 +34,8 @@ _LEAST_SLOWED = 0.02  # part of the speed lost that is no noise of a filtered sp
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
 """Fall of viscous friction, per part of the speed lost so far: the speed is late, and travel shows
 its mean; of a large fall it must show half."""
-_RECENT_S = 0.5
-"""For so long travel since the rupture shows the speed better than a noisy speed does."""
-_LEAST_PROBABILITY = 0.3
-"""Hypotheses with the last rupture must be so likely, together, to say what it was."""
+_RECENT_S = 0.5  # For so long travel since the rupture shows the speed better than a noisy one
+_LEAST_PROBABILITY = 0.3  # Of all hypotheses with the last rupture, together, to say what it was
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 _TIP = slice(law.RELEASED, law.KEPT + 1)  # the tip's unknowns

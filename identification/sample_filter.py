@@ -38,8 +38,7 @@ _RISE_S = 8.0
 what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
 _HASTE_S = 0.05
 _SIGNIFICANT = 4.0
-_MOST_SURPRISE = 5.0
-"""Standard deviations that one innovation counts: a single odd depth is not a needle that turns."""
+_MOST_SURPRISE = 5.0  # Standard deviations one innovation counts: a single odd depth is no turn
 _GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
 _FASTEST_M_S = 0.1  # of a needle that nobody has seen move
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
@@ -68,8 +67,7 @@ SAMPLE_MEMORY = 45
 # before, and the time between them, 0 while there are none.
 _VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
 
-Limits = tuple[float, float, float, float, float]
-"""The fields of `CheckConfig`."""
+Limits = tuple[float, float, float, float, float]  # The fields of `CheckConfig`
 Motion = tuple[float, float, float, float]
 """Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
 

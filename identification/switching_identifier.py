@@ -39,16 +39,13 @@ _USUAL_S, _USUAL_MM = 10.0, 3.0
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
-_CHANNEL_MM = 0.02
-"""Behind the deepest point by more than this, and the noise, the tip is in its own channel."""
+_CHANNEL_MM = 0.02  # Behind the deepest point by more than this and the noise: in its own channel
 _DEADBAND = 3.0  # deviations of the speed's noise within which it is the same, in moving tissue
-_UNSETTLED = 0.3
-"""Error of the friction while presliding turns or after a rest, as part of the force."""
+_UNSETTLED = 0.3  # Error of friction while presliding turns or after a rest, as part of the force
 _TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
 _PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3  # travel after a rupture at which its layer is reported
 _REVISE_S = 0.1  # time between two revisions of the layers left
-_MOTION_MM = 0.1
-"""Of tissue with the heart, one standard deviation, if its beat is not known better."""
+_MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _SPAWN, _PRUNE, _REPORT, _FOLLOW = range(5)

@@ -48,8 +48,7 @@ steps in a row."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS = 8  # Gauss-Newton steps of a new fit
-_UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1
-"""Of a search."""
+_UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1  # Of a search
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
 _LINEAR, _EMPTY = 8, (0.0,) * 5

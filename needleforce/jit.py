@@ -13,10 +13,8 @@ try:
 except ImportError:
     numba = None
 
-Vector = Annotated[NDArray[np.float64], 1]
-"""Array of shape (n,), contiguous."""
-Matrix = Annotated[NDArray[np.float64], 2]
-"""Array of shape (m, n), contiguous, the last index running fastest."""
+Vector = Annotated[NDArray[np.float64], 1]  # Array of shape (n,), contiguous
+Matrix = Annotated[NDArray[np.float64], 2]  # Array of shape (m, n), contiguous in rows
 WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
 WrittenMatrix = Annotated[NDArray[np.float64], 2, "written"]
 WrittenBlocks = Annotated[NDArray[np.float64], 3, "written"]

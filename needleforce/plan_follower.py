@@ -10,8 +10,7 @@ from identification import Estimate
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
 
-STEP_m = 0.1e-3
-"""Travel after which the plan is read again, beside at events: it takes longer than a tick."""
+STEP_m = 0.1e-3  # Travel after which the plan is read again, besides at events: it takes its time
 
 
 class Plan(Protocol):

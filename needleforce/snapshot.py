@@ -26,10 +26,8 @@ from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 17
-"""Grows whenever a file of the version before could no longer be read, or would be misread."""
-MOST_BYTES = 64 << 20
-"""A snapshot has a megabyte or two; a device or a wrong file is not read to its end."""
+SNAPSHOT_VERSION = 17  # Grows whenever a file of the one before cannot be read, or is misread
+MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
 LARGEST = 1e30  # no number of a snapshot comes near it; its square can still be calculated with
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot

@@ -19,8 +19,7 @@ from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
 MOST_TORQUES = 1000  # as many samples are kept between two renewals at most; then their sum is
-MOST_BLOCKS = 400
-"""When there are as many, the older half is merged in pairs: a fit takes a fraction of a second."""
+MOST_BLOCKS = 400  # A fit of as many takes part of a second; then the older half is merged in pairs
 WEIGH_S = 0.25
 """So often the covariance is renewed: it changes with pose and age, both slowly. At once where
 motion lets a variance grow by `MOST_GROWTH` of itself."""

@@ -115,8 +115,7 @@ class SensorConfig:
         return min(self.gain_per_s) if isinstance(self.gain_per_s, tuple) else self.gain_per_s
 
 
-DEFAULT = SensorConfig()
-"""Ours."""
+DEFAULT = SensorConfig()  # Ours
 
 PUBLISHED = SensorConfig(
     gain_per_s=5.0,

@@ -30,8 +30,7 @@ DQ_RATIO = 20.0  # so many times that travel by dq alone is used too, whatever q
 TOLERATED_LAG_S = 0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
 TOLERATED_RAD = 0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
 LEAST_SECONDS = 1.0  # of motion, before anything is reported
-LEAST_BEYOND = 0.01
-"""Root mean square difference beyond what is tolerated that is judged, relative to the travel."""
+LEAST_BEYOND = 0.01  # Rms difference beyond the tolerated that is judged, relative to the travel
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -44,8 +43,7 @@ FACTORS = {
 OTHER_FACTOR = "is it in other units, or of the motor before its gear, or are time stamps wrong?"
 NEAR = 0.05
 """So near to one of these a factor is that one, to another joint's travel dq's is that one's."""
-MOST_OFF = 0.4
-"""Root mean square difference of dq's travel from q's, relative to it, that noise does not make."""
+MOST_OFF = 0.4  # Relative rms difference of dq's travel from q's that noise does not make
 LEAST_OFF = 0.12  # the same where another joint or a lag is just what makes it
 UNEXPLAINED = 0.1
 """Fraction of dq's mean square travel that a factor may leave over, or a lag of the difference."""
@@ -106,7 +104,8 @@ def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Arr
     way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
     now[0], now[1], now[2] = q, dq, way / dt_s
-    if np.abs(now[2] - motion[2]).max() <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
+    jump = np.abs(now[2] - motion[2]).max()
+    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
         kept = math.exp(-dt_s / TRAVEL_S)
         now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
     return now, bool(travels(now).any())

@@ -20,8 +20,7 @@ ROUNDING_S = 1e-5
 """Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
 rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
 _ndarray = np.ndarray
-FLOAT64 = np.dtype(np.float64)
-"""What an array of floats has as its ``dtype``: comparing it takes no call."""
+FLOAT64 = np.dtype(np.float64)  # The ``dtype`` of arrays of floats: comparing it takes no call
 
 
 def check_interval(dt_s: Any) -> float:

@@ -34,10 +34,8 @@ Alignment = Literal["hold", "trapezoid"]
 BANDWIDTH_PER_S = 10.0
 """Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque, which alone
 carries a rupture."""
-NOISE_THRESHOLD_SIGMAS = 3.0
-"""Distance, in standard deviations of the momentum, at which the bandwidth has doubled."""
-_LEAST_MOMENTUM_NOISE = 1e-9
-"""Keeps the ratios of `momentum_step` finite for a signal without noise [kg m^2/s]."""
+NOISE_THRESHOLD_SIGMAS = 3.0  # Distance of the momentum at which the bandwidth has doubled
+_LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
 _PACKED = {(8,)}  # distance in memory of the numbers of a contiguous array
 
@@ -120,8 +118,7 @@ def momentum_step(
     rows[MOMENTUM:BEFORE] = rows[BEFORE:]
 
 
-_MOST_EXPONENT = 700.0
-"""Its exponential is a float still, and the sigmoid there is zero for any purpose."""
+_MOST_EXPONENT = 700.0  # Its exponential is a float still, and the sigmoid is zero there
 
 
 class FrictionModel(Protocol):

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from residual.errors import Array, SnapshotError
 from urdf import Robot
 
-GROWING = "recorder.sums"
-"""End of the place of the array whose first dimension counts what was gathered so far."""
+GROWING = "recorder.sums"  # End of the place of the one array that grows
 LIKE = {
     "stream.guard.noise": "stream.guard.last",
     "stream.guard.rejected": "stream.guard.last",

@@ -15,14 +15,12 @@ if TYPE_CHECKING:
 
 SIGMAS = 5.0  # A force must exceed this many standard deviations to count as contact
 INTERVALS = 24  # parts of the motion; a contact begins and ends with one of them
-IMPLAUSIBLE = 32.0
-"""Times the prior's drift or walk: no sensor drifts so, but a needle pushed into tissue does."""
+IMPLAUSIBLE = 32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
 torque sensors are among it."""
-LEAST_OFFSETS = 3.0
-"""Residual, in standard deviations of the offset's prior, beyond which a cause is always sought."""
+LEAST_OFFSETS = 3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
 NEAR = 0.15  # so near to a factor with a reason a factor is that one
 STILL_RAD, MOVED_RAD = 1e-9, 0.01
 """Means of the same number differ by rounding; an arm that moves so far moves every encoder."""
@@ -193,10 +191,11 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     """
     n = len(scale)
     masses = np.concatenate([basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad])
+    offsets = np.tile(np.eye(n), (len(blocks.q_rad), 1))
     # An offset is expected within one unit: beyond, it costs as much as so many blocks.
     prior = np.hstack((np.zeros((n, 4)), np.sqrt(OFFSET_BLOCKS) * np.eye(n)))
     residual = (blocks.residual_Nm / scale).ravel()
-    columns = np.vstack((np.hstack((masses, np.tile(np.eye(n), (len(blocks.q_rad), 1)))), prior))
+    columns = np.vstack((np.hstack((masses, offsets)), prior))
     # Directions that a short motion does not show stay at zero.
     found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
     mass, is_body = float(found[0]), np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])

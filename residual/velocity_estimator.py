@@ -24,8 +24,7 @@ from residual.input_validation import (
 )
 from residual.momentum_observer import Alignment
 
-ROWS = 4
-"""Rows of a step: output of the first lag, of the second, input at the start and at the end."""
+ROWS = 4  # Rows of a step: outputs of the first and second lag, input at start and end
 _NAMES = ("q", "tau")
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 

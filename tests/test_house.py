@@ -18,18 +18,18 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (19_056, 96),
+    "product": (19_000, 96),
     "benchmarks": (6_500, 30),
     "tests": (13_000, 72),
-    "control": (2_130, 12),
-    "anatomy": (1_402, 8),
+    "control": (2_110, 12),
+    "anatomy": (1_384, 8),
     "scene": (700, 6),
-    "devices": (1_340, 8),
+    "devices": (1_330, 7),
 }
-"""Most lines and files of Python. Those of the chain are ceilings at today's size, to be lowered
-with every cut: the goal is 19,000, 6,500 and 13,000 lines, met but for the first. The packages
-around the chain, with their commands, count apart; the goals: control 1,800, anatomy 1,000, scene
-700, devices 1,200."""
+"""Most lines and files of Python: ceilings at today's size, to be lowered with every cut. The chain's
+goals, 19,000, 6,500 and 13,000 lines, are met. The packages around the chain, with their commands,
+count apart; the goals: control 1,800, anatomy 1,000, scene 700, devices 1,200."""
+
 APART = ("control", "anatomy", "scene", "devices")
 """Packages around the chain."""
 AROUND = (

@@ -20,10 +20,8 @@ from needleforce.anatomy.errors import Array, RegistrationError
 
 LEAST_WIDTH_m = 5e-3
 """Root mean square distance of landmarks from a line below which they count as collinear."""
-LARGEST_SCALE = 5.0
-"""Beyond this, or its inverse, units differ."""
-FALSE_REFUSAL = 1e-6
-"""Probability that good landmarks do not fit."""
+LARGEST_SCALE = 5.0  # Beyond this, or its inverse, units differ
+FALSE_REFUSAL = 1e-6  # Probability that good landmarks do not fit
 
 
 @dataclass(frozen=True, eq=False)

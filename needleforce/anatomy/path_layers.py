@@ -18,8 +18,7 @@ from needleforce.anatomy.errors import Array, VolumeError
 if TYPE_CHECKING:
     from needleforce.anatomy.volume import Labels, Structure
 
-UNLABELLED = "unlabelled"
-"""Name of what no structure covers."""
+UNLABELLED = "unlabelled"  # Name of what no structure covers
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
 """Of the kernel: standard deviation and reach; and the distance of points on the path."""
 VOTE_STD = 0.105

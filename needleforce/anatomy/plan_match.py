@@ -19,16 +19,14 @@ from needleforce.anatomy.errors import Array, PlanError
 from needleforce.anatomy.path_layers import Layer
 
 GRID_m = 0.1e-3
-REACH = 5.0
-"""Of the grid, in standard deviations of the offset."""
+REACH = 5.0  # Of the grid, in standard deviations of the offset
 TAIL_DEGREES = 3.0
 """Student's t for the offset: a standard deviation that is stated too small does not deceive."""
 MISSED, SOFT_MISSED = 0.2, 0.6
 """Probability that a boundary ruptures unnoticed; where fat ends, which holds little force."""
 ENTRY_MISSED = 0.8
 """The same of the surface, which ruptures only where a membrane covers it, and then late."""
-FALSE_PER_m = 0.5
-"""False alarms per metre of travel."""
+FALSE_PER_m = 0.5  # False alarms per metre of travel
 LATE, CAPSULE_LATE = 0.25, 0.8
 """Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
@@ -39,8 +37,7 @@ RUPTURE_STD_m = 0.2e-3
 """Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the virtual sensor."""
 ALARM_m = 0.5e-3
 """Travel from a rupture to its alarm: of random stacks behind the virtual sensor 0.15 to 0.9 mm."""
-BACK_m = 1e-3
-"""A tip so far above the deepest point is being withdrawn."""
+BACK_m = 1e-3  # A tip so far above the deepest point is being withdrawn
 OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
 """Where the tip is before the first boundary; what a rupture is that belongs to none."""
 

@@ -16,13 +16,11 @@ from needleforce.anatomy.errors import Array
 if TYPE_CHECKING:
     from needleforce.anatomy.volume import Labels
 
-SMOOTHING = 0.5, -0.53, 40
-"""Factors and pairs of steps (Taubin 1995, doi 10.1145/218380.218473)."""
+SMOOTHING = 0.5, -0.53, 40  # Factors and pairs of steps (Taubin 1995, doi 10.1145/218380.218473)
 TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer would show."""
 
-VOLUME_ROUNDS = 50
-"""At most; an organ needs two or three, a single voxel more."""
+VOLUME_ROUNDS = 50  # At most; an organ needs two or three, a single voxel more
 
 
 @dataclass(frozen=True, eq=False)

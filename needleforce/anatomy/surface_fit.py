@@ -16,28 +16,20 @@ from scipy.spatial.transform import Rotation
 from needleforce.anatomy.errors import Array, RegistrationError
 from needleforce.anatomy.landmarks import Registration, point_jacobian
 
-Pose = tuple[Array, Array]
-"""Rotation and shift."""
+Pose = tuple[Array, Array]  # Rotation and shift
 
 TOUCH_STD_m = 0.5e-3
-SURFACE_STD_m = 0.35e-3
-"""Least error of a segmented surface: measured on organs segmented at 3 mm."""
-SURFACE_REACH_m = 8e-3
-"""Over which it is the same."""
-SURFACE_BIAS_m = 0.2e-3
-"""By which all of it may be too large or too small."""
+SURFACE_STD_m = 0.35e-3  # Least error of a segmented surface: measured on organs segmented at 3 mm
+SURFACE_REACH_m = 8e-3  # Over which it is the same
+SURFACE_BIAS_m = 0.2e-3  # By which all of it may be too large or too small
 LEAST_TOUCHES = 15
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
 ROUNDS, LAST_STEP = 60, 1e-7
-NEIGHBOURS = 8
-"""Nearest middles of triangles among which the nearest triangle is looked for."""
-PUSH_m = 6e-3
-"""How far a solution is pushed along its weakest directions, measured at the touches."""
-BACK = 0.5
-"""Part of the push that may be left at the touches after fitting again."""
-FAR_m = 4e-3
-"""Another solution is another if it lies so far away at the touches."""
+NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle is looked for
+PUSH_m = 6e-3  # How far a solution is pushed along its weakest directions, measured at the touches
+BACK = 0.5  # Part of the push that may be left at the touches after fitting again
+FAR_m = 4e-3  # Another solution is another if it lies so far away at the touches
 TRIES_rad, TRIES_m = 0.2, 12e-3
 """Other starts: turned and shifted by so much."""
 

@@ -45,10 +45,8 @@ from urdf import Robot
 Array = NDArray[np.float64]
 Progress = Callable[[float], None]
 
-VOXEL_m = 2e-3
-"""Of the analytic torso's scan."""
-SHIFT_STD_m = 3e-3
-"""How far the organs lie from where the CT saw them, along the needle: breathing, deformation."""
+VOXEL_m = 2e-3  # Of the analytic torso's scan
+SHIFT_STD_m = 3e-3  # How far organs lie from where the CT saw them, along the needle
 TOUCHES, TOUCH_STD_m = 100, 0.5e-3
 LANDMARKS = 5
 SPEED_m_s, STANDOFF_m, BEYOND_m = 4e-3, 15e-3, 12e-3
@@ -58,8 +56,7 @@ LENGTHS_m = (0.05, 0.1)
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
 """What a needle may cross on its way into an organ: neither lung nor bowel nor large vessel."""
 CLEARANCE_m = 6e-3
-LEAST_LAYER_m = 6.5e-3
-"""Thinner layers are no tissue of the simulation's: they join the one before."""
+LEAST_LAYER_m = 6.5e-3  # Thinner layers are no tissue of the simulation's: they join the one before
 
 
 class Insertion(NamedTuple):
@@ -179,7 +176,8 @@ def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) 
     distance = step * np.arange(1, int(0.3 / step))
     index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
     valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    outside = np.flatnonzero(~(valid & body[tuple(np.where(valid[:, None], index, 0).T)]))
+    is_body = valid & body[tuple(np.where(valid[:, None], index, 0).T)]
+    outside = np.flatnonzero(~is_body)
     return float(distance[outside[0]]) if len(outside) and valid[outside[0]] else None
 
 

@@ -77,8 +77,7 @@ def write_scene(made: Insertion, path: Path) -> Path:
         viewer.stop()
 
 
-LEAST_NAMED = 800
-"""Pixels from which on a structure's name is written."""
+LEAST_NAMED = 800  # Pixels from which on a structure's name is written
 SLICE = (
     "The plane of the needle through the segmentation, as planned: entry and target, planned "
     "boundaries (white), detected ruptures (yellow), and where the tip stopped (red), each moved "

@@ -166,8 +166,7 @@ class Taring:
 
 # The sensor over the rows of a log, of which any number may come at a time.
 
-STATUS_CODES = {status: code for code, status in enumerate(Status)}
-"""How a status is written to a file of numbers."""
+STATUS_CODES = {status: code for code, status in enumerate(Status)}  # As files of numbers have it
 _MOST_REASONS = 50
 
 

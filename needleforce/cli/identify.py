@@ -25,8 +25,7 @@ from needleforce.recordings.output import OpenTable
 from needleforce.recordings.table import Labels
 
 REQUIRED = ("depth", "force")
-OPTIONAL = ("speed", "force_std", "force_status", "force_warnings")
-"""Channels that are read of a log beside time."""
+OPTIONAL = ("speed", "force_std", "force_status", "force_warnings")  # Read beside time
 METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUBLISHED_KV}
 """What ``--method`` may be."""
 

@@ -22,12 +22,10 @@ from needleforce.recordings.table import Labels
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
-CHUNK = 500
-"""Samples written at a time."""
+CHUNK = 500  # Samples written at a time
 PANEL_s, LINE_s = 0.1, 1.0
 """Between two pictures on a terminal, and two lines elsewhere."""
-ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
-"""What each kind of arm is unless it is described."""
+ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}  # Of a kind of arm, unless described
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
     "docs/panda.md has those of one arm, and its friction"

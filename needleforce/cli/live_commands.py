@@ -10,8 +10,7 @@ from needleforce.cli.options import LOG, TARE, RobotOptions, app
 
 OUTPUT = Group("Output", sort_key=2)
 
-LWR = RobotOptions()
-"""The arm unless another is named."""
+LWR = RobotOptions()  # The arm unless another is named
 
 
 Constants = tuple[float, float, float, float, float, float]

@@ -19,14 +19,10 @@ from needleforce.control.ports import Array
 if TYPE_CHECKING:
     from needleforce.control.manager import Situation
 
-_TRACK_PER_S = 10.0
-"""Gain with which a stroke keeps to its course."""
-_BACK_m_s2 = 2.0
-"""With which a command that was taken back comes to rest."""
-_HOLD_PER_S = 5.0
-"""Gain with which a stopped tip is held; a soft arm follows in a tenth of a second."""
-_NEAR_M = 2e-5
-"""So near to its end a motion has arrived."""
+_TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
+_BACK_m_s2 = 2.0  # With which a command that was taken back comes to rest
+_HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows in 0.1 s
+_NEAR_M = 2e-5  # So near to its end a motion has arrived
 _SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
 """Time constants: of the force, of what its noise is measured against, of that measurement, and of
 the memory of the last peak."""
@@ -35,8 +31,7 @@ _FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
 _LARGE, _LARGE_N = 0.15, 0.1
 """A fall by so much of the force, and in newtons, is a rupture whatever the identification still
 waits for; smaller ones are errors of the force that go with the posture."""
-_APART_M = 3e-3
-"""Two ruptures less far apart are one."""
+_APART_M = 3e-3  # Two ruptures less far apart are one
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

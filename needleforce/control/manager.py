@@ -198,12 +198,9 @@ class Situation(NamedTuple):
         return self.state in MOVING
 
 
-_ENTRY_MARGIN_M = 1e-3
-"""So far above the place of the first contact the needle counts as outside."""
-_LONGEST_STEP_S = 0.1
-"""A longer time step is a clock that was set, not time that passed here."""
-_HEARTBEAT_S = 0.1
-"""Longest time between two heartbeats."""
+_ENTRY_MARGIN_M = 1e-3  # So far above the place of the first contact the needle counts as outside
+_LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time that passed here
+_HEARTBEAT_S = 0.1  # Longest time between two heartbeats
 
 
 class Manager:

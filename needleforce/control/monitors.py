@@ -67,12 +67,10 @@ _UNUSABLE = (
     | SensorWarning.TARE_EXPIRED
 )
 _IN_AIR, _AT_TISSUE = ("guidance", "approach", "tare"), ("teleop", "insertion", "dwell", "withdraw")
-_RATE_S = 0.01
-"""Time constant of the force's rate: shorter than the lag of the virtual sensor."""
+_RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
 _TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
 """Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
-_CLEAR_S = 0.1
-"""A fault must be gone for so long before a reset."""
+_CLEAR_S = 0.1  # A fault must be gone for so long before a reset
 
 
 class Monitors:

@@ -22,8 +22,7 @@ HANDLE_kg, MOST_DAMPING_Ns_m = 0.25, 150.0
 HAND_J, HAND_W = 1e-3, 2e-3
 """What the hand may get early: one that yields to a spring need not wait for the news that the
 spring has relaxed."""
-FORCE_LAG_s = 0.015
-"""Of the virtual sensor's force, see `InsertionSession.lag_s`."""
+FORCE_LAG_s = 0.015  # Of the virtual sensor's force, see `InsertionSession.lag_s`
 
 
 class Port:

@@ -20,22 +20,17 @@ from needleforce.control.tasks import JointVelocity, Task, ToolState
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or
 from urdf import Robot
 
-LONGEST_STEP_s = 0.02
-"""A sample that comes later gives the arm no more acceleration than this one."""
+LONGEST_STEP_s = 0.02  # A sample that comes later gives the arm no more acceleration than this one
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
 LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
 """Rows of `Limits.table`."""
 
-_REGULAR = 1e-6
-"""Where less than that of a row is new, it counts as dependent on those above it."""
+_REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
 _AT_LIMIT_rad_s = 1e-6
-_NO_WAY = 1e-13
-"""A direction that moves a row of length one by less does not move it."""
-_MOST_CHANGES = 60
-"""Of the joints held at a bound, in one level; what is found by then is kept."""
-_GAIN = 1e-12
-"""Letting go of a joint that gains less by it is not worth while."""
+_NO_WAY = 1e-13  # A direction that moves a row of length one by less does not move it
+_MOST_CHANGES = 60  # Of the joints held at a bound, in one level; what is found by then is kept
+_GAIN = 1e-12  # Letting go of a joint that gains less by it is not worth while
 
 
 class Limits:

@@ -22,10 +22,8 @@ import numpy as np
 from needleforce.devices import fri, rdt
 from needleforce.devices.proxy import LOOPBACK, Array, Link, LinkError
 
-START_s = 20.0
-"""A process that imports numpy on a busy machine takes its time."""
-Window = tuple[float, float]
-"""Start and end [s] since the first packet."""
+START_s = 20.0  # A process that imports numpy on a busy machine takes its time
+Window = tuple[float, float]  # Start and end [s] since the first packet
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -52,8 +52,7 @@ MEASUREMENT, MEASUREMENT_KIND = _packet(916, _MEASURED), 0x2006
 COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)})
 COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
-SILENT_CYCLES = 5
-"""After so many cycles without `send` the arm is held."""
+SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
 LONGEST_COUNTED_s = 1.0
 """Of a longer gap the counter may have gone round or begun anew: our own clock says how long."""
 

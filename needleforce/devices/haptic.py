@@ -30,8 +30,7 @@ from needleforce.devices.proxy import (
 ADDRESS = "ws://127.0.0.1:10001"
 AXES = "xyz"
 GRIPS = ("wireless_verse_grip", "verse_grip")
-LOST_s = 0.1
-"""After so long a silence the force is asked for again."""
+LOST_s = 0.1  # After so long a silence the force is asked for again
 
 
 class HaplyMaster(Link):

@@ -41,8 +41,7 @@ class MissingClientError(DeviceError, ImportError):
     """The vendor's client library is not installed; the message names it."""
 
 
-LOOPBACK = "127.0.0.1"
-"""Where links bind and connect unless an address is named."""
+LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
 MOST_DATAGRAM = 65536
 
 

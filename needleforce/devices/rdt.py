@@ -33,8 +33,7 @@ COUNTS = 1 << 32
 LONGEST_COUNTED_s = 1.0
 """A sensor that was silent for longer may have been switched off and count from zero."""
 MOST_REPLY = 1 << 20
-FAULT_BITS = 0xFFFF0000
-"""Of the status word: an error of the sensor, a saturated gauge, a lost supply."""
+FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
 
 
 class Scale(NamedTuple):

@@ -24,8 +24,7 @@ from needleforce.devices.proxy import (
 )
 
 FRANKA_PERIOD_s = 1e-3
-POLLS = 0.2
-"""Of a period, between two looks for a newer sample."""
+POLLS = 0.2  # Of a period, between two looks for a newer sample
 UR_JOINTS, FRANKA_JOINTS = 6, 7
 UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
 

@@ -25,8 +25,7 @@ from needleforce.recordings.table import (
 )
 
 MOST_ROWS = 2048  # of a table
-_SETTLED_NS = NS_PER_S
-"""When so much recording has brought no new topic, it is decided which topics are read."""
+_SETTLED_NS = NS_PER_S  # So long without a new topic, and it is decided which topics are read
 _AS_MANY = 0.9  # a topic with this fraction of another's messages counts as equally fast
 _LEARNED = 20  # messages of a topic that are looked into
 _SHORTEST_LIMIT_S, _PERIODS = 0.1, 5.0

@@ -19,8 +19,7 @@ _NAMES = ("name", "names", "joint_names")  # fields that name the elements of th
 _VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 _STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
 _MOST_ELEMENTS = 64  # longer arrays are images and point clouds, not signals
-_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
-"""What a `JointState` holds as position, velocity and effort."""
+_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")  # Position, velocity and effort of a `JointState`
 _SENSOR = ("ft_force_N", "ft_torque_Nm")
 _LONGEST_DEFINITION = 1 << 18  # characters
 _MOST_UNROLLED = 2000  # `rosbags` generates code for each element of an array of texts or messages

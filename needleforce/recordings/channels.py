@@ -13,8 +13,7 @@ import numpy as np
 from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import Table
 
-Units = Mapping[str, float]
-"""Units that may stand in a file, each with its factor to SI; the first is SI."""
+Units = Mapping[str, float]  # Units that may stand in a file, with factors to SI; the first is SI
 
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ANGLE = {"rad": 1.0, "deg": pi / 180.0}

@@ -31,8 +31,7 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
 
-MAX_BYTES = 2 << 30
-"""The most memory that a recording may ask for; a small damaged file can ask for any."""
+MAX_BYTES = 2 << 30  # The most memory a recording may ask for; a small damaged file can ask for any
 
 PART = 8  # one chunk or message of a bag may take this fraction (1/8) of the limit
 

@@ -20,8 +20,7 @@ STANDARD_STREAM = "-"  # instead of a file: standard input or standard output
 
 _POLL_S = 0.05
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
-_CHECKED_TAIL = 256
-"""So many bytes before the place of reading show whether a file was written anew."""
+_CHECKED_TAIL = 256  # Bytes before the place of reading that show if a file was written anew
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,8 +13,7 @@ from needleforce.recordings.errors import FormatError, LogError, require_size
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
 
-HEAD_ROWS = 200
-"""So many rows decide which columns a stream has; they come in one table, however they arrive."""
+HEAD_ROWS = 200  # So many rows decide which columns a stream has, however they arrive
 START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
 
 
