@@ -1,7 +1,8 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over three samples: its force is absorbed in the sample that fills it;
-hypotheses of new events begin in the next; the bank is pruned and reports in the one after.
+A block's work is spread over samples: the one that fills it absorbs its force and reports; in the
+next, hypotheses of new events begin, and the least likely go; the third looks for a motion of the
+tissue, if that is due.
 """
 
 import math
@@ -48,7 +49,7 @@ _REVISE_S = 0.1  # time between two revisions of the layers left
 _MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
-_NOTHING, _SPAWN, _PRUNE, _REPORT, _FOLLOW = range(5)
+_NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
 
 
 class Course(NamedTuple):
@@ -168,16 +169,13 @@ class SwitchingMethod:
 
     def _work(self, sample: Sample) -> None:
         before, clock_s = self._state.tissue, sample[-1]
-        if self._state.stage == _SPAWN:
-            self._branch()
-        elif self._state.stage == _FOLLOW:
+        if self._state.stage == _FOLLOW:
             self._state = self._state._replace(stage=_NOTHING, tissue=before.worked(clock_s))
         else:
-            if self._state.stage == _PRUNE:
-                self._bank.prune(self._state.place)
-            state = report(self._state, self._bank, sample, self._config)
-            is_due = state.tissue.is_due(clock_s)
-            self._state = state._replace(stage=_FOLLOW) if is_due else state
+            if self._state.stage == _BRANCH:
+                self._branch()
+            self._bank.prune(self._state.place)
+            self._state = self._state._replace(stage=self._after(clock_s))
         if self._state.tissue.fit is not before.fit:
             # The needle stays where it is in the tissue that is now known to be elsewhere.
             by_mm = before.at(clock_s)[0] - self._state.tissue.at(clock_s)[0]
@@ -204,7 +202,7 @@ class SwitchingMethod:
         place = place._replace(speed=steady, usual_speed=usual, noise=left.noise)
         course = course._replace(deepest=max(last, z), usual_speed=usual, trend=trend)
         _predict(bank, place, fresh, left, state.tissue)
-        is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, _REPORT
+        is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, self._after(sample[-1])
         if (is_advancing or not is_met) and not is_gap:
             course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
             # A force that is being released is no noise; beats are.
@@ -215,9 +213,8 @@ class SwitchingMethod:
             # A speed is as late as its filter: where it changes it is off by a block's change.
             speed_std = math.hypot(2.0 * speed_noise, steady - state.place.speed)
             _learn(bank, place, left, course.resumed, (jitter, speed_std))
-            stage = _SPAWN if is_advancing else _PRUNE
-            if not is_advancing:
-                bank.weigh(place, is_advancing=False)
+            bank.weigh(place, is_advancing=is_advancing)
+            stage = _BRANCH if is_advancing else _PRUNE
         else:
             course, levels = course._replace(resumed=1.0), levels.restarted()
         in_air = state.force_std_in_air if is_met else sample[7]
@@ -225,7 +222,12 @@ class SwitchingMethod:
         if not is_gap:
             tissue = tissue.with_block(place._replace(speed=v), is_met=is_met)
         state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
-        self._state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
+        state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
+        self._state = report(state, bank, sample, self._config)
+
+    def _after(self, clock_s: float) -> int:
+        """What is left to do for a block once its bank is pruned."""
+        return _FOLLOW if self._state.tissue.is_due(clock_s) else _NOTHING
 
     def _law_speed(
         self, trend: Array, place: Place, noise: tuple[float, float]
@@ -250,8 +252,7 @@ class SwitchingMethod:
             left = state.levels.beside(state.tissue, place.time_s)
             bank.spawn(begin, course.spawned, _tissue_speed(bank, place, left), state.ruptures)
             course = course._replace(spawned=begin.depth)
-        bank.weigh(place, is_advancing=True)
-        self._state = state._replace(course=course, stage=_PRUNE)
+        self._state = state._replace(course=course)
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:
@@ -348,7 +349,7 @@ def report(
     now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
     if state.is_open:
         now = RuptureState.FORCE_DROP_MEASURING
-    state = state._replace(stage=_NOTHING, rupture_state=now)
+    state = state._replace(rupture_state=now)
     is_likely = evaluation.more > config.alarm_probability
     if (
         is_likely
