@@ -40,6 +40,7 @@ class Port:
 
     def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
         self._allowance_J, self._allowance_W = allowance_J, allowance_W
+        self._allowed_J = allowance_J
         self.in_J = self.out_J = 0.0
 
     @property
@@ -54,9 +55,15 @@ class Port:
         self.out_J -= min(energy_J, 0.0)
 
     def budget_J(self, incoming_J: float, dt_s: float) -> float:
-        """What may still leave when a further time has passed, see the module."""
-        self._allowance_J += self._allowance_W * dt_s
-        return incoming_J + self._allowance_J - self.out_J
+        """What may still leave when a further time has passed, see the module.
+
+        An allowance that is not used does not grow: saved over a quiet insertion it would feed an
+        oscillation for seconds.
+        """
+        owed_J = self.out_J - incoming_J
+        most_J = self._allowance_J + max(owed_J, 0.0)
+        self._allowed_J = min(self._allowed_J + self._allowance_W * dt_s, most_J)
+        return self._allowed_J - owed_J
 
 
 def passive_part(leaving_J: float, budget_J: float) -> float:
