@@ -25,10 +25,21 @@ PLANTS = {
 LEAST_J = {"spring": -0.1e-3, "viscous": -0.1e-3, "wall": -5e-3}
 
 
-def estimate(axial_N=0.0, tip_N=None, depth_m=0.0, speed_m_s=0.0, status=Status.OK, rupture=None):
+def estimate(
+    axial_N=0.0,
+    tip_N=None,
+    depth_m=0.0,
+    speed_m_s=0.0,
+    status=Status.OK,
+    rupture=None,
+    stiffness=0.0,
+):
     tip_N = axial_N if tip_N is None else tip_N
     found = SimpleNamespace(
-        tip_force_N=tip_N, enhanced_force_N=0.5 * (tip_N + axial_N), rupture=rupture
+        tip_force_N=tip_N,
+        enhanced_force_N=0.5 * (tip_N + axial_N),
+        rupture=rupture,
+        stiffness_N_per_m=stiffness,
     )
     return SimpleNamespace(
         wrench=SimpleNamespace(axial=axial_N),
@@ -123,6 +134,19 @@ def test_noise_is_not_shown_and_a_rupture_is_at_once():
     assert tele.shown_N == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.parametrize(("stiffness", "late_N"), [(0.0, -0.2), (250.0, 0.0), (1e9, 0.3)])
+def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(stiffness, late_N):
+    """A membrane of 250 N/m at 4 mm/s; a stiffness out of reason moves it by 0.3 N at most."""
+    tele, speed = Teleoperation(), 4e-3
+    for k in range(2000):
+        force = 250.0 * speed * k * DT
+        tele.update(None, estimate(force, speed_m_s=speed, stiffness=stiffness), DT)
+    assert tele.shown_N - force == pytest.approx(late_N, abs=0.01)
+    for _ in range(2000):
+        tele.update(None, estimate(-1.0, 0.0, speed_m_s=-speed, stiffness=stiffness), DT)
+    assert tele.shown_N == pytest.approx(0.0, abs=0.01)  # withdrawn, nothing springs back
+
+
 def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate():
     tele = Teleoperation(lines=None)
     sample = SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True)
@@ -184,6 +208,19 @@ def test_energy_of_a_port_counts_both_ways_apart():
     assert passive_part(1.0, 0.25) == 0.25
     assert passive_part(1.0, -1.0) == 0.0
     assert passive_part(-1.0, -1.0) == 1.0
+
+
+def test_an_allowance_that_is_not_used_is_not_saved_up():
+    port = Port(1e-3, 2e-3)
+    for _ in range(60_000):
+        quiet = port.budget_J(0.0, DT)
+    assert quiet == 1e-3
+    port.observe(-1.0, 1.5e-3)  # more than may leave has left
+    assert port.budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
+    for _ in range(2000):
+        later = port.budget_J(0.0, DT)
+    assert later == pytest.approx(1e-3)
+    assert port.budget_J(0.1, DT) == pytest.approx(0.1 - 1.5e-3 + 1e-3)
 
 
 def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance():

@@ -28,14 +28,14 @@ Packet = TypeVar("Packet")
 _CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
 _SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
 # A delayed spring drives a hand, and so does friction that is not known yet, both the more the less
-# its motion is scaled down; and a hand springs forward when a membrane ruptures. Motion of the handle
-# is damped, by so much at least and so much per scale, but not what lasts longer than some seconds.
+# its motion is scaled down; and a hand springs forward when a membrane ruptures. So its motion is
+# damped, by so much at least and so much per scale, but not what lasts longer than so many seconds.
 _LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S = 15.0, 50.0, 0.3
 _FADE_S = 0.05  # a force that is not known any more fades
 # Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
 # back has the opposite sign: neither the loop nor the identification stands that. So the shown
 # force is smooth, but never further from the known one, until a rupture shows at once for a while.
-# With travel it grows by the stiffness that was identified, no stiffer than so: no lag, no noise.
+# With travel it grows by the stiffness identified, at most so much: a force that grows is not late.
 _SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
 _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
@@ -256,7 +256,8 @@ class Teleoperation:
         has_ruptured = estimate.identification.rupture is not None
         self._ruptured_s = _RUPTURE_S if has_ruptured else max(self._ruptured_s - dt_s, 0.0)
         lag_s = _AT_ONCE_S if self._ruptured_s > 0.0 else _SMOOTH_S
-        stiffness = min(max(estimate.identification.stiffness_N_per_m, 0.0), _STIFFEST_N_per_m)
-        grown_N = self.shown_N + stiffness * estimate.speed_m_s * dt_s
+        slope = min(max(estimate.identification.stiffness_N_per_m, 0.0), _STIFFEST_N_per_m)
+        pace = estimate.speed_m_s if known_N > 0.0 else 0.0  # drawn back it touches nothing
+        grown_N = self.shown_N + slope * pace * dt_s
         smooth_N = grown_N + (known_N - grown_N) * dt_s / (lag_s + dt_s)
         return min(max(smooth_N, known_N - _FURTHEST_N), known_N + _FURTHEST_N)
