@@ -1,8 +1,7 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
 A block's work is spread over samples: the one that fills it absorbs its force and reports; in the
-next, hypotheses of new events begin, and the least likely go; the third looks for a motion of the
-tissue, if that is due.
+next hypotheses of new events begin and the least likely go; one more may look for moving tissue.
 """
 
 import math
