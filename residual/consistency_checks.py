@@ -333,15 +333,16 @@ class ConsistencyMonitor:
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
         self.restore(self.state._replace(match=None, warnings=warnings))
 
-    def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
+    def recheck(self, last: WrenchEstimate, before: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with a warning if its sample or its change is not the needle's alone.
 
-        Not for every sample, since a knock does it too: for what must not wait.
+        Not for every sample, a knock does it too: for what must not wait. The sample before must
+        show it as well: an arm that brakes hard does it for one.
         """
-        change, square = self.state.change, self._wrench.mismatch_squared(last.residual)
+        square = min(self._wrench.mismatch_squared(each.residual) for each in (last, before))
         is_off = self.state.widening * square > MOST_MISMATCH**2
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
-        if change is not None and change.learned_s >= LEARNED_S:
+        if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
             axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
             if unusual_change(axial, change.now - change.before, change.usual) > BESIDE:
                 found |= SensorWarning.ARM_PUSHED

@@ -120,7 +120,7 @@ class VirtualForceSensor:
 
     def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
         """As `ConsistencyMonitor.recheck`."""
-        return self._monitor.recheck(last)
+        return self._monitor.recheck(last, self._before or last)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -216,7 +216,7 @@ class VirtualForceSensor:
         self._stream: SampleStream | None = None
         self.lag_s = self.elapsed_s = 0.0
         self._restart()
-        self._last: WrenchEstimate | None = None
+        self._before = self._last = None
         self._clock = SampleClock(self._config.max_gap_s)
         self.rejected, self._refusal = 0, ""
 
@@ -347,9 +347,8 @@ class VirtualForceSensor:
         status, message, warnings = _OK, monitor.message, monitor.warnings
         if not (settled and tared) or bias.leapt_s or stream.warning or stream.question:
             status, message, warnings = self._assess(stream, settled=settled)
-        self._last = last = _new(
-            WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
-        )
+        last = _new(WrenchEstimate, (*found, status, message, monitor.mismatch, warnings))
+        self._before, self._last = self._last, last
         return last
 
     def _assess(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
