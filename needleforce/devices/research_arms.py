@@ -90,9 +90,7 @@ class FrankaArm(_ReadOnlyArm):
         try:
             self._arm = library.Robot(host, library.RealtimeConfig.kIgnore)
         except RuntimeError as error:
-            raise LinkError(
-                f"no Franka arm at {host}: {error}; is its research interface activated?"
-            ) from error
+            raise LinkError(f"no Franka arm at {host}: {error}; is its FCI activated?") from error
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come; ends when the arm stays away."""
@@ -149,8 +147,10 @@ class UrArm(_ReadOnlyArm):
         while self._is_open and self._arm.isConnected():
             time_s = self._arm.getTimestamp()
             if time_s > self._last_s:
-                q, dq = np.array(self._arm.getActualQ()), np.array(self._arm.getActualQd())
-                current = np.array(self._arm.getActualCurrent())
+                reads = self._arm.getActualQ, self._arm.getActualQd, self._arm.getActualCurrent
+                q, dq, current = (np.array(read()) for read in reads)
+                if self._arm.getTimestamp() != time_s:
+                    continue  # parts of two packages
                 tau = None if self._constant is None else self._constant * current
                 sample = self._sample(time_s, q, dq, tau, None)
                 if sample is not None:
