@@ -103,7 +103,9 @@ def judge(
 
 def is_finite(value: object) -> bool:
     """Whether every number in a nested result is finite."""
-    if isinstance(value, np.ndarray | float):
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, np.ndarray):
         return bool(np.isfinite(value).all())
     if isinstance(value, tuple):
         return all(map(is_finite, value))

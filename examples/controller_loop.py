@@ -10,7 +10,7 @@ from needleforce import InsertionSession
 from residual import Status
 
 LIMIT_N = 2.0
-arm = simulate("gel-70-constant", "clean")  # one gel, a well-kept LWR 4+
+arm = simulate("gel-25-constant", "clean")  # one gel, a well-kept LWR 4+
 
 
 def read_arm():

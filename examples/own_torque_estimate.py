@@ -16,6 +16,8 @@ for t_s, q, external_torque in zip(arm.signals.t_s, arm.signals.q_rad, estimates
     if not session.tared and t_s > arm.tare_end_s:
         session.tare()
     forces.append(now.wrench.axial)
+    if now.identification.identified_layer is not None:
+        break  # the gel is known
 
 (layer,) = session.layers
 print(f"at most {max(forces):.2f} N; the gel is {1e3 * layer.thickness_m:.1f} mm thick")

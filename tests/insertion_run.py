@@ -10,10 +10,12 @@ from groundtruth import simulate
 from needleforce import InsertionSession
 
 
-@cache
+simulated = cache(simulate)
+
+
 def short_run():
     """The quickest catalogued insertion: one gel at constant speed."""
-    return simulate("gel-25-constant", "clean", seed=0)
+    return simulated("gel-25-constant", "clean")
 
 
 def time_steps(run):
