@@ -109,8 +109,8 @@ def is_finite(value: object) -> bool:
         return bool(np.isfinite(value).all())
     if isinstance(value, tuple):
         return all(map(is_finite, value))
-    slots = getattr(type(value), "__slots__", ())
-    return all(is_finite(getattr(value, name)) for name in slots if hasattr(value, name))
+    names = getattr(type(value), "__slots__", ())
+    return all(is_finite(getattr(value, name)) for name in names if hasattr(value, name))
 
 
 def late(force_N: Array, *, with_velocity: bool = True) -> Array:
@@ -203,10 +203,9 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
     session = InsertionSession(run.robot, on_lwr(DEFAULT))
     whole = FaultStream.of_run(run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity))
     parts = [FaultStream.of_run(run, *at, whole.reference_N) for at in ((0, tare), (tare, count))]
-    found = feed(session, parts[0], with_velocity=with_velocity)
+    found, results = feed(session, parts[0], with_velocity=with_velocity), []
     session.tare()
     found += feed(session, parts[1], with_velocity=with_velocity)
-    results = []
     for name, (begin_s, end_s) in spans.items():
         start, stop = np.searchsorted(run.signals.t_s, (begin_s, end_s)).tolist()
         true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)

@@ -1,7 +1,7 @@
 """A short simulated insertion on the clean arm, for the tests of sessions."""
 
 from dataclasses import fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from itertools import islice
 
 import numpy as np
@@ -9,13 +9,8 @@ import numpy as np
 from groundtruth import simulate
 from needleforce import InsertionSession
 
-
 simulated = cache(simulate)
-
-
-def short_run():
-    """The quickest catalogued insertion: one gel at constant speed."""
-    return simulated("gel-25-constant", "clean")
+short_run = partial(simulated, "gel-25-constant", "clean")  # the quickest catalogued insertion
 
 
 def time_steps(run):
