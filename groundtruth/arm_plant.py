@@ -3,6 +3,7 @@
 # MuJoCo's names live in a compiled module without stubs.
 # pyright: reportAttributeAccessIssue=false, reportOptionalMemberAccess=false
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -197,11 +198,8 @@ class BearingFriction:
 
         sensor torque + tissue torque + friction torque = M ddq + C dq + g.
 
-    The friction torque is against the joint's motion. The sensor reads that much more torque along
-    the motion than a rigid arm needs, and a momentum observer takes the friction torque for an
-    external one: while a needle goes in it looks like tissue that pushes back, and it changes sign
-    on the way out.
-
+    It is against the joint's motion. A momentum observer takes it for an external torque: while a
+    needle goes in it looks like tissue that pushes back, and it changes sign on the way out.
     An insertion turns the joints by 5 mrad/s and ends in rest, so standstill decides. MuJoCo's
     ``frictionloss`` creeps under load and has no Stribeck peak; the bristle of the LuGre model
     (Canudas de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
@@ -210,18 +208,22 @@ class BearingFriction:
     def __init__(self, plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator) -> None:
         """Draw the bearings of an arm with these effort limits, shape (n,)."""
         factors = drawn_factors(plant_model, limit_Nm.shape, rng)
-        self._coulomb_Nm = factors * plant_model.joint_coulomb * limit_Nm
-        self._viscous_Nms = factors * np.array(plant_model.joint_viscous_Nms_per_rad)
-        self._bristle = np.zeros_like(limit_Nm)  # in units of the Coulomb level
+        coulomb_Nm = factors * plant_model.joint_coulomb * limit_Nm
+        viscous_Nms = factors * np.array(plant_model.joint_viscous_Nms_per_rad)
+        self._levels = [*zip(coulomb_Nm.tolist(), viscous_Nms.tolist(), strict=True)]
+        self._bristles = [0.0] * len(limit_Nm)  # in units of the Coulomb level
 
     def step(self, dq_rad_s: Array, dt_s: float) -> Array:
         """Advance at a held speed, exactly, and return the torque on the links, shape (n,)."""
-        speed = np.abs(dq_rad_s)
-        level = 1.0 + (STRIBECK_PEAK - 1.0) * np.exp(-np.square(speed / STRIBECK_SPEED_rad_s))
-        sliding = np.sign(dq_rad_s) * level
-        left = np.exp(-speed * dt_s / (PRESLIDING_rad * level))
-        self._bristle = sliding + (self._bristle - sliding) * left
-        return -self._coulomb_Nm * self._bristle - self._viscous_Nms * dq_rad_s
+        torque_Nm = np.empty(len(dq_rad_s))
+        joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
+        for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(joints):  # faster than arrays of seven
+            peak = (STRIBECK_PEAK - 1.0) * math.exp(-((dq / STRIBECK_SPEED_rad_s) ** 2))
+            sliding = math.copysign(1.0 + peak, dq)
+            left = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * (1.0 + peak)))
+            self._bristles[i] = bristle = sliding + (self._bristles[i] - sliding) * left
+            torque_Nm[i] = -coulomb_Nm * bristle - viscous_Nms * dq
+        return torque_Nm
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -264,9 +266,7 @@ class ArmPlant:
             raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)
-        self._contact = contact
-        self._friction = friction
-        self._has_tissue = bool(contact.law.layers)
+        self._contact, self._friction = contact, friction
         self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
         self.tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
@@ -354,6 +354,6 @@ class ArmPlant:
         if self._contact.motion is not None:
             moved_m, self._surface_m_s = map(float, self._contact.motion.at(self._time_s))
             depth -= moved_m
-        self.depth_m = depth if self._has_tissue else 0.0
+        self.depth_m = depth if self._contact.law.layers else 0.0
         for point in self._touched:
             point.locate()
