@@ -103,14 +103,12 @@ def judge(
 
 def is_finite(value: object) -> bool:
     """Whether every number in a nested result is finite."""
-    if isinstance(value, float):
-        return math.isfinite(value)
-    if isinstance(value, np.ndarray):
-        return bool(np.isfinite(value).all())
+    if isinstance(value, np.ndarray | float):
+        return math.isfinite(value) if isinstance(value, float) else bool(np.isfinite(value).all())
     if isinstance(value, tuple):
         return all(map(is_finite, value))
-    names = getattr(type(value), "__slots__", ())
-    return all(is_finite(getattr(value, name)) for name in names if hasattr(value, name))
+    slots = getattr(type(value), "__slots__", ())
+    return all(is_finite(getattr(value, name)) for name in slots if hasattr(value, name))
 
 
 def late(force_N: Array, *, with_velocity: bool = True) -> Array:
@@ -203,9 +201,10 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
     session = InsertionSession(run.robot, on_lwr(DEFAULT))
     whole = FaultStream.of_run(run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity))
     parts = [FaultStream.of_run(run, *at, whole.reference_N) for at in ((0, tare), (tare, count))]
-    found, results = feed(session, parts[0], with_velocity=with_velocity), []
+    found = feed(session, parts[0], with_velocity=with_velocity)
     session.tare()
     found += feed(session, parts[1], with_velocity=with_velocity)
+    results = []
     for name, (begin_s, end_s) in spans.items():
         start, stop = np.searchsorted(run.signals.t_s, (begin_s, end_s)).tolist()
         true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)

@@ -218,9 +218,9 @@ class BearingFriction:
         torque_Nm = np.empty(len(dq_rad_s))
         joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
         for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(joints):  # faster than arrays of seven
-            peak = (STRIBECK_PEAK - 1.0) * math.exp(-((dq / STRIBECK_SPEED_rad_s) ** 2))
-            sliding = math.copysign(1.0 + peak, dq)
-            left = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * (1.0 + peak)))
+            level = 1.0 + (STRIBECK_PEAK - 1.0) * math.exp(-((dq / STRIBECK_SPEED_rad_s) ** 2))
+            sliding = math.copysign(level, dq)
+            left = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * level))
             self._bristles[i] = bristle = sliding + (self._bristles[i] - sliding) * left
             torque_Nm[i] = -coulomb_Nm * bristle - viscous_Nms * dq
         return torque_Nm

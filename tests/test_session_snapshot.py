@@ -59,10 +59,10 @@ def run_through(session, last, folder, *, with_velocity):
     raise AssertionError
 
 
-@pytest.mark.parametrize("config", [*CONFIGS, "multilayer without velocity"])
-def test_a_resumed_session_goes_on_bit_for_bit(config, tmp_path):
-    run, (config, *blind) = short_run(), config.split(maxsplit=1)
-    with_velocity = not blind
+@pytest.mark.parametrize("with_velocity", [True, False])
+@pytest.mark.parametrize("config", CONFIGS)
+def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
+    run = short_run()
     session, last = InsertionSession(run.robot, identifier_config=CONFIGS[config]), TARE + 17_500
     found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
     assert ("rupture" in files) or config == "published"
