@@ -24,7 +24,7 @@ LIMITS = {
     "control": (2_123, 12),
     "anatomy": (1_384, 8),
     "scene": (700, 6),
-    "devices": (1_330, 7),
+    "devices": (1_326, 7),
 }
 """Most lines and files of Python: ceilings at today's size, to be lowered with every cut. The goals
 of the chain, 19,000, 6,500 and 13,000 lines, are met. The packages around it, with their commands,

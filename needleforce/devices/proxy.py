@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from time import monotonic, sleep
-from typing import NamedTuple, Protocol, Self, TypeVar
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,7 @@ class MissingClientError(DeviceError, ImportError):
 
 LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
 MOST_DATAGRAM = 65536
+ROOM = 1 << 17  # Bytes for datagrams that wait to be read: no more than usual, old ones are stale
 
 
 class ArmSample(NamedTuple):
@@ -103,16 +104,8 @@ class MasterSample(NamedTuple):
     clutch: bool  # True while the hand moves the needle
 
 
-class _Timed(Protocol):
-    @property
-    def dt_s(self) -> float: ...
-
-
-S = TypeVar("S", bound=_Timed)
-
-
-def paced(arm: Iterable[S]) -> Iterator[S]:
-    """The samples of a simulated arm in real time: each waits until its time has come."""
+def paced(arm: Iterable[ArmSample]) -> Iterator[ArmSample]:
+    """The samples of a recorded arm in real time: each waits until its time has come."""
     due_s = monotonic()
     for sample in arm:
         due_s += sample.dt_s
@@ -171,7 +164,7 @@ class DatagramPeer:
     """
 
     def __init__(
-        self, host: str, port: int, report: LinkReport, *, peer: str | None = None
+        self, host: str, port: int, report: LinkReport, *, peer: str | None = None, room: int = ROOM
     ) -> None:
         if not 0 <= port <= 65535:
             raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
@@ -179,6 +172,7 @@ class DatagramPeer:
         self.peer: tuple[str, int] | None = None
         self._candidate: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
         try:
             self._socket.bind((host, port))
         except OSError as error:

@@ -33,6 +33,8 @@ COUNTS = 1 << 32
 LONGEST_COUNTED_s = 1.0
 """A sensor that was silent for longer may have been switched off and count from zero."""
 MOST_REPLY = 1 << 20
+ROOM = 1 << 22
+"""Bytes for the records of half a second, if the system allows as many (net.core.rmem_max)."""
 FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
 
 
@@ -106,7 +108,7 @@ class NetFT(Link):
         self.scale = read_scale(page) if isinstance(page, str) else checked_scale(page)
         self.report, self.status = LinkReport(), 0
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
-        self._socket = DatagramPeer(local, 0, self.report, peer=host)
+        self._socket = DatagramPeer(local, 0, self.report, peer=host, room=ROOM)
         self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
