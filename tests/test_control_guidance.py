@@ -1,13 +1,10 @@
-"""Manual guidance: the dead zone, the lag, rejected samples and an arm that a hand leads."""
-
-import runpy
-from pathlib import Path
+"""Manual guidance: the dead zone, the lag, rejected samples, a stiff hand."""
 
 import numpy as np
 import pytest
 
+from benchmarks.control_guidance import GuidedArm
 from needleforce.control import Guidance, SettingError
-from needleforce.control.guidance import LIGHT
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -24,8 +21,8 @@ def test_below_the_dead_zone_it_rests_exactly_and_above_it_is_viscous():
     assert not velocity(Guidance(ROBOT), 0.1, 1000).any()
     expected = (5.0 - 0.002 * ROBOT.effort_limit_Nm - 4.0 * SIGMA) / 10.0
     guidance = Guidance(ROBOT, np.full(7, 10.0))
-    assert velocity(guidance, 5.0, 60) == pytest.approx(expected, rel=0.2)
-    assert velocity(guidance, 5.0, 3000) == pytest.approx(expected / LIGHT, rel=1e-2)
+    assert velocity(guidance, 5.0, 60) == pytest.approx(expected, rel=0.3)
+    assert velocity(guidance, 5.0, 3000) == pytest.approx(expected, rel=1e-2)
 
 
 def test_what_swings_is_damped_and_what_is_led_is_not():
@@ -33,7 +30,8 @@ def test_what_swings_is_damped_and_what_is_led_is_not():
     for k in range(3000):
         torque = 5.0 * np.sin(2.0 * np.pi * 5e-3 * k)  # 5 Hz
         speeds.append(np.abs(velocity(guidance, torque)).max())
-    assert max(speeds[1500:]) < 0.5  # 5 Nm on 10 Nms
+    assert max(speeds[1500:]) < 0.05  # 5 Nm on 10 Nms
+    assert np.abs(velocity(guidance, 5.0, 3000)).max() > 0.4
 
 
 def test_it_comes_to_an_exact_rest_when_let_go_also_through_rejected_samples():
@@ -58,7 +56,12 @@ def test_a_damping_that_cannot_work_is_refused(damping):
         Guidance(ROBOT, damping)
 
 
-def test_the_example_moves_where_it_is_pushed(capsys):
-    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "hand_guidance.py"))
-    moved_mm = float(capsys.readouterr().out.split()[-2])
-    assert 20.0 < moved_mm < 400.0
+def test_a_stiff_hand_does_not_swing_an_arm_whose_torques_come_late():
+    arm = GuidedArm("S", "fri", 1)
+    begin_s, arm.hand.stiffness_N_per_m = arm.begin_s, 2000.0
+    way = np.array((0.02, 0.0, 0.0))
+    arm.hand.path_m = lambda time_s: min(max(time_s - begin_s, 0.0) / 0.4, 1.0) * way
+    apart_m = [np.linalg.norm(arm.hand.stretch_m) for _ in arm.run(1.5)]
+    assert arm.sensor.rejected == 0
+    assert 1e-3 < max(apart_m) < 0.02
+    assert max(apart_m[-500:]) < 3e-3

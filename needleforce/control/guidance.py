@@ -1,15 +1,18 @@
 """Manual guidance: the arm yields to a hand anywhere on it, felt through the joint residual.
 
-    T dv/dt + v = dz(r) / (c D),     dz(r) = r - clip(r, -h, h),     h = f r_max + s sigma
+    T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -h, h),    h = f r_max + s sigma
 
 with r the residual, D a damping per joint, h a dead zone: a fraction f of the torque limit and s
 standard deviations. Without a hand r stays within h and v is exactly zero, so nothing creeps.
 Viscous, without stiffness: the arm stays where it is let go.
 
-A stiff hand makes a loop with the arm that swings unless D is high, and a hand that leads wants it
-low. So the damping is light where the motion is steady, and full where it swings:
+A stiff hand makes a loop with the arm that swings unless the damping is high, the more so the later
+the torques come; and a hand that leads wants it low. So the damping grows while what is felt swings
+(compare Landi et al., IROS 2017), and fades:
 
-    c = 1 - (1 - c_0) (m^T D m / p)^16,      m = mean of v,  p = mean of v^T D v,  over 0.12 s
+    d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
+
+    m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
 """
 
 import math
@@ -24,13 +27,14 @@ from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 2e-3, 4.0
 """T, f and s."""
-LWR_DAMPING_Nms = (9.0, 9.0, 4.5, 4.5, 1.8, 1.35, 0.45)
-"""D per rad, for the seven joints of an LWR: with half of it the arm runs away from a hand of
-2000 N/m."""
-LIGHT, STEADY_s, SHARP = 0.4, 0.12, 16.0
-"""c_0, the time of the means and their power: the lower or the smaller, the lighter a leading hand,
-and the more a stiff one swings as it leads: with 0.1 and 6 a hub at 100 mm/s takes 3 N instead of
-5, but pulls at a hand of 2000 N/m with 50 N."""
+LWR_DAMPING_Nms = (3.6, 3.6, 1.8, 1.8, 0.72, 0.54, 0.18)
+"""D per rad, for the seven joints of an LWR: with three quarters of it the arm shakes at times, and
+its samples are taken for spikes."""
+STEADY_s, STEADY = 0.12, 0.9
+"""Time of the means, and q_0: a hand that begins to lead stays above it, if not by much."""
+RISE_per_s, FADE_per_s, MOST = 30.0, 4.0, 20.0
+"""A, b and c_max. Slower the arm swings out before it is damped: with a = 20 and b = 2 it runs away
+from a hand of 5000 N/m where torques come late, with these values it does not."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
@@ -64,8 +68,8 @@ class Guidance:
 
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
-        self._velocity = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
-        self._power_W = 0.0
+        self._velocity = self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
+        self._power_W, self._seen, self._heavy = 0.0, 0.0, 1.0
         self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
 
     def update(
@@ -92,17 +96,23 @@ class Guidance:
         else:
             self._rejected_s += dt_s
             self._beyond_Nm = self._beyond_Nm * (kept if self._rejected_s > HOLD_s else 1.0)
-        wish = self._beyond_Nm / (self._damping * self._heaviness(dt_s))
-        self._velocity = wish + kept * (self._velocity - wish)
-        if not self._beyond_Nm.any() and np.abs(self._velocity).max() < REST_rad_s:
-            self._velocity = np.zeros_like(self._velocity)
+        wish = self._beyond_Nm / self._damping
+        self._wish = wish + kept * (self._wish - wish)
+        if not self._beyond_Nm.any() and np.abs(self._wish).max() < REST_rad_s:
+            self._wish = np.zeros_like(self._wish)
+        self._velocity = self._wish / self._heaviness(dt_s)
         return JointVelocity(self._velocity)
 
     def _heaviness(self, dt_s: float) -> float:
         """C of the coming cycle."""
+        if not self._wish.any():  # nothing is felt, so the next motion is another one
+            self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0
+            return self._heavy
         old = math.exp(-dt_s / STEADY_s)
-        self._mean = old * self._mean + (1.0 - old) * self._velocity
-        power_W = float(self._velocity**2 @ self._damping)
-        self._power_W = old * self._power_W + (1.0 - old) * power_W
-        steady_W = float(self._mean**2 @ self._damping)
-        return 1.0 - (1.0 - LIGHT) * (steady_W / max(self._power_W, 1e-9)) ** SHARP
+        self._seen = old * self._seen + 1.0 - old
+        self._mean = old * self._mean + (1.0 - old) * self._wish
+        self._power_W = old * self._power_W + (1.0 - old) * float(self._wish**2 @ self._damping)
+        steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
+        rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
+        self._heavy = min(self._heavy * math.exp(dt_s * rate), MOST)
+        return self._heavy
