@@ -24,6 +24,7 @@ from identification.estimate import Array
 from identification.hypothesis_bank import Place
 from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_STD
 from identification.switching_update import contact_along
+from needleforce.jit import Matrix, Vector, compiled
 
 _STEP_S, _SIZE = 0.05, 256  # the window: means over so long, so many of them at most
 _LEAST_S, _MARGIN = 2.5, 7
@@ -96,10 +97,11 @@ class TissueMotion(NamedTuple):
 
     def at(self, time_s: float) -> tuple[float, float]:
         """Place and speed of the tissue [mm, mm/s]."""
-        place, speed = displacement(self.fit.beats, np.array(time_s - self.fit.at_s))
+        at_s = np.array([time_s - self.fit.at_s])
+        place, speed = (float(each[0]) for each in displacement(self.fit.beats, at_s))
         part = min(max((time_s - self.since_s) / _FADE_S, 0.0), 1.0)
         kept, rate = part * part * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / _FADE_S
-        return kept * float(place), kept * float(speed) + rate * float(place)
+        return kept * place, kept * speed + rate * place
 
     def limits(self, time_s: float) -> tuple[float, float, float]:
         """Variance of the force that heartbeat and breathing leave unexplained.
@@ -166,7 +168,7 @@ class TissueMotion(NamedTuple):
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
                 end = 2 * n + m if heart < breath else end  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
-            error = window.scanned(tried) if row < 2 else window.first_fit(tried, time_s).error
+            error = window.waves(tried)[1] if row < 2 else window.first_fit(tried, time_s).error
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
@@ -201,14 +203,16 @@ class TissueMotion(NamedTuple):
         return state._replace(fit=best, since_s=time_s)
 
 
-def displacement(beats: Array, time_s: Array) -> tuple[Array, Array]:
-    """Place [mm] and speed [mm/s] of the tissue at times, of any shape, since its phases' zero."""
+@compiled
+def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
+    """Place [mm] and speed [mm/s] of the tissue at n times since its phases' zero."""
     place, speed = np.zeros_like(time_s), np.zeros_like(time_s)
-    for hz, *sizes in beats.tolist():
-        for k in (0, 2):
-            rate, a, b = math.pi * hz * (2.0 + k), *sizes[k : k + 2]
+    for k in range(len(beats)):
+        for h in range(1, 3):
+            rate, a, b = 2.0 * math.pi * h * beats[k, 0], beats[k, 2 * h - 1], beats[k, 2 * h]
             cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
-            place, speed = place + (a * cosine + b * sine), speed + rate * (b * cosine - a * sine)
+            place += a * cosine + b * sine
+            speed += rate * (b * cosine - a * sine)
     return place, speed
 
 
@@ -225,6 +229,16 @@ def _derivatives(beats: Array, time_s: Array) -> tuple[Array, Array]:
     places[..., 1::2], places[..., 2::2] = cosine, sine
     speeds[..., 1::2], speeds[..., 2::2] = -rate * sine, rate * cosine
     return places.reshape(len(time_s), -1), speeds.reshape(len(time_s), -1)
+
+
+@compiled
+def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[Vector, Vector]:
+    """Least squares beside what is known beforehand: the unknowns, and the error they leave."""
+    square = np.dot(rows.T, rows) + known
+    # Of unknowns that nothing separates as well.
+    square += np.diag(1e-9 * np.diag(square) + 1e-12)
+    found = np.linalg.solve(square, np.dot(rows.T, force) + pull)
+    return found, force - np.dot(rows, found)
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
@@ -271,9 +285,7 @@ class _Window:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
         rows, force = self._rows(contact_along(self.depth - place), speed), self.force / self.sigma
-        information, vector = self.prior
-        linear = _solved(rows.T @ rows + information, rows.T @ force + vector)
-        error = force - rows @ linear
+        linear, error = _fitted(rows, force, *self.prior)
         return rows, linear, float(error @ error), error
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
@@ -313,24 +325,18 @@ class _Window:
         cosine, sine, y = np.cos(phase), np.sin(phase), self.travel
         return np.stack((cosine, cosine * y, sine, sine * y), axis=1).reshape(-1, self.count)
 
-    def _linear(self, hz: Array) -> tuple[Array, float]:
-        """Fit of a smooth course and of waves, with the error it leaves."""
+    def waves(self, hz: Array) -> tuple[Array, float]:
+        """Fit of a smooth course and of waves; mean square of the error it leaves."""
         y, v, one = self.travel, self.speed, np.ones(self.count)
         columns = np.array([one, y, y * y, y**3, v, v * y, *self._waves(hz)])
         matrix, force = np.ascontiguousarray((columns / self.sigma).T), self.force / self.sigma
         scale = np.sqrt((matrix * matrix).sum(axis=0)) + 1e-12
-        matrix = matrix / scale
-        found = _solved(matrix.T @ matrix, matrix.T @ force)
-        error = force - matrix @ found
-        return found / scale, float(error @ error)
-
-    def scanned(self, hz: Array) -> float:
-        """Mean square of the error that waves of these frequencies leave."""
-        return self._linear(hz)[1] / self.count
+        found, error = _fitted(matrix / scale, force, np.diag(0.0 * scale), 0.0 * scale)
+        return found / scale, float(error @ error) / self.count
 
     def first_fit(self, hz: Array, time_s: float) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
-        found, y = self._linear(hz)[0], float(self.travel[-1])
+        found, y = self.waves(hz)[0], float(self.travel[-1])
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
         waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
@@ -349,14 +355,14 @@ class _Window:
         rows, linear, _, error = self.solved(beats, at_s)
         stds = np.array([_stds(beat, is_prior=is_prior) for beat in beats]).ravel()
         target = beats if is_prior else beats * (np.arange(5) == 0)
-        matrix = np.hstack((rows, self._slopes(fit, linear)))
-        square, vector = matrix.T @ matrix, matrix.T @ error
-        square[:_LINEAR, :_LINEAR] += self.prior[0]
-        pulled = slice(_LINEAR, None)
-        square[pulled, pulled] += np.diag(stds**-2.0)
-        vector[pulled] += (target - beats).ravel() / stds**2
-        square[pulled, pulled] += np.diag(square[pulled, pulled].diagonal() * fit.damping)
-        change = _solved(square, vector)[pulled].reshape(beats.shape)
+        slopes = self._slopes(fit, linear)
+        information = np.zeros((_LINEAR + beats.size,) * 2)
+        information[:_LINEAR, :_LINEAR] = self.prior[0]
+        held = (1.0 + fit.damping) * stds**-2.0 + fit.damping * (slopes * slopes).sum(axis=0)
+        information[_LINEAR:, _LINEAR:] = np.diag(held)
+        pulled = np.append(np.zeros(_LINEAR), (target - beats).ravel() / stds**2)
+        step = _fitted(np.hstack((rows, slopes)), error, information, pulled)[0]
+        change = step[_LINEAR:].reshape(beats.shape)
 
         def cost(tried: Array) -> float:
             return float((((tried - target).ravel() / stds) ** 2).sum())
@@ -373,12 +379,6 @@ class _Window:
 
     def _rms(self, error: float) -> float:
         return math.sqrt(error / self.count) * float(np.median(self.sigma))
-
-
-def _solved(square: Array, vector: Array) -> Array:
-    """Solution of normal equations, of unknowns that nothing separates as well."""
-    regular: Array = square + np.diag(1e-9 * square.diagonal() + 1e-12)
-    return np.asarray(np.linalg.solve(regular, vector), dtype=np.float64)
 
 
 def _stds(beat: Array, *, is_prior: bool) -> Array:
