@@ -19,9 +19,9 @@ from needleforce.anatomy.landmarks import Registration, point_jacobian
 Pose = tuple[Array, Array]  # Rotation and shift
 
 TOUCH_STD_m = 0.5e-3
-SURFACE_STD_m = 0.35e-3  # Least error of a segmented surface: measured on organs segmented at 3 mm
-SURFACE_REACH_m = 8e-3  # Over which it is the same
-SURFACE_BIAS_m = 0.2e-3  # By which all of it may be too large or too small
+SURFACE_STD_m = 0.25e-3  # Least error of a segmented surface: measured on organs segmented at 3 mm
+SURFACE_REACH_m = 7e-3  # Over which it is the same
+SURFACE_BIAS_m = 0.05e-3  # By which all of it may be too large or too small
 LEAST_TOUCHES = 15
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
