@@ -38,6 +38,8 @@ from a hand of 5000 N/m where torques come late, with these values it does not."
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
+GROWTH_s = 20.0
+"""Time over which sigma may grow by e: torques drift slowly since the tare, hands come at once."""
 REST_rad_s = 1e-6
 
 
@@ -83,13 +85,14 @@ class Guidance:
             dt_s: Time since the last call.
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
-        # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
-        # sigma as the residual grows. What counts is sigma without a hand.
-        self._sigma_Nm = np.fmin(self._sigma_Nm, sigma_Nm)
-        zone = self._least_Nm + SIGMAS * self._sigma_Nm
-        beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         if not 0.0 < dt_s < math.inf:
             return JointVelocity(self._velocity)
+        # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
+        # sigma as the residual grows. What counts is sigma without a hand.
+        grown = math.exp(min(dt_s / GROWTH_s, 1.0))
+        self._sigma_Nm = np.fmin(grown * self._sigma_Nm, sigma_Nm)
+        zone = self._least_Nm + SIGMAS * self._sigma_Nm
+        beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         kept = math.exp(-dt_s / LAG_s)
         if is_valid and np.isfinite(beyond).all():
             self._beyond_Nm, self._rejected_s = beyond, 0.0
