@@ -46,14 +46,29 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
     assert counted(before_N, fall_N, **how) == count
 
 
-def situation(state, depth_m, k, state_s, **kind):
+def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
     estimate = SimpleNamespace(
-        depth_m=depth_m, wrench=SimpleNamespace(axial=2.0), identification=found(**kind)
+        depth_m=depth_m, wrench=SimpleNamespace(axial=axial_N), identification=found(**kind)
     )
     moving = state in (State.TARE, State.INSERTION)
     return SimpleNamespace(
         state=state, state_s=state_s, time_s=k * DT, is_moving=moving, estimate=estimate
     )
+
+
+def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
+    profile, depth_m, events = (
+        InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1)),
+        0.0,
+        {},
+    )
+    for k in range(1500):
+        axial_N = 0.8 * (20 < k < 200 or 1000 < k < 1200)  # it accelerates for 200 ms
+        step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
+        depth_m += DT * step.speed_m_s
+        if step.event:
+            events.setdefault(step.event, k)
+    assert events["rupture"] == pytest.approx(1205, abs=10)
 
 
 def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():

@@ -32,6 +32,9 @@ _LARGE, _LARGE_N = 0.15, 0.1
 """A fall by so much of the force, and in newtons, is a rupture whatever the identification still
 waits for; smaller ones are errors of the force that go with the posture."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
+_SETTLED_S = 0.1
+"""A command is steady this long after its last change: where the force is late, the force of an arm
+that got under way falls until then."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,7 +59,7 @@ class InsertionPlan:
     tare_stroke_m: float = 0.06
     stroke_s: float = 3.0
     dwell_s: float = 1.0
-    acceleration_m_s2: float = 0.3
+    acceleration_m_s2: float = 0.1
 
     def __post_init__(self) -> None:
         require_positive(asdict(self), or_zero=("approach_m", "dwell_s"))
@@ -108,7 +111,7 @@ class RuptureCount:
         self._variance_N2 += weight * (noise_N2 - self._variance_N2)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
         self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
-        if not found.in_contact:  # what falls in free air is the start of the motion
+        if not (found.in_contact and is_steady):  # what falls then is the start of the motion
             self._peak_N = self._force_N
         before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
         fall_N = before_N - self._force_N
@@ -140,7 +143,7 @@ class InsertionProfile:
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
         self._program = [*(["approach"] if plan.approach_m > 0.0 else []), "tare", "insert"]
-        self._speed_m_s = self._from_m = self._last_s = self._asked_m = 0.0
+        self._speed_m_s = self._from_m = self._last_s = self._asked_m = self._steady_s = 0.0
         self._held_m: float | None = None  # where an insertion has ended
         self._is_slack = False
 
@@ -187,7 +190,9 @@ class InsertionProfile:
 
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        is_steady = self._speed_m_s == self._plan.speed_m_s
+        is_even = self._speed_m_s == self._plan.speed_m_s
+        self._steady_s = self._steady_s + dt_s if is_even else 0.0
+        is_steady = self._steady_s > _SETTLED_S
         is_left = self._ruptures.update(found, axial_N, depth_m, dt_s, is_steady=is_steady)
         if is_left and self._ruptures.count == self._plan.layer:
             return Step(self._hold(depth_m), "rupture")
