@@ -10,6 +10,7 @@ from the resting hand, worst of directions.
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -38,6 +39,7 @@ REST_s, AWAY_m = 0.5, 0.025
 """From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has run away;
 it may then stand still because the sensor takes nothing in, so its swing alone says nothing."""
 DRIFT_s = 60.0
+FOR_GUIDANCE = replace(DEFAULT, smooth_momentum=False)
 
 
 class GuidedArm:
@@ -68,7 +70,7 @@ class GuidedArm:
             duration_s=self.begin_s + DRIFT_s + 1.0,
         )
         self.control = Controller(self.rig.robot, Limits(self.rig.robot))
-        self.sensor = VirtualForceSensor(self.rig.robot, on_lwr(DEFAULT))
+        self.sensor = VirtualForceSensor(self.rig.robot, on_lwr(FOR_GUIDANCE))
         self._above: list[Task] = []
         self._prepare(scenario is not None)
 

@@ -13,16 +13,26 @@ SIGMA = np.full(7, 0.01)
 
 def velocity(guidance, torque, ticks=1, **how):
     for _ in range(ticks):
-        task = guidance.update(np.full(7, torque), SIGMA, 1e-3, **how)
+        task = guidance.update(np.zeros(7) + torque, SIGMA, 1e-3, **how)
     return task.wish
 
 
 def test_below_the_dead_zone_it_rests_exactly_and_above_it_is_viscous():
     assert not velocity(Guidance(ROBOT), 0.1, 1000).any()
-    expected = (5.0 - 0.002 * ROBOT.effort_limit_Nm - 4.0 * SIGMA) / 10.0
+    zone = 0.0016 * ROBOT.effort_limit_Nm + 4.0 * SIGMA
     guidance = Guidance(ROBOT, np.full(7, 10.0))
-    assert velocity(guidance, 5.0, 60) == pytest.approx(expected, rel=0.3)
+    assert (velocity(guidance, 5.0, 60) < 0.5 * (5.0 - zone) / 10.0).all()  # heavy at first
+    expected = (5.0 - 0.15 * zone) / 10.0
     assert velocity(guidance, 5.0, 3000) == pytest.approx(expected, rel=1e-2)
+
+
+def test_the_dead_zone_opens_for_a_hand_and_closes_behind_it():
+    below = 0.9 * 0.0016 * ROBOT.effort_limit_Nm
+    guidance = Guidance(ROBOT)
+    assert not velocity(guidance, below, 1000).any()
+    assert velocity(guidance, 5.0, 300).all()
+    assert velocity(guidance, below, 100).all()
+    assert not velocity(guidance, below, 4000).any()
 
 
 def test_what_swings_is_damped_and_what_is_led_is_not():

@@ -39,7 +39,7 @@ from needleforce.control import (
 from needleforce.plots import palette
 from needleforce.plots.chart import Chart, Curve, Panel, Shading, require_matplotlib, save_figure
 from needleforce.plots.page import PAGE, Page, PageTable, Section, save_page_figure, write_page
-from residual import Status, VirtualForceSensor
+from residual import SensorConfig, Status, VirtualForceSensor
 
 Rows = tuple[tuple[str, str], ...]
 Progress = Callable[[float], None]
@@ -250,7 +250,8 @@ def _guidance(progress: Progress) -> Shown:
         return (PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S) if inside else 0.0, 0.0, 0.0)
 
     arm = SimulatedArm(contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S)
-    sensor, control = VirtualForceSensor(arm.robot), Controller(arm.robot, Limits(arm.robot))
+    sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
+    control = Controller(arm.robot, Limits(arm.robot))
     control.tool.update(arm.home_rad)
     guidance, shaft, rows = Guidance(arm.robot), Fixture.here(control.tool, 20.0), []
     for sample in arm:

@@ -1,9 +1,11 @@
 """Manual guidance: the arm yields to a hand anywhere on it, felt through the joint residual.
 
-    T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -h, h),    h = f r_max + s sigma
+    T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -z h, z h)
 
-with r the residual, D a damping per joint, h a dead zone: a fraction f of the torque limit and s
-standard deviations. Without a hand r stays within h and v is exactly zero, so nothing creeps.
+with r the residual, D a damping per joint, h = f r_max + s sigma a dead zone: a fraction f of the
+torque limit and s standard deviations. Without a hand r stays within h and v is exactly zero, so
+nothing creeps. Once a hand is felt, by any joint, most of the dead zone only makes the arm heavy:
+z falls from 1, and returns when all joints are within h again.
 Viscous, without stiffness: the arm stays where it is let go.
 
 A stiff hand makes a loop with the arm that swings unless the damping is high, the more so the later
@@ -13,6 +15,9 @@ the torques come; and a hand that leads wants it low. So the damping grows while
     d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
 
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
+
+Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that hardly
+accelerates; in guidance it turns acceleration into residual, and the arm chatters at 26 Hz.
 """
 
 import math
@@ -25,16 +30,17 @@ from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
-LAG_s, LEAST, SIGMAS = 0.02, 2e-3, 4.0
-"""T, f and s."""
-LWR_DAMPING_Nms = (3.6, 3.6, 1.8, 1.8, 0.72, 0.54, 0.18)
-"""D per rad, for the seven joints of an LWR: with three quarters of it the arm shakes at times, and
-its samples are taken for spikes."""
+LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
+"""T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
+LEFT, OPEN_s, CLOSE_s = 0.15, 0.05, 0.5
+"""z while a hand is felt, and times in which z falls and returns."""
+LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
+"""D per rad, for the seven joints of an LWR: 10 to 25 Ns/m at the hub."""
 STEADY_s, STEADY = 0.12, 0.9
 """Time of the means, and q_0: a hand that begins to lead stays above it, if not by much."""
-RISE_per_s, FADE_per_s, MOST = 30.0, 4.0, 20.0
-"""A, b and c_max. Slower the arm swings out before it is damped: with a = 20 and b = 2 it runs away
-from a hand of 5000 N/m where torques come late, with these values it does not."""
+RISE_per_s, FADE_per_s, FIRST, MOST = 30.0, 4.0, 3.0, 50.0
+"""a, b, c when a hand is first felt, and c_max. With c = 1 at first a hand of 5000 N/m swings an
+arm by 30 mm where torques come late; with c_max = 20 the arm runs away from it."""
 HOLD_s = 0.02
 """The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
@@ -71,7 +77,7 @@ class Guidance:
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
         self._velocity = self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
-        self._power_W, self._seen, self._heavy = 0.0, 0.0, 1.0
+        self._power_W, self._seen, self._heavy, self._zone = 0.0, 0.0, FIRST, 1.0
         self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
 
     def update(
@@ -92,6 +98,10 @@ class Guidance:
         grown = math.exp(min(dt_s / GROWTH_s, 1.0))
         self._sigma_Nm = np.fmin(grown * self._sigma_Nm, sigma_Nm)
         zone = self._least_Nm + SIGMAS * self._sigma_Nm
+        is_felt = bool((np.abs(residual_Nm) > zone).any())  # not by a number that is not finite
+        goal, time_s = (LEFT, OPEN_s) if is_felt else (1.0, CLOSE_s)
+        self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
+        zone *= self._zone
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         kept = math.exp(-dt_s / LAG_s)
         if is_valid and np.isfinite(beyond).all():
@@ -110,6 +120,7 @@ class Guidance:
         """C of the coming cycle."""
         if not self._wish.any():  # nothing is felt, so the next motion is another one
             self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0
+            self._heavy = max(self._heavy, FIRST)
             return self._heavy
         old = math.exp(-dt_s / STEADY_s)
         self._seen = old * self._seen + 1.0 - old
