@@ -28,9 +28,10 @@ _SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
 the memory of the last peak."""
 _FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
 """Noise before it is measured; a fall by so many standard deviations of it is one."""
-_LARGE, _LARGE_N = 0.15, 0.1
-"""A fall by so much of the force, and in newtons, is a rupture whatever the identification still
-waits for; smaller ones are errors of the force that go with the posture."""
+_LARGE, _LARGE_N, _LARGE_SIGMAS = 0.15, 0.1, 10.0
+"""A fall by so much of the force, in newtons, and in deviations of the noise is a rupture whatever
+the identification still waits for; smaller ones are errors of the force that go with the posture,
+and slow noise: on FRI falls by 8 deviations."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
 _SETTLED_S = 0.1
 """A command is steady this long after its last change: where the force is late, the force of an arm
@@ -115,9 +116,10 @@ class RuptureCount:
             self._peak_N = self._force_N
         before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
         fall_N = before_N - self._force_N
-        large_N = max(_LARGE * before_N, _LARGE_N)
-        is_likely = found.rupture_state is RuptureState.EXPECTED or fall_N > large_N
-        has_fallen = fall_N > _SIGMAS * math.sqrt(self._variance_N2)
+        noise_N = math.sqrt(self._variance_N2)
+        is_large = fall_N > max(_LARGE * before_N, _LARGE_N, _LARGE_SIGMAS * noise_N)
+        is_likely = is_large or found.rupture_state is RuptureState.EXPECTED
+        has_fallen = fall_N > _SIGMAS * noise_N
         if not (found.in_contact and has_fallen and (alarm or (is_steady and is_likely))):
             return False
         if depth_m < self._last_m + _APART_M:
