@@ -239,7 +239,7 @@ def _stop_chart(
     )
 
 
-PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 9.0, 12.0, 4.0
+PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 7.0, 10.0, 2.0
 
 
 def _guidance(progress: Progress) -> Shown:
