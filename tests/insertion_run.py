@@ -1,6 +1,6 @@
 """A short simulated insertion on the clean arm, for the tests of sessions."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from functools import cache, partial
 from itertools import islice
 
@@ -9,7 +9,23 @@ import numpy as np
 from groundtruth import simulate
 from needleforce import InsertionSession
 
-simulated = cache(simulate)
+BEHIND_S = 6.0
+
+
+def cut(result, rows):
+    """Signals or truth of a run, at some of its samples only."""
+    arrays = {item.name: getattr(result, item.name) for item in fields(result)}
+    return replace(result, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)})
+
+
+@cache
+def simulated(*case, **options):
+    """`simulate`, but the run ends before the withdrawal, behind the last layer."""
+    run = simulate(*case, **options)
+    rows = slice(int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + BEHIND_S)))
+    return replace(run, signals=cut(run.signals, rows), truth=cut(run.truth, rows))
+
+
 short_run = partial(simulated, "gel-25-constant", "clean")  # the quickest catalogued insertion
 
 

@@ -1,12 +1,12 @@
 """`needleforce simulate`: a simulated insertion as a recording, and the commands after it."""
 
 import re
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from insertion_run import short_run
+from insertion_run import cut, short_run
 
 from groundtruth import SCENARIOS
 from needleforce.cli import main
@@ -20,16 +20,9 @@ SUFFIXES = (".csv", ".npz", ".parquet", ".mcap")
 
 @pytest.fixture(scope="module")
 def run():
-    """One simulated insertion, without its withdrawal, for all tests."""
-    whole = short_run()
-    return replace(whole, signals=cut(whole.signals), truth=cut(whole.truth))
-
-
-def cut(result):
-    """Signals or truth at 500 Hz until 34 s, when the needle rests beyond the gel."""
-    arrays = {item.name: getattr(result, item.name) for item in fields(result)}
-    rows = np.flatnonzero(result.t_s < 34.0)[::2]
-    return replace(result, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)})
+    """One simulated insertion at 500 Hz, without its withdrawal, for all tests."""
+    whole, rows = short_run(), slice(None, None, 2)
+    return replace(whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows))
 
 
 @pytest.fixture
