@@ -23,12 +23,13 @@ def make_row(**changes):
     return Row(**(TEMPLATE | changes))
 
 
-BEYOND_M = 11e-3
+def silent(fraction):
+    assert 0.0 <= fraction <= 1.0
 
 
 def gel_slice(percent=70, *, thickness_m=12e-3, speed_m_s=5e-3):
     """An insertion at constant speed into a slice of one of the published gels."""
-    depth_m = thickness_m + BEYOND_M
+    depth_m = thickness_m + 11e-3
     return Scenario(
         id="short",
         title="a slice of gel",

@@ -9,8 +9,6 @@ import numpy as np
 from groundtruth import simulate
 from needleforce import InsertionSession
 
-BEHIND_S = 6.0
-
 
 def cut(result, rows):
     """Signals or truth of a run, at some of its samples only."""
@@ -20,9 +18,9 @@ def cut(result, rows):
 
 @cache
 def simulated(*case, **options):
-    """`simulate`, but the run ends before the withdrawal, behind the last layer."""
+    """`simulate`, but the run ends 6 s behind the last layer, before the withdrawal."""
     run = simulate(*case, **options)
-    rows = slice(int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + BEHIND_S)))
+    rows = slice(int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + 6.0)))
     return replace(run, signals=cut(run.signals, rows), truth=cut(run.truth, rows))
 
 

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from benchmark_cases import silent
 
 from benchmarks import DataError
 from benchmarks.benchmark import Job
@@ -17,10 +18,6 @@ from benchmarks.recorded.ur10e import FOLDER as UR10E
 from benchmarks.recorded.ur10e import read_ur10e, run_ur10e_payload
 from benchmarks.runner import run_job
 from benchmarks.signals import JointSignals
-
-
-def silent(fraction):
-    assert 0.0 <= fraction <= 1.0
 
 
 def values(run, benchmark, data, **more):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmark_cases import gel_slice, make_row
+from benchmark_cases import gel_slice, make_row, silent
 
 from benchmarks.benchmark import Job
 from benchmarks.perturbations import ARM_ONLY, FT_ONLY, GROUPS, MIXED, PERTURBATIONS, perturbed
@@ -12,10 +12,6 @@ from benchmarks.tables import TABLES, fill, result_tables, worst_rows
 from groundtruth import scenario
 
 BRIEF = gel_slice(25, thickness_m=10e-3, speed_m_s=10e-3)
-
-
-def silent(fraction):
-    assert 0.0 <= fraction <= 1.0
 
 
 @pytest.mark.parametrize("name", [*PERTURBATIONS, MIXED])

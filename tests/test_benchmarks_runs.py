@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from benchmark_cases import gel_slice
+from benchmark_cases import gel_slice, silent
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,10 +22,6 @@ from groundtruth import SCENARIOS, simulate
 SHORT = gel_slice()
 BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(BRIEF, layers=())
-
-
-def silent(fraction):
-    assert 0.0 <= fraction <= 1.0
 
 
 def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp_path):
