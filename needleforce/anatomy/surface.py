@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from needleforce.anatomy.errors import Array
 
@@ -54,18 +55,16 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     Raises:
         VolumeError: No structure with voxels has that name.
     """
+    import manifold3d
     from skimage.measure import marching_cubes
 
-    structure, mask = labels[name], labels.mask(name)
-    padded = np.zeros([size + 2 for size in mask.shape], np.float32)
-    padded[1:-1, 1:-1, 1:-1] = mask
-    vertices, triangles, _, _ = marching_cubes(padded, 0.5)
-    del padded
-    if enclosed(vertices, triangles) < 0.0:
-        triangles = triangles[:, ::-1]
+    structure, padded = labels[name], np.pad(labels.mask(name), 1)
+    vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     smooth = _smoothed(vertices, triangles)
     if enclosed(smooth, triangles) > 0.5 * enclosed(vertices, triangles):
-        vertices, triangles = _simplified(smooth, triangles)
+        mesh = manifold3d.Mesh(smooth, triangles.astype(np.uint32))
+        simple = manifold3d.Manifold(mesh).simplify(TOLERANCE_VOXELS).to_mesh()
+        vertices, triangles = simple.vert_properties[:, :3].astype(float), simple.tri_verts
     # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
     vertices = _with_volume(vertices, triangles, float(structure.voxels))
     start = np.array([part.start for part in structure.box]) - 1.0
@@ -84,8 +83,6 @@ def enclosed(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> 
 def _smoothed(
     vertices: NDArray[np.floating], triangles: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    from scipy import sparse
-
     # Every edge is an edge of two triangles, once in each direction.
     edges = np.concatenate([triangles[:, (i, (i + 1) % 3)] for i in range(3)])
     weights = 1.0 / np.bincount(edges[:, 0], minlength=len(vertices)).astype(np.float32)
@@ -98,20 +95,8 @@ def _smoothed(
     return points
 
 
-def _simplified(
-    vertices: NDArray[np.float32], triangles: NDArray[np.integer]
-) -> tuple[Array, NDArray[np.integer]]:
-    import manifold3d
-
-    mesh = manifold3d.Mesh(vertices, np.ascontiguousarray(triangles, np.uint32))
-    found = manifold3d.Manifold(mesh).simplify(TOLERANCE_VOXELS).to_mesh()
-    return np.array(found.vert_properties[:, :3], float), np.array(found.tri_verts, np.int64)
-
-
 def _with_volume(vertices: Array, triangles: NDArray[np.integer], volume: float) -> Array:
     """Move vertices along the normals until the surface holds a volume."""
-    from scipy import sparse
-
     # Which triangles meet in a vertex: a third of each one's area to each of its corners.
     rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
     corners = sparse.csr_array((np.full(len(rows), 1.0 / 6.0), (rows, columns)))

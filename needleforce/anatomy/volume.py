@@ -10,17 +10,17 @@ import locale
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
 
 from needleforce.anatomy.errors import Array, VolumeError
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.path_layers import Layer
-    from needleforce.anatomy.surface import Surface
+from needleforce.anatomy.path_layers import layers_on_path
+from needleforce.anatomy.surface import Surface, surface_of
 
 SIZES_M = (0.005, 5.0)
 """Least and most diagonal of a volume: beyond them its unit is not the millimetre."""
@@ -75,14 +75,10 @@ class Grid:
         """Indices (..., 3), with fractions, of points (..., 3) in LPS."""
         return (np.asarray(points_m, float) - self.origin_m) @ np.linalg.inv(self.axes_m).T
 
-    def corners_m(self) -> Array:
-        """Centres of the eight voxels in the corners, (8, 3)."""
-        return self.points_m(np.indices((2, 2, 2)).reshape(3, 8).T * (np.array(self.shape) - 1))
-
-    def within(self, box: Sequence[slice]) -> "Grid":
-        """Return the grid of the voxels in a box of slices."""
-        shape = tuple(part.stop - part.start for part in box)
-        return Grid(shape, self.points_m([part.start for part in box]), self.axes_m)
+    def corners_m(self, box: Sequence[slice] = ()) -> Array:
+        """Centres of the eight voxels in the corners, of the grid or of a box in it, (8, 3)."""
+        whole = [slice(0, size) for size in self.shape]
+        return self.points_m(list(product(*((part.start, part.stop - 1) for part in box or whole))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,9 +129,7 @@ class Labels:
         Raises:
             VolumeError: No structure has a voxel, or two have the same name.
         """
-        from scipy.ndimage import find_objects
-
-        boxes = [find_objects(volume) for volume in volumes]
+        boxes = [ndimage.find_objects(volume) for volume in volumes]
         found: dict[str, Structure] = {}
         for item in structures:
             of_volume = boxes[item.volume]
@@ -171,8 +165,6 @@ class Labels:
 
         With ``fat`` it comes as two structures, ``lean`` and ``fat``.
         """
-        from scipy import ndimage
-
         _require_agreement(self, scan)
         parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
         ndimage.label(scan.values > BODY_HU, output=parts)
@@ -195,10 +187,8 @@ class Labels:
 
     def surfaces(
         self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None
-    ) -> "dict[str, Surface]":
+    ) -> dict[str, Surface]:
         """Closed surfaces by name (`surface.surface_of`); ``progress`` gets the fraction done."""
-        from needleforce.anatomy.surface import surface_of
-
         wanted = list(names) if names is not None else [item.name for item in self.structures]
         found = {}
         for done, name in enumerate(wanted, 1):
@@ -207,13 +197,7 @@ class Labels:
                 progress(done / len(wanted))
         return found
 
-    def layers_along(
-        self, entry_m: ArrayLike, target_m: ArrayLike, boundary_std_m: float = 0.0
-    ) -> "list[Layer]":
-        """What a straight needle crosses, see `path_layers.layers_on_path`."""
-        from needleforce.anatomy.path_layers import layers_on_path
-
-        return layers_on_path(self, entry_m, target_m, boundary_std_m)
+    layers_along = layers_on_path  # it takes the labels first
 
 
 def read_volume(path: Path | str) -> Volume:
@@ -223,10 +207,10 @@ def read_volume(path: Path | str) -> Volume:
         VolumeError: Not readable, not three-dimensional, not in millimetres; of DICOM: no series or
             several, slices that are missing, doubled, of different sizes or sheared.
     """
-    image = _read_image(Path(path))
-    if image.GetNumberOfComponentsPerPixel() != 1:
+    arrays, grid, _ = _read(Path(path))
+    if len(arrays) != 1:
         raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    return Volume(_arrays(image)[0], _grid_of(image, path))
+    return Volume(arrays[0], grid)
 
 
 def read_labels(
@@ -247,16 +231,17 @@ def read_labels(
         VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or labels that
             lie elsewhere than the scan.
     """
-    image, beside = _read_image(Path(path)), Path(path).with_name("labels.json")
+    arrays, grid, header = _read(Path(path))
+    beside = Path(path).with_name("labels.json")
     names = beside if names is None and beside.exists() else names
-    volumes, grid = [], _grid_of(image, path)
-    for values in _arrays(image):
+    volumes = []
+    for values in arrays:
         whole = values if np.issubdtype(values.dtype, np.integer) else values.astype(np.int32)
         if whole.min() < 0 or whole.max() > np.iinfo(np.uint16).max or np.any(whole != values):
             raise VolumeError(f"{path} holds {values.min():g} to {values.max():g}: expected labels")
         volumes.append(whole.astype(np.uint8 if whole.max() < 256 else np.uint16, copy=False))
     try:
-        labels = Labels.of(volumes, grid, _segments(image) or _plain_structures(volumes, names))
+        labels = Labels.of(volumes, grid, _segments(header) or _plain_structures(volumes, names))
     except VolumeError as error:
         raise VolumeError(f"{path}: {error}") from None
     if scan is not None:
@@ -281,19 +266,15 @@ def _plain_structures(
     ]
 
 
-def _segments(image: Any) -> list[Structure]:
+def _segments(header: Mapping[str, str]) -> list[Structure]:
     """Return the segments that 3D Slicer described in the file's header, none in other files."""
-    keys, found = set(image.GetMetaDataKeys()), []
-    while f"Segment{len(found)}_ID" in keys:
-
-        def field(what: str, default: str, number: int = len(found)) -> str:
-            key = f"Segment{number}_{what}"
-            return image.GetMetaData(key) if key in keys else default
-
-        value = int(field("LabelValue", str(len(found) + 1)))
-        made = Structure.named(field("Name", field("ID", "")), value, int(field("Layer", "0")))
-        colour = tuple(float(part) for part in field("Color", "").split()) or made.colour
-        found.append(replace(made, colour=colour))
+    found: list[Structure] = []
+    while (key := f"Segment{len(found)}_") + "ID" in header:
+        name = header.get(key + "Name", header[key + "ID"])
+        value = int(header.get(key + "LabelValue", len(found) + 1))
+        made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
+        colour = tuple(float(part) for part in header.get(key + "Color", "").split())
+        found.append(replace(made, colour=colour or made.colour))
     return found
 
 
@@ -307,7 +288,8 @@ def kept_locale() -> Iterator[None]:
         locale.setlocale(locale.LC_CTYPE, before)
 
 
-def _read_image(path: Path) -> Any:
+def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
+    """Return one array (i, j, k) per component, their grid, and the file's header."""
     import SimpleITK
 
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
@@ -321,7 +303,14 @@ def _read_image(path: Path) -> Any:
         ) from error
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise VolumeError(f"{path} has {image.GetSize()} voxels: expected three dimensions")
-    return image
+    axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
+    grid = Grid(image.GetSize(), 1e-3 * np.array(image.GetOrigin()), 1e-3 * axes)
+    diagonal = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
+    if not SIZES_M[0] < diagonal < SIZES_M[1]:
+        raise VolumeError(f"{path} measures {diagonal:.3g} m: expected a file in millimetres")
+    values = SimpleITK.GetArrayFromImage(image).T  # it gives (k, j, i), or (k, j, i, component)
+    header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
+    return [values] if values.ndim == 3 else list(values), grid, header
 
 
 def _read_series(folder: Path) -> Any:
@@ -334,7 +323,7 @@ def _read_series(folder: Path) -> Any:
             f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    headers = np.array([_slice_header(name) for name in files])
+    headers = np.array([_slice_header(SimpleITK.ImageFileReader(), name) for name in files])
     if np.ptp(headers[:, 3:], axis=0).any():
         raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
     axes, steps = headers[0, 3:9].reshape(2, 3), np.diff(headers[:, :3], axis=0)
@@ -353,11 +342,8 @@ def _read_series(folder: Path) -> Any:
     return reader.Execute()
 
 
-def _slice_header(name: str) -> list[float]:
+def _slice_header(reader: Any, name: str) -> list[float]:
     """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
-    import SimpleITK
-
-    reader = SimpleITK.ImageFileReader()
     reader.SetFileName(name)
     reader.ReadImageInformation()
     found: list[float] = []
@@ -368,40 +354,23 @@ def _slice_header(name: str) -> list[float]:
     return found
 
 
-def _arrays(image: Any) -> list[NDArray[Any]]:
-    """Return one array (i, j, k) per component."""
-    import SimpleITK
-
-    values = SimpleITK.GetArrayFromImage(image)
-    return [values.T] if values.ndim == 3 else [values[..., c].T for c in range(values.shape[3])]
-
-
-def _grid_of(image: Any, path: Path | str) -> Grid:
-    axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    grid = Grid(image.GetSize(), 1e-3 * np.array(image.GetOrigin()), 1e-3 * axes)
-    diagonal = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
-    if not SIZES_M[0] < diagonal < SIZES_M[1]:
-        raise VolumeError(f"{path} measures {diagonal:.3g} m: expected a file in millimetres")
-    return grid
-
-
 def _require_agreement(labels: Labels, scan: Volume) -> None:
     """Refuse labels on a grid as large as the scan's elsewhere, or with voxels outside the scan."""
     last = np.array(scan.grid.shape) - 1.0
 
-    def beyond(grid: Grid) -> float:
-        found = scan.grid.indices(grid.corners_m())
+    def beyond(box: Sequence[slice] = ()) -> float:
+        found = scan.grid.indices(labels.grid.corners_m(box))
         return float(np.maximum(-found, found - last).max())
 
     extents = (np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid))
-    off = beyond(labels.grid)
+    off = beyond()
     if np.allclose(*extents, atol=0.1 * scan.grid.spacing_m.min()) and off > 0.1:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {off:.1f} voxels beside it: "
             "origin or directions of one of the files are wrong"
         )
     for item in labels.structures:
-        off = beyond(labels.grid.within(item.box))
+        off = beyond(item.box)
         if off > 1.0:
             raise VolumeError(
                 f"{item.name} lies {off:.0f} voxels outside the scan: the labels belong to another "
