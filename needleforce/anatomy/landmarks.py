@@ -137,7 +137,7 @@ def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
         )
     if len(model) < 3:
         raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
-    if not (np.isfinite(model).all() and np.isfinite(robot).all()):
+    if not np.isfinite([model, robot]).all():
         raise RegistrationError("a landmark is not finite; touch it again")
     sizes = [np.linalg.svd(p - p.mean(axis=0), compute_uv=False) for p in (model, robot)]
     scale = sizes[1][0] / max(sizes[0][0], 1e-12)
@@ -168,8 +168,8 @@ def _why(model: Array, robot: Array, std_m: float) -> str:
             return f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order"
     if _rigid_fit(-model, robot)[2] <= limit:
         return "the touched landmarks are the mirror image of the model's: left for right?"
-    spread = [float(np.sqrt(((p - p.mean(axis=0)) ** 2).sum())) for p in (model, robot)]
-    scale = spread[1] / spread[0]
+    one, two = (np.linalg.norm(p - p.mean(axis=0)) for p in (model, robot))
+    scale = float(two / one)
     if _rigid_fit(scale * model, robot)[2] <= limit:
         return f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
     for k in range(count if count > 4 else 0):

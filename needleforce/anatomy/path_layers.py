@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from needleforce.anatomy.errors import Array, VolumeError
 
 if TYPE_CHECKING:
-    from needleforce.anatomy.volume import Labels, Structure
+    from needleforce.anatomy.volume import Labels
 
 UNLABELLED = "unlabelled"  # Name of what no structure covers
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
@@ -67,7 +67,7 @@ def layers_on_path(
     length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
     if steps == 0.0:
         raise VolumeError(f"entry and target are the same point {entry.tolist()}")
-    ranks, ordered = _ranks(labels)
+    ranks, kinds = _ranks(labels)
     at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
     votes = _votes(labels, ranks, first + at[:, None] * (last - first))
     winners = votes.argmax(axis=1)
@@ -82,28 +82,23 @@ def layers_on_path(
     std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
     depths = [0.0, *cuts_m.tolist(), length_m]
     deviations = [0.0, *np.minimum(std_m, length_m).tolist(), 0.0]
-    stretches = zip(winners[[0, *(i + 1)]], pairwise(depths), pairwise(deviations), strict=True)
-    return [
-        Layer(
-            ordered[rank - 1].name if rank else UNLABELLED,
-            *depth,
-            *deviation,
-            is_obstacle=bool(rank) and ordered[rank - 1].is_obstacle,
-        )
-        for rank, depth, deviation in stretches
-    ]
+    crossed = [kinds[rank] for rank in winners[[0, *(i + 1)]]]
+    stretches = zip(crossed, pairwise(depths), pairwise(deviations), strict=True)
+    return [Layer(name, *depth, *std, is_obstacle) for (name, is_obstacle), depth, std in stretches]
 
 
-def _ranks(labels: "Labels") -> tuple[list[NDArray[np.intp]], list["Structure"]]:
-    """Tables from label to rank, one per volume, and the structures of ranks 1, 2, ...: by size.
+def _ranks(labels: "Labels") -> tuple[list[NDArray[np.intp]], list[tuple[str, bool]]]:
+    """Tables from label to rank, one per volume; and of each rank its name, and if an obstacle.
 
-    Where volumes overlap, the highest rank, which is the smallest structure, holds the voxel.
+    Rank 0 is no structure. The others go by size: where volumes overlap, the highest rank, which is
+    the smallest structure, holds the voxel.
     """
-    ordered = sorted(labels.structures, key=lambda item: -item.voxels)
+    kinds = [(UNLABELLED, False)]
     tables = [np.zeros(np.iinfo(volume.dtype).max + 1, np.intp) for volume in labels.volumes]
-    for rank, item in enumerate(ordered, 1):
+    for rank, item in enumerate(sorted(labels.structures, key=lambda item: -item.voxels), 1):
         tables[item.volume][item.value] = rank
-    return tables, ordered
+        kinds.append((item.name, item.is_obstacle))
+    return tables, kinds
 
 
 def _votes(labels: "Labels", ranks: list[NDArray[np.intp]], indices: Array) -> Array:
@@ -112,27 +107,22 @@ def _votes(labels: "Labels", ranks: list[NDArray[np.intp]], indices: Array) -> A
     The kernel, a Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve
     in place where a Gaussian would pull them inwards (Wand and Schucany 1990).
     """
-    count = len(indices)
     offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
-    nearest = np.rint(indices).astype(int)
-    voxels = nearest[:, :, None] + offsets  # (n, 3, 7)
+    voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
     squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
-    bells = np.exp(-0.5 * squares)
-
     outer = "ni,nj,nk->nijk"
-    weights = np.einsum(outer, *np.moveaxis(bells, 1, 0))
+    weights = np.einsum(outer, *np.moveaxis(np.exp(-0.5 * squares), 1, 0))
     x, y, z = np.moveaxis(squares, 1, 0)
     weights *= 2.5 - 0.5 * (x[:, :, None, None] + y[:, None, :, None] + z[:, None, None, :])
     weights /= weights.sum(axis=(1, 2, 3), keepdims=True)
-    limits = np.array(labels.grid.shape)[:, None]
-    places = np.clip(voxels, 0, limits - 1)
+    places = np.clip(voxels, 0, np.array(labels.grid.shape)[:, None] - 1)
     i, j, k = places[:, 0, :, None, None], places[:, 1, None, :, None], places[:, 2, None, None, :]
     found = np.zeros(weights.shape, np.intp)
     for volume, table in zip(labels.volumes, ranks, strict=True):
         np.maximum(found, table[volume[i, j, k]], out=found)
     if np.any(places != voxels):  # outside the volume is no structure
         found *= np.einsum(outer, *np.moveaxis(places == voxels, 1, 0).astype(np.intp))
-    size = 1 + len(labels.structures)
+    count, size = len(indices), 1 + len(labels.structures)
     found += size * np.arange(count)[:, None, None, None]
     votes = np.bincount(found.ravel(), weights.ravel(), count * size)
     return votes.reshape(count, size).astype(float, copy=False)

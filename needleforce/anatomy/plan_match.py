@@ -40,6 +40,7 @@ ALARM_m = 0.5e-3
 BACK_m = 1e-3  # A tip so far above the deepest point is being withdrawn
 OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
 """Where the tip is before the first boundary; what a rupture is that belongs to none."""
+NOTHING = Layer("", *[np.nan] * 4, is_obstacle=False)  # Behind the last boundary
 
 
 class PlanState(NamedTuple):
@@ -91,12 +92,12 @@ class PlanMatch:
         names = [(layer.name, layer.is_obstacle) for layer in layers]
         made_of = repr((names, bounds, float(offset_std_m)))
         self.fingerprint = sha256(made_of.encode()).hexdigest()[:16]
-        self._bound_m, self._bound_std_m = np.array(bounds).T
-        self._law_std_m = np.hypot(self._bound_std_m, RUPTURE_STD_m)[:, None]
+        self._bound_m, bound_std_m = np.array(bounds).T
+        self._law_std_m = np.hypot(bound_std_m, RUPTURE_STD_m)[:, None]
         # Organs move beneath the skin: where that lies says little of the offset.
         self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
         self._late_std_m = np.hypot(self._law_std_m, LATE_STD_m)
-        self._missed = np.full(len(layers), MISSED)
+        self._missed = np.full((len(layers), 1), MISSED)
         self._late = np.full((len(layers), 1), LATE)
         words = [set(layer.name.lower().split("_")) for layer in layers]
         for k, layer in enumerate(layers):
@@ -146,11 +147,7 @@ class PlanMatch:
         # The median: where two assignments compete, their mean is what neither says.
         middle = self._quantile_m(joint, 0.5)
         variance = float((joint @ (self._offset_m - middle) ** 2).sum())
-        after = self.layers[layer + 1] if layer + 1 < len(self.layers) else None
-        next_m = next_std_m = np.nan
-        if after is not None:
-            next_m = after.entry_m + middle + entry_depth_m
-            next_std_m = np.sqrt(variance + after.entry_std_m**2)
+        after = (*self.layers, NOTHING)[layer + 1]
         matched, likely = self._matched(ahead, weight, false)
         what = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
@@ -159,13 +156,13 @@ class PlanMatch:
             probability=float(by_layer[layer + 1]),
             offset_m=middle,
             offset_std_m=float(np.sqrt(variance)),
-            next_name="" if after is None else after.name,
-            next_m=float(next_m),
-            next_std_m=float(next_std_m),
+            next_name=after.name,
+            next_m=float(after.entry_m + middle + entry_depth_m),
+            next_std_m=float(np.sqrt(variance + after.entry_std_m**2)),
             matched=matched,
             matched_name=what if ruptures else "",
             matched_probability=likely,
-            is_obstacle_next=after is not None and after.is_obstacle,
+            is_obstacle_next=after.is_obstacle,
         )
 
     def interval_m(
@@ -197,15 +194,11 @@ class PlanMatch:
             depth_m, last_m = ruptures_m[k], max(ruptures_m[:k], default=-np.inf)
             if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
-            density = self._density(depth_m)
-            false, came = FALSE_PER_m * weight, np.zeros(weight.shape[1])
-            moved = false.copy()
-            for boundary, missed in enumerate(self._missed):
-                came += weight[boundary]
-                moved[boundary + 1] += (1.0 - missed) * came * density[boundary]
-                came *= missed
-            total = moved.sum()
-            weight, false = moved / total, false / total
+            came, false = _arriving(weight, self._missed), FALSE_PER_m * weight
+            weight = false.copy()
+            weight[1:] += (1.0 - self._missed) * came[:-1] * self._density(depth_m)
+            total = weight.sum()
+            weight, false = weight / total, false / total
         self._known = ruptures_m, weight, false
         return weight, false
 
@@ -226,17 +219,14 @@ class PlanMatch:
         at_once, late = self._scaled(depth_m - ALARM_m)
         waiting = (1.0 - self._late) * ndtr(-at_once) + self._late * ndtr(-late)
         is_behind = self._bound_m[:, None] + self._offset_m <= depth_m
-        missed = self._missed[:, None]
-        return (1.0 - missed) * waiting + missed * ~is_behind, missed * is_behind
+        felt = 1.0 - self._missed
+        return felt * waiting + self._missed * ~is_behind, self._missed * is_behind
 
     def _joint(self, ahead: tuple[Array, Array], weight: Array) -> Array:
         """Probability of so many boundaries passed (rows) and each offset."""
-        joint, came = np.empty_like(weight), np.zeros(weight.shape[1])
-        for boundary, (stands, slips) in enumerate(zip(*ahead, strict=True)):
-            came = came + weight[boundary]
-            joint[boundary] = came * stands
-            came = came * slips
-        joint[-1] = came + weight[-1]
+        stands, slips = ahead
+        joint = _arriving(weight, slips)
+        joint[:-1] *= stands
         total = joint.sum()
         # Where nothing explains it, what was known before stays.
         return joint / total if total > 0.0 else weight
@@ -254,3 +244,11 @@ class PlanMatch:
         likely[0] = (false * unfelt).sum()
         best = int(np.argmax(likely))
         return best - 1, float(likely[best] / max(likely.sum(), 1e-300))
+
+
+def _arriving(weight: Array, slips: Array) -> Array:
+    """Weight in front of each boundary, the last row behind all: also what slipped past others."""
+    came = weight.copy()
+    for boundary, slip in enumerate(slips):
+        came[boundary + 1] += slip * came[boundary]
+    return came

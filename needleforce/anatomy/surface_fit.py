@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import eigh
 from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from needleforce.anatomy.errors import Array, RegistrationError
@@ -173,10 +174,9 @@ def _require_no_other(touches: Array, found: _Fit, std_m: float) -> None:
             )
     radius = float(np.sqrt(((touches - touches.mean(axis=0)) ** 2).sum(axis=1).mean()))
     size_m = float(np.hypot(TRIES_rad * radius * np.sqrt(2.0 / 3.0), TRIES_m))
-    for axis, sign in product(range(3), (1.0, -1.0)):
-        direction = np.zeros(6)
-        direction[axis], direction[3 + axis] = sign * TRIES_rad, sign * TRIES_m
-        left_m, cost = found.pushed(direction, size_m)
+    screws = np.hstack((TRIES_rad * np.eye(3), TRIES_m * np.eye(3)))
+    for screw, sign in product(screws, (1.0, -1.0)):
+        left_m, cost = found.pushed(sign * screw, size_m)
         if left_m > FAR_m and cost < 0.9 * found.cost:
             raise RegistrationError(
                 f"another solution, {1e3 * left_m:.0f} mm away, fits better: the start lies "
@@ -186,16 +186,14 @@ def _require_no_other(touches: Array, found: _Fit, std_m: float) -> None:
 
 def _registration(touches: Array, found: _Fit, touch_std_m: float) -> Registration:
     """The fit from model to robot, with a covariance of touches and correlated surface errors."""
-    kept = found.weights > 0.0
-    weights, rows, distances = found.weights[kept], found.rows[kept], found.distances[kept]
-    points = found.points[kept]
+    rows, weights = found.rows, found.weights
+    kept = weights > 0.0  # the gain of the others, which slipped, is zero
     gain = np.linalg.solve(rows.T @ (weights[:, None] * rows), rows.T * weights)
-    apart = np.linalg.norm(points[:, None, :] - points[None, :, :], axis=-1)
     degrees = max(float(kept.sum()) - 6.0, 1.0)
-    observed = float((weights * distances**2).sum() / weights.sum()) * len(weights) / degrees
+    observed = float(np.average(found.distances**2, weights=weights) * kept.sum()) / degrees
     surface_var = max(observed - touch_std_m**2, SURFACE_STD_m**2)
-    errors = surface_var * np.exp(-0.5 * (apart / SURFACE_REACH_m) ** 2) + SURFACE_BIAS_m**2
-    errors[np.diag_indices_from(errors)] += touch_std_m**2
+    same = np.exp(-0.5 * (cdist(found.points, found.points) / SURFACE_REACH_m) ** 2)
+    errors = surface_var * same + SURFACE_BIAS_m**2 + touch_std_m**2 * np.eye(len(rows))
     rotation = found.pose[0].T
     turn = np.kron(np.eye(2), rotation)  # rotation and shift, from the model's axes to the robot's
     return Registration(
@@ -204,5 +202,5 @@ def _registration(touches: Array, found: _Fit, touch_std_m: float) -> Registrati
         covariance=turn @ gain @ errors @ gain.T @ turn.T,
         pivot_m=touches.mean(axis=0),
         degrees=degrees,
-        residual_rms_m=float(np.sqrt((distances**2).mean())),
+        residual_rms_m=float(np.sqrt((found.distances[kept] ** 2).mean())),
     )

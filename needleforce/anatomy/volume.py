@@ -259,11 +259,8 @@ def _plain_structures(
             raise VolumeError(f"cannot read names from {names}: {error}") from error
     if len(volumes) > 1:
         raise VolumeError("several labels per voxel and no segments: expected a .seg.nrrd file")
-    given = names or {}
-    return [
-        Structure.named(given.get(value, f"label_{value}"), value)
-        for value in range(1, int(volumes[0].max()) + 1)
-    ]
+    given, most = names or {}, int(volumes[0].max())
+    return [Structure.named(given.get(k, f"label_{k}"), k) for k in range(1, most + 1)]
 
 
 def _segments(header: Mapping[str, str]) -> list[Structure]:
@@ -370,8 +367,7 @@ def _require_agreement(labels: Labels, scan: Volume) -> None:
             "origin or directions of one of the files are wrong"
         )
     for item in labels.structures:
-        off = beyond(item.box)
-        if off > 1.0:
+        if (off := beyond(item.box)) > 1.0:
             raise VolumeError(
                 f"{item.name} lies {off:.0f} voxels outside the scan: the labels belong to another "
                 "scan, or lost their origin when they were cropped"
