@@ -66,6 +66,23 @@ def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
         labels["nothing"]
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "why"),
+    [
+        ("Layer", "2", "liver lies in layer 2; the file has 1"),
+        ("LabelValue", "one", "liver: .*'one'; expected numbers"),
+        ("Color", "red", "liver: .*'red'; expected numbers"),
+    ],
+)
+def test_segments_with_a_damaged_header_are_refused(tmp_path, key, value, why):
+    image = sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8))
+    for name, text in {"ID": "s0", "Name": "liver", key: value}.items():
+        image.SetMetaData(f"Segment0_{name}", text)
+    sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+    with pytest.raises(VolumeError, match=f"segment {why}"):
+        read_labels(tmp_path / "a.seg.nrrd")
+
+
 def edited_series(folder, edit):
     """Write eight slices, and change what lies in the folder."""
     image, _ = oblique_image(np.ones(3), np.random.default_rng(1))

@@ -27,6 +27,9 @@ LEAST_TOUCHES = 15
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
 ROUNDS, LAST_STEP = 60, 1e-7
+FULL_STEPS = (
+    8.0  # Later ones are shorter: from facet to facet they would go back and forth for ever
+)
 NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle is looked for
 PUSH_m = 6e-3  # How far a solution is pushed along its weakest directions, measured at the touches
 BACK = 0.5  # Part of the push that may be left at the touches after fitting again
@@ -88,6 +91,7 @@ class _Fit:
             spins, slides = np.trace(normal[:3, :3]), np.trace(normal[3:, 3:])
             normal += 1e-6 * np.diag([spins] * 3 + [slides] * 3)
             step = -np.linalg.solve(normal, self.rows.T @ (self.weights * self.distances))
+            step *= min(1.0, FULL_STEPS / (count + 1.0))
             self.pose = self._moved(step)
             if count > 5 and np.linalg.norm(step * [0.1, 0.1, 0.1, 1, 1, 1]) < LAST_STEP:
                 break

@@ -241,7 +241,8 @@ def read_labels(
             raise VolumeError(f"{path} holds {values.min():g} to {values.max():g}: expected labels")
         volumes.append(whole.astype(np.uint8 if whole.max() < 256 else np.uint16, copy=False))
     try:
-        labels = Labels.of(volumes, grid, _segments(header) or _plain_structures(volumes, names))
+        segments = _segments(header, len(volumes)) or _plain_structures(volumes, names)
+        labels = Labels.of(volumes, grid, segments)
     except VolumeError as error:
         raise VolumeError(f"{path}: {error}") from None
     if scan is not None:
@@ -263,14 +264,19 @@ def _plain_structures(
     return [Structure.named(given.get(k, f"label_{k}"), k) for k in range(1, most + 1)]
 
 
-def _segments(header: Mapping[str, str]) -> list[Structure]:
+def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
     """Return the segments that 3D Slicer described in the file's header, none in other files."""
     found: list[Structure] = []
     while (key := f"Segment{len(found)}_") + "ID" in header:
         name = header.get(key + "Name", header[key + "ID"])
-        value = int(header.get(key + "LabelValue", len(found) + 1))
-        made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
-        colour = tuple(float(part) for part in header.get(key + "Color", "").split())
+        try:
+            value = int(header.get(key + "LabelValue", len(found) + 1))
+            made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
+            colour = tuple(float(part) for part in header.get(key + "Color", "").split())
+        except ValueError as error:
+            raise VolumeError(f"segment {name}: {error}; expected numbers in its header") from error
+        if not 0 <= made.volume < layers:
+            raise VolumeError(f"segment {name} lies in layer {made.volume}; the file has {layers}")
         found.append(replace(made, colour=colour or made.colour))
     return found
 
