@@ -224,6 +224,26 @@ def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
     assert not now.is_moving
 
 
+@pytest.mark.parametrize(
+    ("lateral", "step_s", "least_s", "most_s"),
+    [
+        (0.6, 1e-3, 0.025, 0.035),
+        (2.0, 1e-3, 0.006, 0.012),  # the larger the sooner
+        (2.0, 12e-3, 0.04, 0.06),  # a gap may have made it
+        (0.45, 1e-3, 1.0, 1.1),
+    ],
+)
+def test_a_side_force_must_last_and_longer_behind_a_gap(lateral, step_s, least_s, most_s):
+    manager, sensor = inserting()
+    run(manager, 0.1)
+    sensor.reads(lateral=lateral)
+    run(manager, dt_s=step_s)
+    lasted_s = 1e-3
+    while lasted_s < 1.05 and run(manager).state is State.INSERTION:
+        lasted_s += 1e-3
+    assert least_s <= lasted_s <= most_s
+
+
 def test_a_rising_force_stops_before_it_is_there():
     manager, sensor = inserting()
     for k in range(100):

@@ -25,6 +25,7 @@ class SafetyLimits:
     Attributes:
         axial_N: Force against the motion along the needle.
         lateral_N: Force across the needle.
+        lateral_s: Time for which it may act; a force twice that limit, half as long.
         free_N: Change of the axial force in free air, where it may not be tared yet.
         lost_s: Time of bad samples beyond that of valid ones.
         late_s: Longest time without a sample.
@@ -36,6 +37,7 @@ class SafetyLimits:
 
     axial_N: float
     lateral_N: float = 0.5
+    lateral_s: float = 0.04
     free_N: float = 15.0
     lost_s: float = 0.007
     late_s: float = 0.03
@@ -71,6 +73,9 @@ _RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the
 _TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
 """Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
 _CLEAR_S = 0.1  # A fault must be gone for so long before a reset
+_GAP_S, _GAP_STEPS, _FADE_LAGS = 5e-3, 3.0, 3.0
+"""A step so long, and so many usual ones, is a gap: an arm that nobody commanded has stopped and
+started in it, and what torques nobody saw did to the force fades within so many of its lags."""
 
 
 class Monitors:
@@ -80,6 +85,7 @@ class Monitors:
         self._limits = limits
         self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
         self._position: Array | None = None
+        self._step_s = math.inf
         self.enter(None)
 
     @property
@@ -97,6 +103,7 @@ class Monitors:
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
+        self._side_Ns = self._fading_s = 0.0
         wrench = None if estimate is None else estimate.wrench
         self._entry_axial_N = 0.0 if wrench is None else wrench.axial
         self._entry_lateral_N = 0.0 if wrench is None else wrench.lateral
@@ -123,7 +130,9 @@ class Monitors:
             return "fault", fault
         ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
         axial_N = estimate.wrench.axial if beside.axial_N is None else beside.axial_N
-        stop = self._forces(state, estimate, axial_N, self._predicted_N(axial_N, step_s, ahead_s))
+        ahead_N = self._predicted_N(axial_N, step_s, ahead_s)
+        side = self._side_force(state, estimate.wrench.lateral, step_s, lag_s)
+        stop = self._forces(state, estimate, axial_N, ahead_N) or side
         if state == "teleop" and not self.has_device:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
         return ("limit", stop) if stop else ("", "")
@@ -182,6 +191,17 @@ class Monitors:
             most_N = max(inwards_N, outwards_N)
         if most_N > limits.axial_N:
             return f"axial force {axial_N:.2f} N, {most_N:.2f} N ahead; limit {limits.axial_N:g} N"
+        return ""
+
+    def _side_force(self, state: str, lateral_N: float, step_s: float, lag_s: float) -> str:
+        """A force across the needle that lasts, and is not what a gap has left."""
         # A needle that was stopped by a side force must still come out.
-        side_N = limits.lateral_N + (self._entry_lateral_N if state == "withdraw" else 0.0)
-        return f"side force {wrench.lateral:.2f} N" if wrench.lateral > side_N else ""
+        most_N = self._limits.lateral_N + (self._entry_lateral_N if state == "withdraw" else 0.0)
+        is_gap = step_s > max(_GAP_S, _GAP_STEPS * self._step_s)
+        self._fading_s = _FADE_LAGS * lag_s if is_gap else max(self._fading_s - step_s, 0.0)
+        self._step_s = step_s
+        counts = state in _AT_TISSUE and lateral_N > most_N and self._fading_s == 0.0
+        self._side_Ns = self._side_Ns + step_s * lateral_N if counts else 0.0
+        if self._side_Ns <= self._limits.lateral_s * most_N:
+            return ""
+        return f"side force {lateral_N:.2f} N"
