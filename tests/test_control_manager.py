@@ -346,7 +346,7 @@ def test_teleoperation_needs_its_device_and_stops_without():
     assert "haptic device has been silent" in now.reason
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2"])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2", None])
 def test_limits_are_positive_numbers(value):
     with pytest.raises(SettingError, match="axial_N is"):
         SafetyLimits(axial_N=value)

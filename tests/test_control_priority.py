@@ -18,7 +18,7 @@ from needleforce.control import (
     Task,
     TipVelocity,
 )
-from needleforce.control.tasks import ToolState
+from needleforce.control.tasks import JointVelocity, ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -134,6 +134,9 @@ def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
 
 def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
     control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
-    for task, said in ((Posture(np.zeros(6)), "6 joints"), (AxialSpeed(np.nan), "not finite")):
-        command = control.update(sample, [task])
-        assert (command.status, said in command.reason) == ("skipped", True)
+    short = JointVelocity(np.full(6, 1e-3))
+    tasks = (Posture(np.zeros(6)), "6 joints"), (short, "6"), (AxialSpeed(np.nan), "not finite")
+    for task, said in tasks:
+        for _ in range(3):
+            command = control.update(sample, [task])
+            assert (command.status, said in command.reason) == ("skipped", True)

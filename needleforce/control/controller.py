@@ -110,12 +110,11 @@ class Controller:
     def _numbers_of(self, stack: Sequence[Task]) -> Stack:
         """Room for the numbers of a stack; made when one of such tasks comes first."""
         if stack != self._tasks:  # the same tasks are equal, whatever has changed in them
-            self._tasks = list(stack)
             has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
             key = (has_wish, *[task.size for task in stack])
             if key not in self._stacks:
                 self._stacks[key] = Stack(stack, self._joints)
-            self._numbers = self._stacks[key]
+            self._numbers, self._tasks = self._stacks[key], list(stack)
         return self._numbers
 
     def _skip(self, reason: str) -> Command:

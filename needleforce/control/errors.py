@@ -13,9 +13,9 @@ class SettingError(ControlError, ValueError):
 
 
 def require_positive(settings: Mapping[str, object], or_zero: Container[str] = ()) -> None:
-    """Refuse a number that is not finite and positive; None is left alone."""
+    """Refuse what is not a finite, positive number."""
     for name, value in settings.items():
-        if value is None or (value == 0.0 and name in or_zero):
+        if value == 0.0 and name in or_zero:
             continue
         if not (isinstance(value, int | float) and 0.0 < value < math.inf):
             raise SettingError(f"{name} is {value!r}, expected a positive number")

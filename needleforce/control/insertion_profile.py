@@ -40,30 +40,20 @@ that got under way falls until then."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InsertionPlan:
-    """What to do, along the needle, inwards positive; `SettingError` for numbers that cannot be.
+    """What to do, along the needle, inwards positive; `SettingError` for numbers that cannot be."""
 
-    Attributes:
-        speed_m_s: Of insertion and withdrawal.
-        depth_m: Where the insertion ends at the latest, from the place of the tare.
-        layer: Layer after whose rupture it ends; None for the depth.
-        approach_m: Way to the place of the tare, in free air.
-        tare_stroke_m: Length of the stroke back and forth before the tare.
-        stroke_s: Time of the approach, and of the stroke each way.
-        dwell_s: Time at the end of the insertion.
-        acceleration_m_s2: Of starts and of planned ends.
-    """
-
-    speed_m_s: float
-    depth_m: float
-    layer: int | None = None
-    approach_m: float = 0.0
-    tare_stroke_m: float = 0.06
-    stroke_s: float = 3.0
-    dwell_s: float = 1.0
-    acceleration_m_s2: float = 0.1
+    speed_m_s: float  # of insertion and withdrawal
+    depth_m: float  # where the insertion ends at the latest, from the place of the tare
+    layer: int | None = None  # after whose rupture it ends; None for the depth
+    approach_m: float = 0.0  # way to the place of the tare, in free air
+    tare_stroke_m: float = 0.06  # length of the stroke back and forth before the tare
+    stroke_s: float = 3.0  # time of the approach, and of the stroke each way
+    dwell_s: float = 1.0  # time at the end of the insertion
+    acceleration_m_s2: float = 0.1  # of starts and of planned ends
 
     def __post_init__(self) -> None:
-        require_positive(asdict(self), or_zero=("approach_m", "dwell_s"))
+        numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
+        require_positive(numbers, or_zero=("approach_m", "dwell_s"))
 
 
 def depth_of(
@@ -119,10 +109,9 @@ class RuptureCount:
         noise_N = math.sqrt(self._variance_N2)
         is_large = fall_N > max(_LARGE * before_N, _LARGE_N, _LARGE_SIGMAS * noise_N)
         is_likely = is_large or found.rupture_state is RuptureState.EXPECTED
-        has_fallen = fall_N > _SIGMAS * noise_N
-        if not (found.in_contact and has_fallen and (alarm or (is_steady and is_likely))):
-            return False
-        if depth_m < self._last_m + _APART_M:
+        is_rupture = alarm is not None or (is_steady and is_likely)
+        is_rupture &= found.in_contact and fall_N > _SIGMAS * noise_N
+        if not is_rupture or depth_m < self._last_m + _APART_M:
             return False
         self.count, self._last_m = self.count + 1, depth_m
         return True

@@ -5,8 +5,10 @@ The manager reads the arm's samples, runs the session and the monitors, and logs
 JSON line at once and as MCAP afterwards.
 """
 
+import math
 from collections.abc import Collection, Iterable
 from enum import StrEnum
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -127,8 +129,7 @@ def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
         SettingError: The extra ``recordings`` is not installed.
         OSError: The file cannot be written.
     """
-    mcap = _mcap()
-    writer = mcap.writer.Writer(str(path))
+    writer = _mcap("writer").Writer(str(path))
     writer.start(library="needleforce")
     schema = msgspec.json.encode(msgspec.json.schema(LoggedEvent))
     schema_id = writer.register_schema("LoggedEvent", "jsonschema", schema)
@@ -139,13 +140,11 @@ def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
     writer.finish()
 
 
-def _mcap() -> Any:
+def _mcap(part: str) -> Any:
     try:
-        import mcap.reader
-        import mcap.writer
+        return import_module(f"mcap.{part}")
     except ImportError:
         raise SettingError("MCAP needs: pip install 'needleforce[recordings]'") from None
-    return mcap
 
 
 def read_events(path: str | Path) -> list[LoggedEvent]:
@@ -158,7 +157,7 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
     """
     if Path(path).suffix == ".mcap":
         with Path(path).open("rb") as file:
-            messages = _mcap().reader.make_reader(file).iter_messages(topics=[MCAP_TOPIC])
+            messages = _mcap("reader").make_reader(file).iter_messages(topics=[MCAP_TOPIC])
             lines = [message.data for _, _, message in messages]
     else:
         lines = Path(path).read_bytes().splitlines()
@@ -207,7 +206,7 @@ class Manager:
     """Schedules the modes of the arm, watches them, and logs why.
 
     Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s is
-    stopped. At the end of the state ``tare``, with the arm at rest, `update` takes a few tenths
+    stopped. At the end of the state ``tare``, with the arm at rest, `request` takes a few tenths
     of a second.
 
     Args:
@@ -233,8 +232,7 @@ class Manager:
         self.events: list[LoggedEvent] = []
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
-        self._entry_m: float | None = None
-        self._estimate: SessionEstimate | None = None
+        self._depth_m, self._entry_m = 0.0, math.inf
 
     def heartbeat(self) -> None:
         """The program in charge is alive."""
@@ -246,18 +244,17 @@ class Manager:
         self._last_step_s = step_s = sample.dt_s if usable else self._last_step_s
         self._time_s += step_s
         estimate = self.session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-        self._estimate = estimate
-        if self._entry_m is None and estimate.identification.in_contact:
-            self._entry_m = estimate.depth_m
+        self._depth_m = estimate.depth_m
+        if self._entry_m == math.inf and estimate.identification.in_contact:
+            self._entry_m = self._depth_m
         watched = estimate, sample, beside
         event, reason = self._monitors.update(self._state, watched, step_s, self.session.lag_s)
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._is_led:
             self._apply("stop", {"reason": f"no heartbeat for {_HEARTBEAT_S:g} s"})
-        return Situation(
-            self._state, self._time_s - self._entered_s, self._time_s, self._reason, estimate
-        )
+        state_s = self._time_s - self._entered_s
+        return Situation(self._state, state_s, self._time_s, self._reason, estimate)
 
     def request(self, event: str, **data: Any) -> str:
         """Ask for a transition; returns why it is refused, empty if it is not.
@@ -274,7 +271,7 @@ class Manager:
                 self.session.tare()
             except TareError as error:
                 return self._apply("limit", {"reason": f"the tare is refused: {error}"})
-            self._entry_m = None
+            self._entry_m = math.inf
         refused = self._apply(event, data)
         if event == "tare" and not refused:
             self.session.start_tare_recording()
@@ -292,17 +289,15 @@ class Manager:
                 file.write(_ENCODER.encode(row) + b"\n")
         if self._state is not before:
             self._entered_s = self._time_s
-            self._monitors.enter(self._estimate)
+            self._monitors.enter()
         return refused
 
     def _facts(self) -> list[str]:
-        entry_m = self._entry_m
-        depth_m = 0.0 if self._estimate is None else self._estimate.depth_m
         holds = {
             "limit": self._limits is not None,
             "heartbeat": self._is_led,
             "tared": self.session.tared,
-            "outside": entry_m is None or depth_m < entry_m - _ENTRY_MARGIN_M,
+            "outside": self._depth_m < self._entry_m - _ENTRY_MARGIN_M,
             "device": self._monitors.has_device,
             "healthy": self._monitors.is_healthy,
         }

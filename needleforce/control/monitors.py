@@ -20,31 +20,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SafetyLimits:
-    """What a motion must not exceed; `SettingError` for a limit that is no positive number.
+    """What a motion must not exceed; `SettingError` for a limit that is no positive number."""
 
-    Attributes:
-        axial_N: Force against the motion along the needle.
-        lateral_N: Force across the needle.
-        lateral_s: Time for which it may act; a force twice that limit, half as long.
-        free_N: Change of the axial force in free air, where it may not be tared yet.
-        lost_s: Time of bad samples beyond that of valid ones.
-        late_s: Longest time without a sample.
-        refused_s: Time of refused commands.
-        device_s: Longest time without news of the haptic device in teleoperation.
-        tracking_rad: Motion of a joint within a second that was not commanded.
-        reaction_s: Time from a decision to the arm at rest, over which forces are predicted.
-    """
-
-    axial_N: float
-    lateral_N: float = 0.5
-    lateral_s: float = 0.04
-    free_N: float = 15.0
-    lost_s: float = 0.007
-    late_s: float = 0.03
-    refused_s: float = 0.005
-    device_s: float = 0.05
-    tracking_rad: float = 0.05
-    reaction_s: float = 0.015
+    axial_N: float  # force against the motion along the needle
+    lateral_N: float = 0.5  # force across the needle
+    lateral_s: float = 0.04  # for which it may act; a force twice that limit, half as long
+    free_N: float = 15.0  # change of the axial force in free air, where it may not be tared yet
+    lost_s: float = 0.007  # time of bad samples beyond that of valid ones
+    late_s: float = 0.03  # longest time without a sample
+    refused_s: float = 0.005  # time of refused commands
+    device_s: float = 0.05  # longest time without news of the haptic device in teleoperation
+    tracking_rad: float = 0.05  # motion of a joint within a second that was not commanded
+    reaction_s: float = 0.015  # from a decision to the arm at rest: forces are predicted over it
 
     def __post_init__(self) -> None:
         require_positive(asdict(self))
@@ -86,7 +73,8 @@ class Monitors:
         self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
         self._position: Array | None = None
         self._step_s = math.inf
-        self.enter(None)
+        self._last_N = 0.0, 0.0  # of the session, along the needle and across it
+        self.enter()
 
     @property
     def has_device(self) -> bool:
@@ -98,15 +86,13 @@ class Monitors:
         """Whether no fault has been seen of late."""
         return self._clear_s >= _CLEAR_S
 
-    def enter(self, estimate: "SessionEstimate | None") -> None:
+    def enter(self) -> None:
         """A new state begins: commands and forces are compared with what they are now."""
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
         self._side_Ns = self._fading_s = 0.0
-        wrench = None if estimate is None else estimate.wrench
-        self._entry_axial_N = 0.0 if wrench is None else wrench.axial
-        self._entry_lateral_N = 0.0 if wrench is None else wrench.lateral
+        self._entry_axial_N, self._entry_lateral_N = self._last_N
 
     def update(
         self,
@@ -121,6 +107,7 @@ class Monitors:
         is the one before where the clock was set, the lag that of the session's force.
         """
         estimate, sample, beside = watched
+        self._last_N = estimate.wrench.axial, estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         fault = f"no sample for {1e3 * sample.dt_s:.0f} ms"
         if not sample.dt_s > self._limits.late_s:
@@ -130,7 +117,10 @@ class Monitors:
             return "fault", fault
         ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
         axial_N = estimate.wrench.axial if beside.axial_N is None else beside.axial_N
-        ahead_N = self._predicted_N(axial_N, step_s, ahead_s)
+        rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
+        self._axial_N = axial_N
+        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
+        ahead_N = axial_N + ahead_s * self._rate_N_per_s
         side = self._side_force(state, estimate.wrench.lateral, step_s, lag_s)
         stop = self._forces(state, estimate, axial_N, ahead_N) or side
         if state == "teleop" and not self.has_device:
@@ -167,12 +157,6 @@ class Monitors:
         if (most_rad := float(np.abs(off).max())) > self._limits.tracking_rad + late_rad:
             return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
         return ""
-
-    def _predicted_N(self, axial_N: float, step_s: float, ahead_s: float) -> float:
-        rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
-        self._axial_N = axial_N
-        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
-        return axial_N + ahead_s * self._rate_N_per_s
 
     def _forces(
         self, state: str, estimate: "SessionEstimate", axial_N: float, ahead_N: float

@@ -26,16 +26,12 @@ FORCE_LAG_s = 0.015  # Of the virtual sensor's force, see `InsertionSession.lag_
 
 
 class Port:
-    """Energy through one port since it was made.
+    """Energy through one port since it was made: `in_J` has entered the network, `out_J` left it.
 
     Args:
         allowance_J: What may leave beyond what has entered at the other side: force and motion that
             meet with a delay never balance exactly.
         allowance_W: The same, per second; hand and tissue dissipate as much in any case.
-
-    Attributes:
-        in_J: What has entered the network here.
-        out_J: What has left it here.
     """
 
     def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
@@ -92,8 +88,7 @@ class HandPort(Port):
 
     def __init__(self) -> None:
         super().__init__(HAND_J, HAND_W)
-        self._force_N = self._damping_N = self._damped_J = 0.0
-        self._position_m: float | None = None
+        self._force_N = self._damping_N = self._damped_J = self._position_m = 0.0
 
     def update(
         self, wanted_N: float, position_m: float, speed_m_s: float, incoming_J: float, dt_s: float
@@ -103,11 +98,10 @@ class HandPort(Port):
         It is what should be shown, the handle's place and rate and what has entered at the other
         side, as far as known here, that decide.
         """
-        if self._position_m is not None:
-            travel_m = position_m - self._position_m
-            self.observe(self._force_N, travel_m)
-            # What damping has taken is paid back; not to count it would damp for ever after.
-            self._damped_J += self._damping_N * travel_m
+        travel_m = position_m - self._position_m  # means nothing at first, when no force is held
+        self.observe(self._force_N, travel_m)
+        # What damping has taken is paid back; not to count it would damp for ever after.
+        self._damped_J += self._damping_N * travel_m
         owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
         force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
@@ -128,16 +122,10 @@ class NeedlePort(Port):
 
     The force is known only late, so the speed is delayed as much before both are multiplied: else
     a needle that bounces off a wall, the force still high while it retreats, seems to bring energy.
-
-    Args:
-        allowance_J: See `Port`: a delayed force is shown too low while it rises, so the hand always
-            owes some.
-        allowance_W: The same, per second.
+    A delayed force is shown too low while it rises, so the hand always owes some: the allowance.
     """
 
-    def __init__(self, allowance_J: float, allowance_W: float) -> None:
-        super().__init__(allowance_J, allowance_W)
-        self._lagged_m_s = 0.0
+    _lagged_m_s = 0.0
 
     def update(
         self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
