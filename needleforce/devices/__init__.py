@@ -9,36 +9,18 @@ Reading order: `proxy` (what a device offers, samples, reports), `fri` (KUKA LWR
 F/T), `research_arms` (Franka, UR), `haptic`, `emulators`.
 """
 
-from needleforce.devices.fri import FriArm
-from needleforce.devices.haptic import HaplyMaster
+from needleforce.devices.fri import FriArm as FriArm
+from needleforce.devices.haptic import HaplyMaster as HaplyMaster
 from needleforce.devices.proxy import (
-    ArmSample,
-    DeviceError,
-    DeviceSettingError,
-    LinkError,
-    LinkReport,
-    MasterSample,
-    MissingClientError,
-    ReplayArm,
-    paced,
+    ArmSample as ArmSample,
+    DeviceError as DeviceError,
+    DeviceSettingError as DeviceSettingError,
+    LinkError as LinkError,
+    LinkReport as LinkReport,
+    MasterSample as MasterSample,
+    MissingClientError as MissingClientError,
+    ReplayArm as ReplayArm,
+    paced as paced,
 )
-from needleforce.devices.rdt import NetFT, Scale
-from needleforce.devices.research_arms import FrankaArm, UrArm
-
-__all__ = [
-    "ArmSample",
-    "DeviceError",
-    "DeviceSettingError",
-    "FrankaArm",
-    "FriArm",
-    "HaplyMaster",
-    "LinkError",
-    "LinkReport",
-    "MasterSample",
-    "MissingClientError",
-    "NetFT",
-    "ReplayArm",
-    "Scale",
-    "UrArm",
-    "paced",
-]
+from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
+from needleforce.devices.research_arms import FrankaArm as FrankaArm, UrArm as UrArm
