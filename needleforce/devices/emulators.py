@@ -7,11 +7,10 @@ late, reordered, repeated, truncated packets, garbage, silence, a connection tha
 import multiprocessing
 import os
 import select
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from multiprocessing.connection import Connection
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from needleforce.devices import fri, rdt
-from needleforce.devices.proxy import LOOPBACK, Array, Link, LinkError
+from needleforce.devices.proxy import LOOPBACK, Array, DatagramLink, LinkError
 
 START_s = 20.0  # A process that imports numpy on a busy machine takes its time
 Window = tuple[float, float]  # Start and end [s] since the first packet
@@ -48,27 +47,34 @@ def take_real_time(priority: int = 60) -> bool:
     return False
 
 
-class _Wire:
-    """Sends datagrams, and breaks them."""
+class _Wire(DatagramLink):
+    """A link on loopback that breaks the datagrams that it sends to its peer."""
 
-    def __init__(self, send: Callable[[bytes], Any], faults: Faults) -> None:
-        self._send, self._faults = send, faults
+    def __init__(self, faults: Faults, peer: tuple[str, int] | None = None) -> None:
+        super().__init__(LOOPBACK, 0)
+        self._faults, self.peer = faults, peer
         self._rng = np.random.default_rng(faults.seed)
-        self._held: list[tuple[int, bytes]] = []
-        self._number = 0
-        self.sent = 0
+        self._late: dict[int, bytes] = {}  # by the number of the packet they come before
+        self._number = self.sent = 0
+        self._socket.setblocking(False)
+
+    def received(self, end_s: float) -> Iterator[tuple[bytes, tuple[str, int]]]:
+        """Datagrams that come before a time, and from where: from anywhere."""
+        # `select` waits for microseconds, a socket's own timeout for whole milliseconds.
+        while (left_s := end_s - time.monotonic()) > 0.0:
+            if select.select([self._socket], [], [], left_s)[0]:
+                with suppress(ConnectionError, BlockingIOError):  # nobody listens yet
+                    yield self._socket.recvfrom(2048)
 
     def put(self, data: bytes, t_s: float) -> None:
         faults, draw = self._faults, self._rng.random(5)
         self._number += 1
-        for due, held in list(self._held):
-            if due <= self._number:
-                self._held.remove((due, held))
-                self._send(held)
+        if self._number in self._late:
+            self._send(self._late.pop(self._number))
         if is_within(faults.silent, t_s) or draw[0] < faults.lost:
             return
         if draw[1] < faults.late:
-            self._held.append((self._number + 3, data))
+            self._late[self._number + 3] = data
             return
         if draw[2] < faults.garbage:
             self._send(self._rng.bytes(int(self._rng.integers(0, 2000))))
@@ -86,7 +92,7 @@ def is_within(windows: tuple[Window, ...], t_s: float) -> bool:
     return any(start <= t_s < end for start, end in windows)
 
 
-class Emulator(Link):
+class Emulator(AbstractContextManager["Emulator"]):
     """A process that emulates a device; for the ``with`` statement.
 
     Attributes:
@@ -112,11 +118,9 @@ class Emulator(Link):
         self.ready: dict[str, Any] = self._reply()
 
     def _reply(self) -> dict[str, Any]:
-        try:
+        with suppress(EOFError):
             if self._pipe.poll(START_s):
                 return self._pipe.recv()
-        except EOFError:
-            pass
         self._process.kill()
         raise LinkError("the emulator has ended without an answer; its message stands above")
 
@@ -135,6 +139,9 @@ class Emulator(Link):
         """Kill it, if it still runs."""
         self._process.kill()
         self._process.join()
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
 
 
 def _run(pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[Any, ...]) -> None:
@@ -163,14 +170,12 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
     """The controller of an LWR; counts of cycles and of answers in the same cycle."""
     if settings.in_real_time:
         take_real_time()
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind((LOOPBACK, 0))
-    wire = _Wire(lambda data: link.sendto(data, (LOOPBACK, settings.port)), settings.faults)
+    wire = _Wire(settings.faults, (LOOPBACK, settings.port))
     packet = np.zeros((), fri.MEASUREMENT)
     packet["size"], packet["kind"] = fri.MEASUREMENT.itemsize, fri.MEASUREMENT_KIND
     packet["period_s"], packet["commanded_rad"] = settings.period_s, settings.q_rad[0]
     counts = {"cycles": 0, "same_cycle": 0, "late": 0, "wrong": 0}
-    pipe.send({"port": link.getsockname()[1]})
+    pipe.send({"port": wire.address[1]})
     begin_s = time.monotonic()
     while counts["cycles"] != settings.cycles and not (counts["cycles"] % 100 == 0 and pipe.poll()):
         number, t_s = counts["cycles"], counts["cycles"] * settings.period_s
@@ -182,7 +187,7 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
         packet["position_rad"], packet["torque_Nm"] = settings.q_rad[row], settings.tau_Nm[row]
         wire.put(packet.tobytes(), t_s)
         is_answered = False
-        for data in _until(link, begin_s + t_s + settings.period_s):
+        for data, _ in wire.received(begin_s + t_s + settings.period_s):
             if len(data) != fri.COMMAND.itemsize:
                 counts["wrong"] += 1
                 continue
@@ -195,17 +200,6 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
         counts["cycles"] += 1
         counts["same_cycle"] += is_answered
     return {**counts, "sent": wire.sent, "commanded_rad": packet["commanded_rad"].copy()}
-
-
-def _until(link: socket.socket, end_s: float) -> Iterator[bytes]:
-    """Datagrams that come before a time."""
-    link.setblocking(False)
-    # `select` waits for microseconds, a socket's own timeout for whole milliseconds.
-    while (left_s := end_s - time.monotonic()) > 0.0:
-        if not select.select([link], [], [], left_s)[0]:
-            return
-        with suppress(ConnectionError, BlockingIOError):  # nobody listens yet
-            yield link.recv(2048)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -221,41 +215,32 @@ class RdtSettings:
 
 def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
     """A Net F/T box with its page; counts of the records sent."""
-    link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    link.bind((LOOPBACK, 0))
-    pipe.send({"port": link.getsockname()[1], "page": _serve_scale(*settings.scale)})
+    wire = _Wire(settings.faults)
+    pipe.send({"port": wire.address[1], "page": _serve_scale(*settings.scale)})
     rows = np.round(settings.wrench * np.repeat(settings.scale, 3)).astype(">i4")
     zero, number, size = np.zeros(6, dtype=">i4"), 0, 1
-    listener: Any = None
-    wire = _Wire(lambda data: link.sendto(data, listener), settings.faults)
     begin_s = time.monotonic()
     while not pipe.poll():
         due = (time.monotonic() - begin_s) * settings.rate_hz
-        while listener is not None and number + size <= due:
+        while wire.peer is not None and number + size <= due:
             records = np.zeros(size, rdt.RECORD)
             counted = np.arange(number, number + size)
             records["count"] = records["ft_count"] = counted % rdt.COUNTS
             records["counts"] = rows[counted % len(rows)] - zero
             wire.put(records.tobytes(), number / settings.rate_hz)
             number += size
-        for command, sender in _requests(link):
+        for data, sender in wire.received(time.monotonic() + 1e-3):
+            if len(data) != rdt.REQUEST.size or rdt.REQUEST.unpack(data)[0] != rdt.REQUEST_MARK:
+                continue
+            command = rdt.REQUEST.unpack(data)[1]
             if command == rdt.SOFTWARE_BIAS:
                 zero = rows[number % len(rows)].copy()
             elif command == rdt.STOP:
-                listener = None
-            elif listener is None:
-                listener, size = sender, settings.records if command == rdt.BUFFERED else 1
+                wire.peer = None
+            elif wire.peer is None:
+                wire.peer, size = sender, settings.records if command == rdt.BUFFERED else 1
                 begin_s = time.monotonic() - number / settings.rate_hz
     return {"records": number, "sent": wire.sent}
-
-
-def _requests(link: socket.socket) -> Iterator[tuple[int, tuple[str, int]]]:
-    """Commands that have come, and from where; waits for one a little."""
-    link.settimeout(0.2e-3)
-    with suppress(TimeoutError, BlockingIOError, ConnectionError):
-        data, sender = link.recvfrom(64)
-        if len(data) == rdt.REQUEST.size and data[:2] == rdt.REQUEST_MARK.to_bytes(2, "big"):
-            yield rdt.REQUEST.unpack(data)[1], sender
 
 
 def _serve_scale(per_N: float, per_Nm: float) -> str:
@@ -264,12 +249,9 @@ def _serve_scale(per_N: float, per_Nm: float) -> str:
 
     class Page(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            self.send_response(200)
+            self.send_response_only(200)  # `send_response` would log
             self.end_headers()
             self.wfile.write(text.encode())
-
-        def log_message(self, format: str, *args: object) -> None:
-            """Nothing is logged."""
 
     server = HTTPServer((LOOPBACK, 0), Page)
     threading.Thread(target=server.serve_forever, daemon=True).start()

@@ -13,14 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.devices.proxy import (
-    LOOPBACK,
-    ArmSample,
-    DatagramPeer,
-    DeviceSettingError,
-    Link,
-    LinkReport,
-)
+from needleforce.devices.proxy import LOOPBACK, ArmSample, DatagramLink, DeviceSettingError
 
 PORT, JOINTS, COUNTS = 49938, 7, 1 << 16
 _HEADER = {"count": ("<u2", 0), "reflected": ("<u2", 2), "size": ("<u2", 4), "kind": ("<u2", 6)}
@@ -90,20 +83,18 @@ def read_measurement(data: bytes) -> np.void | None:
     return found if is_valid else None
 
 
-class FriArm(Link):
+class FriArm(DatagramLink):
     """The arm at the end of the interface.
 
     In monitor mode every answer mirrors the position that the controller commands, as it demands.
     In command mode, which the program on the controller begins (friStart), with a good or perfect
     connection and no error, velocities given to `send` are integrated. The interface transmits no
-    velocity: samples have ``dq_rad_s=None``.
+    velocity: samples have ``dq_rad_s=None``. After `close` the controller goes to monitor mode.
 
     The sign of the torques is that of the controller; hang a known mass on the flange and compare
     before you believe it.
 
     Attributes:
-        address: Where it listens.
-        report: What has come, and what has not.
         robot: The model of the arm that was given, for those who need both.
         state: Of the interface, of the last sample.
         quality: Of the connection, of the last sample.
@@ -137,33 +128,32 @@ class FriArm(Link):
             raise DeviceSettingError(
                 f"wait_s={wait_s!r}, give_up_s={give_up_s!r}: expected 0 < wait_s <= give_up_s"
             )
-        self.report, self.robot, self.joints = LinkReport(), robot, JOINTS
+        super().__init__(host, port, peer=peer)
+        self.robot, self.joints = robot, JOINTS
         self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
         self._wait_s, self._give_up_s = wait_s, give_up_s
-        self._socket = DatagramPeer(host, port, self.report, peer=peer)
-        self.address = self._socket.address
         self._last: np.void | None = None
         self._arrival_s = monotonic()
         self._answer = np.zeros((), COMMAND)
         self._answer["size"], self._answer["kind"] = COMMAND.itemsize, COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
         self._target_rad = self._velocity_rad_s = np.zeros(JOINTS)
-        self._silent, self._is_open = SILENT_CYCLES, True
+        self._silent = SILENT_CYCLES
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come, each answered already."""
         silent_s = 0.0
         while self._is_open and silent_s < self._give_up_s:
-            data = self._socket.receive(self._wait_s)
+            data = self._receive(self._wait_s)
             if data is None:
                 self.report.outages += silent_s == 0.0
                 silent_s += self._wait_s
                 self.state = State.OFF
-                self._socket.forget()
-            elif (found := self._checked(data)) is not None:
-                silent_s, before = 0.0, self._last
-                self._send_answer(found)
-                yield self._sample(found, before)
+                self.peer = None  # after an outage it may come back on another port
+                continue
+            for sample in self._answered(data):
+                silent_s = 0.0
+                yield sample
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Joint velocity for the coming cycles [rad/s], shape (7,).
@@ -178,31 +168,38 @@ class FriArm(Link):
         self._velocity_rad_s, self._silent = velocity, 0
         return True
 
-    def close(self) -> None:
-        """Stop listening; the controller falls back to monitor mode by itself."""
-        self._is_open = False
-        self._socket.close()
-
     def _takes_commands(self) -> bool:
         is_well = self._last is not None and self._last["error"] == 0
         return self.state is State.COMMAND and self.quality >= Quality.GOOD and is_well
 
-    def _checked(self, data: bytes) -> np.void | None:
-        """A measurement that is newer than the last; anything else is counted."""
-        found = read_measurement(data)
+    def _answered(self, data: bytes) -> Iterator[ArmSample]:
+        """A sample whose measurement is newer than the last, once that is answered."""
+        found, now_s = read_measurement(data), monotonic()
         if found is None:
             self.report.malformed += 1
-            return None
-        is_counted = self._last is not None and monotonic() - self._arrival_s < LONGEST_COUNTED_s
-        if is_counted and not 0 < self._cycles_ahead(found, self._last) < COUNTS // 2:
-            self.report.stale += 1
-            return None
-        self._socket.accept()
-        return found
-
-    @staticmethod
-    def _cycles_ahead(found: np.void, before: np.void | None) -> int:
-        return 1 if before is None else (int(found["count"]) - int(before["count"])) % COUNTS
+            return
+        cycles, silence_s = 1, now_s - self._arrival_s
+        # The period as it was meant: 1 ms is not a number of 32 bits.
+        period_s = round(float(found["period_s"]), 6)
+        if self._last is not None and silence_s >= LONGEST_COUNTED_s:
+            cycles = round(silence_s / period_s)
+        elif self._last is not None:
+            cycles = (int(found["count"]) - int(self._last["count"])) % COUNTS
+            if not 0 < cycles < COUNTS // 2:
+                self.report.stale += 1
+                return
+        self.peer, self._arrival_s = self.sender, now_s
+        self._send_answer(found)
+        self.report.use(cycles, cycles * period_s)
+        yield ArmSample(
+            dt_s=cycles * period_s,
+            q_rad=found["position_rad"].astype(float),
+            dq_rad_s=None,
+            tau_Nm=found["torque_Nm"].astype(float),
+            external_Nm=found["external_Nm"].astype(float),
+            missed=cycles - 1,
+            accepts_commands=self._takes_commands(),
+        )
 
     def _send_answer(self, found: np.void) -> None:
         was_commanded = self._takes_commands()
@@ -217,23 +214,4 @@ class FriArm(Link):
         answer = self._answer
         answer["count"] = (int(answer["count"]) + 1) % COUNTS
         answer["reflected"], answer["position_rad"] = found["count"], self._target_rad
-        self._socket.send(answer.tobytes())
-
-    def _sample(self, found: np.void, before: np.void | None) -> ArmSample:
-        now_s = monotonic()
-        silence_s, self._arrival_s = now_s - self._arrival_s, now_s
-        # The period as it was meant: 1 ms is not a number of 32 bits.
-        period_s = round(float(found["period_s"]), 6)
-        cycles = self._cycles_ahead(found, before)
-        if before is not None and silence_s >= LONGEST_COUNTED_s:
-            cycles = round(silence_s / period_s)
-        self.report.use(cycles, cycles * period_s)
-        return ArmSample(
-            dt_s=cycles * period_s,
-            q_rad=found["position_rad"].astype(float),
-            dq_rad_s=None,
-            tau_Nm=found["torque_Nm"].astype(float),
-            external_Nm=found["external_Nm"].astype(float),
-            missed=cycles - 1,
-            accepts_commands=self._takes_commands(),
-        )
+        self._send(answer.tobytes())

@@ -17,15 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.devices.proxy import (
-    Array,
-    DeviceSettingError,
-    Link,
-    LinkError,
-    LinkReport,
-    MasterSample,
-    MissingClientError,
-)
+from needleforce.devices.proxy import DeviceSettingError, Link, LinkError, MasterSample, client
 
 ADDRESS = "ws://127.0.0.1:10001"
 AXES = "xyz"
@@ -34,18 +26,10 @@ LOST_s = 0.1  # After so long a silence the force is asked for again
 
 
 class HaplyMaster(Link):
-    """The device: an impedance device of three degrees of freedom.
-
-    Attributes:
-        report: What has come, and what has not.
-    """
+    """The device: an impedance device of three degrees of freedom."""
 
     def __init__(self, address: str = ADDRESS, *, most_force_N: float = 5.0) -> None:
-        """Connect to the service.
-
-        Args:
-            address: Of the service.
-            most_force_N: Longer forces are shortened to this.
+        """Connect to the service; forces above ``most_force_N`` are shortened to it.
 
         Raises:
             MissingClientError: websockets is not installed.
@@ -54,21 +38,16 @@ class HaplyMaster(Link):
         """
         if not 0.0 < most_force_N < np.inf:
             raise DeviceSettingError(f"most_force_N={most_force_N!r}: expected a positive number")
-        try:
-            from websockets.exceptions import WebSocketException
-            from websockets.sync.client import connect
-        except ImportError as error:
-            raise MissingClientError(
-                "websockets is not installed; pip install websockets"
-            ) from error
-        self.report, self._most_N, self._gone = LinkReport(), most_force_N, WebSocketException
+        super().__init__()
+        self._gone = client("websockets.exceptions", "websockets").WebSocketException
+        connect = client("websockets.sync.client", "websockets").connect
         try:
             self._socket = connect(address, max_size=1 << 20, open_timeout=5.0)
-        except (OSError, WebSocketException) as error:
+        except (OSError, self._gone) as error:
             raise LinkError(
                 f"no haptic service at {address}: {error}; is it running, is a device plugged in?"
             ) from error
-        self._force_N, self._device = np.zeros(3), ""
+        self._most_N, self._force_N, self._device = most_force_N, np.zeros(3), ""
         self._begin_s = self._last_s = time.monotonic()
 
     def read(self) -> MasterSample | None:
@@ -104,6 +83,7 @@ class HaplyMaster(Link):
 
     def close(self) -> None:
         """Show no force, and end the connection."""
+        super().close()
         self._force_N = np.zeros(3)
         with suppress(self._gone):
             self._command()
@@ -140,56 +120,44 @@ def _clutch(state: dict[str, Any]) -> bool:
     return next((bool(each["a"]) for each in buttons if "a" in each), True)
 
 
-def emulate_haply(pipe: Connection, wish_m: Array, period_s: float = 1e-3) -> dict[str, Any]:
+def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) -> dict[str, Any]:
     """The service with one device in an emulated operator's hand; a function for `Emulator`.
 
-    Args:
-        pipe: To the process that started it.
-        wish_m: Where the person wants the handle, a row per period, shape (m, 3); the last row
-            holds from then on.
-        period_s: Of the device.
-
-    Returns:
-        How many cycles passed, and the energy that went through the handle.
+    The person wants the handle at ``wish_m``: a row per period, shape (m, 3); the last row holds
+    from then on. It returns how many cycles passed, and the energy that went through the handle.
     """
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.server import ServerConnection, serve
 
     from groundtruth.rig_operator import HapticMaster, Operator
 
-    last = len(wish_m) - 1
-    hand = Operator(wish_m=lambda t_s: wish_m[min(round(t_s / period_s), last)])
+    hand = Operator(wish_m=lambda t_s: wish_m[min(round(t_s / period_s), len(wish_m) - 1)])
     master, counts = HapticMaster(hand), {"cycles": 0}
 
     def session(link: ServerConnection) -> None:
         due_s = time.monotonic()
-        while True:
-            sample = master.read()
-            counts["cycles"] += 1
-            if sample is not None:
-                link.send(json.dumps(_state(sample.position_m, sample.velocity_m_s)))
-            due_s += period_s
-            try:
+        with suppress(ConnectionClosed):
+            while True:
+                sample = master.read()
+                counts["cycles"] += 1
+                if sample is not None:
+                    link.send(json.dumps(_state(sample.position_m, sample.velocity_m_s)))
+                due_s += period_s
                 # The device goes on with its last force when no new one comes in time.
-                while (left_s := due_s - time.monotonic()) > 0.0:
-                    command = json.loads(link.recv(timeout=left_s))
-                    values = command["inverse3"][0]["commands"]["set_cursor_force"]["values"]
-                    master.render([values[axis] for axis in AXES])
-            except TimeoutError:
-                continue
-            except ConnectionClosed:
-                return
+                with suppress(TimeoutError):
+                    while (left_s := due_s - time.monotonic()) > 0.0:
+                        command = json.loads(link.recv(timeout=left_s))
+                        values = command["inverse3"][0]["commands"]["set_cursor_force"]["values"]
+                        master.render([values[axis] for axis in AXES])
 
     with serve(session, "127.0.0.1", 0) as server:
         pipe.send({"address": f"ws://127.0.0.1:{server.socket.getsockname()[1]}"})
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        while not pipe.poll(0.05):
-            pass
-        server.shutdown()
+        pipe.poll(None)
     return {**counts, "port_energy_J": master.port_energy_J}
 
 
-def _state(position_m: Array, velocity_m_s: Array) -> dict[str, Any]:
+def _state(position_m: np.ndarray, velocity_m_s: np.ndarray) -> dict[str, Any]:
     values = {"cursor_position": position_m, "cursor_velocity": velocity_m_s}
     state = {name: dict(zip(AXES, v.tolist(), strict=True)) for name, v in values.items()}
     return {"inverse3": [{"device_id": "emulated", "state": state}]}

@@ -13,20 +13,18 @@ import socket
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from time import monotonic, sleep
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
 
-# Errors: one base; each of the others is also a standard exception.
-
-
 class DeviceError(Exception):
-    """Base of all errors of this package."""
+    """Base of all errors of this package; each of the others is also a standard exception."""
 
 
 class DeviceSettingError(DeviceError, ValueError):
@@ -39,6 +37,14 @@ class LinkError(DeviceError, ConnectionError):
 
 class MissingClientError(DeviceError, ImportError):
     """The vendor's client library is not installed; the message names it."""
+
+
+def client(module: str, package: str) -> Any:
+    """A module of a vendor's library; `MissingClientError` where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingClientError(f"{package} is not installed; pip install {package}") from error
 
 
 LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
@@ -114,10 +120,18 @@ def paced(arm: Iterable[ArmSample]) -> Iterator[ArmSample]:
 
 
 class Link:
-    """What closes itself: for the ``with`` statement."""
+    """A connection to a device; at the end of a ``with`` statement it closes itself.
+
+    Attributes:
+        report: What has come, and what has not.
+    """
+
+    def __init__(self) -> None:
+        self.report, self._is_open = LinkReport(), True
 
     def close(self) -> None:
-        """End the connection."""
+        """End the connection, and with it the samples."""
+        self._is_open = False
 
     def __enter__(self) -> Self:
         return self
@@ -126,17 +140,21 @@ class Link:
         self.close()
 
 
-class ReplayArm(Link):
-    """Recorded joint signals as an `Arm` that takes no commands.
+class ReadOnlyArm(Link):
+    """An arm that is only listened to."""
 
-    Attributes:
-        report: How many samples were given out.
-        joints: How many joints it has.
-    """
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """No command is taken: False."""
+        return False
+
+
+class ReplayArm(ReadOnlyArm):
+    """Recorded joint signals as an `Arm` that takes no commands; reports how many it gave out."""
 
     def __init__(self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array) -> None:
         """Take m samples: time steps, shape (m,), the others (m, n); velocities may be None."""
-        self.report, self.joints = LinkReport(), q_rad.shape[1]
+        super().__init__()
+        self.joints = q_rad.shape[1]
         dq = [None] * len(dt_s) if dq_rad_s is None else dq_rad_s
         self._rows = zip(dt_s.tolist(), q_rad, dq, tau_Nm, strict=True)
 
@@ -146,31 +164,27 @@ class ReplayArm(Link):
             self.report.used += 1
             yield ArmSample(dt_s, q, dq, tau, None, 0, accepts_commands=False)
 
-    def send(self, dq_rad_s: Array, /) -> bool:
-        """No command is taken: False."""
-        return False
 
-
-class DatagramPeer:
-    """A UDP socket with one peer; datagrams from elsewhere are counted and dropped.
+class DatagramLink(Link):
+    """A link over UDP with one peer; datagrams from elsewhere are counted and dropped.
 
     Attributes:
         address: Where it listens.
-        peer: The one that was accepted.
+        sender: From where the last datagram came.
+        peer: Where it sends to, and the only one it listens to; None: not known yet.
 
     Raises:
         LinkError: The address cannot be bound.
         DeviceSettingError: A port outside 0 to 65535.
     """
 
-    def __init__(
-        self, host: str, port: int, report: LinkReport, *, peer: str | None = None, room: int = ROOM
-    ) -> None:
+    def __init__(self, host: str, port: int, *, peer: str | None = None, room: int = ROOM) -> None:
         if not 0 <= port <= 65535:
             raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
-        self._report, self._wanted = report, peer
+        super().__init__()
+        self._peer_host = peer
+        self.sender: tuple[str, int] | None = None
         self.peer: tuple[str, int] | None = None
-        self._candidate: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, room)
         try:
@@ -183,11 +197,8 @@ class DatagramPeer:
             ) from error
         self.address: tuple[str, int] = self._socket.getsockname()
 
-    def receive(self, timeout_s: float) -> bytes | None:
-        """The next datagram that may be the peer's; None when none came in time (0: now).
-
-        Until a peer is accepted, or named, everyone may be it.
-        """
+    def _receive(self, timeout_s: float) -> bytes | None:
+        """The next datagram that may be the peer's; None when none came in time (0: now)."""
         deadline_s = monotonic() + timeout_s
         while True:
             self._socket.settimeout(max(deadline_s - monotonic(), 0.0))
@@ -197,26 +208,18 @@ class DatagramPeer:
                 return None
             except ConnectionError:  # what was sent before found nobody listening
                 continue
-            if sender[0] == (self._wanted or sender[0]) and self.peer in (None, sender):
-                self._candidate = sender
+            if sender[0] == (self._peer_host or sender[0]) and self.peer in (None, sender):
+                self.sender = sender
                 return data
-            self._report.foreign += 1
+            self.report.foreign += 1
 
-    def accept(self) -> None:
-        """Take whoever sent the last datagram for the peer: it was valid."""
-        self.peer = self._candidate
-
-    def forget(self) -> None:
-        """Let another be the peer: after an outage a device may come back on another port."""
-        self.peer = None
-
-    def send(self, data: bytes, to: tuple[str, int] | None = None) -> None:
+    def _send(self, data: bytes, to: tuple[str, int] | None = None) -> None:
         """Send to the peer, or to an address; what the network refuses is lost, as on a wire."""
-        target = to or self.peer
-        if target is not None:
+        if target := to or self.peer:
             with suppress(OSError):
                 self._socket.sendto(data, target)
 
     def close(self) -> None:
-        """Free the port."""
+        """End the samples, and free the port."""
+        super().close()
         self._socket.close()

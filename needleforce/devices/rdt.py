@@ -8,21 +8,12 @@ import struct
 from collections.abc import Iterator
 from time import monotonic
 from typing import NamedTuple
-from urllib.error import URLError
 from urllib.request import urlopen
 from xml.etree import ElementTree
 
 import numpy as np
 
-from needleforce.devices.proxy import (
-    LOOPBACK,
-    Array,
-    DatagramPeer,
-    DeviceSettingError,
-    Link,
-    LinkError,
-    LinkReport,
-)
+from needleforce.devices.proxy import LOOPBACK, Array, DatagramLink, DeviceSettingError, LinkError
 
 PORT = 49152
 REQUEST = struct.Struct(">HHI")
@@ -54,7 +45,7 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     try:
         with urlopen(url, timeout=timeout_s) as reply:
             tree = ElementTree.fromstring(reply.read(MOST_REPLY))
-    except (URLError, OSError, ElementTree.ParseError, ValueError) as error:
+    except (OSError, ElementTree.ParseError, ValueError) as error:
         raise LinkError(f"no counts per newton from {url}: {error}; is it the sensor?") from error
     numbers = []
     for name in ("calcpf", "calcpt"):
@@ -63,21 +54,13 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
             numbers.append(float(text or ""))
         except ValueError:
             raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
-    return checked_scale(Scale(*numbers))
+    return Scale(*numbers)
 
 
-def checked_scale(scale: Scale) -> Scale:
-    """The scale; `DeviceSettingError` unless both numbers are positive and finite."""
-    if not all(np.isfinite(value) and value > 0.0 for value in scale):
-        raise DeviceSettingError(f"{scale}: expected positive counts per N and per Nm")
-    return scale
-
-
-class NetFT(Link):
+class NetFT(DatagramLink):
     """The sensor: the newest reading, or a stream of all.
 
     Attributes:
-        report: What has come, and what has not.
         scale: Counts per newton and per newton metre.
         status: Word of the last record; 0 when all is well.
     """
@@ -105,10 +88,12 @@ class NetFT(Link):
             DeviceSettingError: A scale that is not positive.
         """
         page = scale or f"http://{host}/netftcalapi.xml"
-        self.scale = read_scale(page) if isinstance(page, str) else checked_scale(page)
-        self.report, self.status = LinkReport(), 0
+        self.scale = read_scale(page) if isinstance(page, str) else page
+        if not all(0.0 < counts < np.inf for counts in self.scale):
+            raise DeviceSettingError(f"{self.scale}: expected positive counts per N and per Nm")
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
-        self._socket = DatagramPeer(local, 0, self.report, peer=host, room=ROOM)
+        super().__init__(local, 0, peer=host, room=ROOM)
+        self.status = 0
         self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
@@ -122,7 +107,7 @@ class NetFT(Link):
         Raises nothing: what is malformed or old is counted in `report`.
         """
         found = None
-        while (data := self._socket.receive(0.0)) is not None:
+        while (data := self._receive(0.0)) is not None:
             for wrench in self._records(data):
                 found = wrench
         return found
@@ -130,7 +115,7 @@ class NetFT(Link):
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
         """Every wrench as it comes, shape (6,); None after a silence: it is asked for again."""
         while True:
-            data = self._socket.receive(wait_s)
+            data = self._receive(wait_s)
             if data is None:
                 self.report.outages += 1
                 self._request(self._mode)
@@ -153,10 +138,10 @@ class NetFT(Link):
     def close(self) -> None:
         """Ask the sensor to stop, and free the port."""
         self._request(STOP)
-        self._socket.close()
+        super().close()
 
     def _request(self, command: int) -> None:
-        self._socket.send(REQUEST.pack(REQUEST_MARK, command, 0), self._sensor)
+        self._send(REQUEST.pack(REQUEST_MARK, command, 0), self._sensor)
 
     def _records(self, data: bytes) -> Iterator[Array]:
         """Valid wrenches of a datagram, oldest first."""

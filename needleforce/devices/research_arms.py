@@ -4,9 +4,7 @@ Both are read only here: samples in, no commands. The clients are imported when 
 """
 
 from collections.abc import Iterator
-from importlib import import_module
 from time import sleep
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -17,10 +15,9 @@ from needleforce.devices.proxy import (
     ArmSample,
     Array,
     DeviceSettingError,
-    Link,
     LinkError,
-    LinkReport,
-    MissingClientError,
+    ReadOnlyArm,
+    client,
 )
 
 FRANKA_PERIOD_s = 1e-3
@@ -29,49 +26,32 @@ UR_JOINTS, FRANKA_JOINTS = 6, 7
 UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
 
 
-def client(module: str, package: str) -> ModuleType:
-    """A vendor's library; `MissingClientError` where it is not installed."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise MissingClientError(f"{package} is not installed; pip install {package}") from error
-
-
-class _ReadOnlyArm(Link):
+class _VendorArm(ReadOnlyArm):
     """What both have in common: checks and counts of samples."""
 
     def __init__(self, joints: int, period_s: float, robot: Any) -> None:
-        self.report, self.robot, self.joints = LinkReport(), robot, joints
-        self._period_s, self._last_s, self._is_open = period_s, -np.inf, True
+        super().__init__()
+        self.robot, self.joints = robot, joints
+        self._period_s, self._last_s = period_s, -np.inf
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """No command is taken: False."""
-        return False
-
-    def close(self) -> None:
-        """End the samples."""
-        self._is_open = False
-
-    def _sample(self, time_s: float, *signals: Array | None) -> ArmSample | None:
-        """Position, velocity, torque, external torque as a sample; None if not valid or old."""
+    def _checked(self, time_s: float, q: Array, *others: Array | None) -> Iterator[ArmSample]:
+        """Position, velocity, torque, external torque as a sample, if they are valid and new."""
         report, gap_s = self.report, time_s - self._last_s
-        given = [each for each in signals if each is not None]
+        given = [each for each in (q, *others) if each is not None]
         if not all(np.isfinite(x).all() and len(x) == self.joints for x in given):
             report.malformed += 1
-            return None
+            return
         if gap_s <= 0.0:
             report.stale += 1
-            return None
+            return
         dt_s = gap_s if np.isfinite(gap_s) else self._period_s
         missed = max(round(dt_s / self._period_s) - 1, 0)
         self._last_s = time_s
         report.use(missed + 1, dt_s)
-        q, dq, tau, external = signals
-        assert q is not None
-        return ArmSample(dt_s, q, dq, tau, external, missed, accepts_commands=False)
+        yield ArmSample(dt_s, q, *others, missed=missed, accepts_commands=False)
 
 
-class FrankaArm(_ReadOnlyArm):
+class FrankaArm(_VendorArm):
     """A Franka FER (Panda) through libfranka: 1 kHz, torques behind the gears.
 
     ``tau_Nm`` is the measured torque of the links with gravity; ``external_Nm`` libfranka's own
@@ -86,7 +66,7 @@ class FrankaArm(_ReadOnlyArm):
             LinkError: The arm does not answer, or speaks another version.
         """
         super().__init__(FRANKA_JOINTS, FRANKA_PERIOD_s, robot)
-        library: Any = client("panda_py.libfranka", "panda-python")
+        library = client("panda_py.libfranka", "panda-python")
         try:
             self._arm = library.Robot(host, library.RealtimeConfig.kIgnore)
         except RuntimeError as error:
@@ -101,12 +81,10 @@ class FrankaArm(_ReadOnlyArm):
                 self.report.outages += 1
                 return
             signals = (state.q, state.dq, state.tau_J, state.tau_ext_hat_filtered)
-            sample = self._sample(1e-3 * state.time.to_msec(), *map(np.asarray, signals))
-            if sample is not None:
-                yield sample
+            yield from self._checked(1e-3 * state.time.to_msec(), *map(np.asarray, signals))
 
 
-class UrArm(_ReadOnlyArm):
+class UrArm(_VendorArm):
     """A UR e-Series arm through RTDE: 500 Hz; torques are motor currents times a constant.
 
     Without the constants there are currents only: see docs/panda.md for what a UR can give.
@@ -130,13 +108,12 @@ class UrArm(_ReadOnlyArm):
         super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
         self._constant: Array | None = None
         if torque_constant_Nm_A is not None:
-            constant = np.array(torque_constant_Nm_A, dtype=float)
-            if constant.shape != (UR_JOINTS,) or not (constant > 0.0).all():
+            self._constant = np.array(torque_constant_Nm_A, dtype=float)
+            if self._constant.shape != (UR_JOINTS,) or not (self._constant > 0.0).all():
                 raise DeviceSettingError(
                     f"torque_constant_Nm_A={torque_constant_Nm_A!r}: expected six positive numbers"
                 )
-            self._constant = constant
-        library: Any = client("rtde_receive", "ur_rtde")
+        library = client("rtde_receive", "ur_rtde")
         try:
             self._arm = library.RTDEReceiveInterface(host, rate_hz, list(UR_SIGNALS))
         except RuntimeError as error:
@@ -152,8 +129,7 @@ class UrArm(_ReadOnlyArm):
                 if self._arm.getTimestamp() != time_s:
                     continue  # parts of two packages
                 tau = None if self._constant is None else self._constant * current
-                sample = self._sample(time_s, q, dq, tau, None)
-                if sample is not None:
+                for sample in self._checked(time_s, q, dq, tau, None):
                     yield sample._replace(current_A=current)
             else:  # the client holds the newest only: look oftener than it comes
                 sleep(POLLS * self._period_s)
