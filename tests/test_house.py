@@ -24,11 +24,11 @@ LIMITS = {
     "control": (2_129, 12),
     "anatomy": (1_330, 8),
     "scene": (700, 6),
-    "devices": (1_326, 7),
+    "devices": (1_200, 7),
 }
 """Most lines and files of Python: ceilings at today's size, to be lowered with every cut. The goals
 of the chain, 19,000, 6,500 and 13,000 lines, are met. The packages around it, with their commands,
-count apart; the goals: control 1,800, anatomy 1,000, scene 700, devices 1,200."""
+count apart; the goals: control 1,800, anatomy 1,000, scene 700; devices has met its 1,200."""
 
 APART = ("control", "anatomy", "scene", "devices")
 """Packages around the chain."""
