@@ -3,6 +3,7 @@
 import json
 import socket
 import time
+from http.client import IncompleteRead
 
 import numpy as np
 import pytest
@@ -118,6 +119,7 @@ def test_commands_that_cannot_be_are_refused():
         measurement(size=915),
         measurement(kind=0x1005),
         measurement(period_s=0.0),
+        measurement(period_s=1e-7),  # in whole microseconds it is none
         measurement(state=3),
         measurement(position_rad=np.nan),
         measurement(torque_Nm=np.inf),
@@ -209,6 +211,15 @@ def test_a_force_sensor_that_loses_records_says_how_many():
     assert report.missed == pytest.approx(0.02 * (report.used + report.missed), rel=0.5)
     assert report.malformed > 20
     assert report.stale > 20
+
+
+def test_a_page_that_breaks_off_names_no_counts(monkeypatch):
+    def broken(url, timeout):
+        raise IncompleteRead(b"<netft>")
+
+    monkeypatch.setattr(rdt, "urlopen", broken)
+    with pytest.raises(LinkError, match="no counts per newton"):
+        rdt.read_scale("http://127.0.0.1/")
 
 
 def test_a_sensor_that_reports_a_fault_gives_no_force():

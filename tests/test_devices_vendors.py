@@ -2,13 +2,21 @@
 
 import fcntl
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from vendor_emulators import ArmSettings, emulate_franka, emulate_ur
 
 from needleforce.cli import main
-from needleforce.devices import DeviceSettingError, FrankaArm, LinkError, MissingClientError, UrArm
+from needleforce.devices import (
+    DeviceSettingError,
+    FrankaArm,
+    LinkError,
+    MissingClientError,
+    UrArm,
+    research_arms,
+)
 from needleforce.devices.emulators import Emulator
 
 
@@ -98,6 +106,40 @@ def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
 def test_options_that_an_arm_would_not_read_are_refused(options, why, capsys):
     assert main(["live", *options]) == 2
     assert why in capsys.readouterr().err
+
+
+class DoubtfulUr:
+    """Stands in for the vendor's client: its second current is none."""
+
+    def __init__(self, *_):
+        self.time_s = 0.0
+
+    def isConnected(self):
+        self.time_s += 2e-3
+        return self.time_s < 7e-3
+
+    def getTimestamp(self):
+        return self.time_s
+
+    def getActualQ(self):
+        return [0.1] * 6
+
+    getActualQd = getActualQ
+
+    def getActualCurrent(self):
+        return [np.nan if 3e-3 < self.time_s < 5e-3 else 1.0] * 6
+
+    def disconnect(self):
+        pass
+
+
+def test_a_current_that_is_no_number_is_counted_and_not_handed_on(monkeypatch):
+    library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
+    monkeypatch.setattr(research_arms, "client", lambda *_: library)
+    with UrArm() as arm:
+        found = list(arm)
+        assert (len(found), arm.report.malformed, found[1].missed) == (2, 1, 1)
+        assert np.isfinite([sample.current_A for sample in found]).all()
 
 
 def test_an_arm_that_is_not_there_is_said_so():

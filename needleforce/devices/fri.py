@@ -43,8 +43,7 @@ _MEASURED = {
 }
 MEASUREMENT, MEASUREMENT_KIND = _packet(916, _MEASURED), 0x2006
 COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)})
-COMMAND_KIND = 0x1005
-POSITION_FLAG = 0x1
+COMMAND_KIND, POSITION_FLAG = 0x1005, 0x1
 SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
 LONGEST_COUNTED_s = 1.0
 """Of a longer gap the counter may have gone round or begun anew: our own clock says how long."""
@@ -77,7 +76,7 @@ def read_measurement(data: bytes) -> np.void | None:
         (found["size"], found["kind"]) == (MEASUREMENT.itemsize, MEASUREMENT_KIND)
         and found["state"] <= max(State)
         and found["quality"] <= max(Quality)
-        and 0.0 < found["period_s"] <= 0.1
+        and 0.5e-3 < found["period_s"] <= 0.1
         and all(np.isfinite(found[name]).all() for name in names)
     )
     return found if is_valid else None

@@ -6,6 +6,7 @@ Numbers are big endian; counts per newton are set in the sensor and read from it
 
 import struct
 from collections.abc import Iterator
+from http.client import HTTPException
 from time import monotonic
 from typing import NamedTuple
 from urllib.request import urlopen
@@ -45,7 +46,7 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     try:
         with urlopen(url, timeout=timeout_s) as reply:
             tree = ElementTree.fromstring(reply.read(MOST_REPLY))
-    except (OSError, ElementTree.ParseError, ValueError) as error:
+    except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
         raise LinkError(f"no counts per newton from {url}: {error}; is it the sensor?") from error
     numbers = []
     for name in ("calcpf", "calcpt"):

@@ -129,8 +129,8 @@ class UrArm(_VendorArm):
                 if self._arm.getTimestamp() != time_s:
                     continue  # parts of two packages
                 tau = None if self._constant is None else self._constant * current
-                for sample in self._checked(time_s, q, dq, tau, None):
-                    yield sample._replace(current_A=current)
+                for sample in self._checked(time_s, q, dq, current, None):
+                    yield sample._replace(tau_Nm=tau, current_A=current)
             else:  # the client holds the newest only: look oftener than it comes
                 sleep(POLLS * self._period_s)
         if self._is_open:
