@@ -315,9 +315,9 @@ class InsertionSession:
                 twin.restore(part)
             for _ in range(3):
                 twin.update(*snapshot.travel[:2], 0.0, 1e-3)
-            sizes = [np.shape(part) for part in snapshot.zero]
-            if sizes != [(3,), (3,)] or not np.isfinite(snapshot.zero).all():
-                raise SnapshotMismatchError(f"the snapshot is damaged: its zero is {snapshot.zero}")
+            numbers = *snapshot.travel, snapshot.unused_s, snapshot.time_s, *np.ravel(snapshot.zero)
+            if np.shape(snapshot.zero) != (2, 3) or not np.isfinite(numbers).all():
+                raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")
             return self._plan.read(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise

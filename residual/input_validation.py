@@ -12,7 +12,7 @@ import numpy as np
 
 from residual.errors import Array, ConfigurationError, SampleError, named_joints
 
-MOST_PLAUSIBLE = 1e9  # no joint signal in SI units comes near it; beyond it products overflow
+MOST_PLAUSIBLE = 1e5  # no joint signal in SI units comes near it; far beyond it products overflow
 SHORTEST_STEP_S = 1e-12  # no clock ticks faster, and the inverse of what is far shorter overflows
 LONGEST_STEP_S = 86_400.0
 """A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""

@@ -215,14 +215,14 @@ class SigmoidFriction:
         return 1.0 / (1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT)))
 
 
-def _check_length(friction: FrictionModel, joints: int) -> None:
+def _check_friction(friction: FrictionModel, joints: int) -> None:
     try:
-        shape = np.shape(friction.torque(np.zeros(joints)))
+        torques = [friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)]
     except ValueError as error:
-        what = f"friction does not fit a robot of {joints} joints: {error}"
-        raise ConfigurationError(what) from error
-    if shape != (joints,):
-        raise ConfigurationError(f"friction gives torques of shape {shape}, expected ({joints},)")
+        raise ConfigurationError(f"friction does not fit {joints} joints: {error}") from error
+    for torque in torques:
+        if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
+            raise ConfigurationError(f"friction gives {torque!r}, expected {joints} finite numbers")
 
 
 @dataclass(slots=True, eq=False)
@@ -276,7 +276,7 @@ class MomentumObserver:
         # One where it serves all: on an uneven clock its weights change every tick.
         self._gains = gains[:1].copy() if np.ndim(gain_per_s) == 0 else gains
         if friction is not None:
-            _check_length(friction, n)
+            _check_friction(friction, n)
         self._model, self._friction = robot.model, friction
         self.data = robot.create_data()
         self._held = alignment == "hold"

@@ -1,5 +1,7 @@
 """Manual guidance: the dead zone, the lag, rejected samples, a stiff hand."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -75,3 +77,28 @@ def test_a_stiff_hand_does_not_swing_an_arm_whose_torques_come_late():
     assert arm.sensor.rejected == 0
     assert 1e-3 < max(apart_m) < 0.02
     assert max(apart_m[-500:]) < 3e-3
+
+
+def test_a_pause_does_not_make_the_arm_light():
+    guidance, torque = Guidance(ROBOT, np.full(7, 10.0)), 5.0
+    for k in range(300):
+        velocity(guidance, 5.0 * np.sin(0.05 * k))
+    for dt_s in (0.5, 1e5):
+        assert np.abs(guidance.update(np.full(7, torque), SIGMA, dt_s).wish).max() <= torque / 10.0
+
+
+def test_numbers_that_no_joint_can_have_and_rejected_deviations_are_skipped():
+    guidance, other = Guidance(ROBOT), Guidance(ROBOT)
+    assert np.isfinite(velocity(guidance, 1e308)).all()
+    other.update(np.zeros(7), np.zeros(7), 1e-3, is_valid=False)
+    assert velocity(guidance, 5.0, 300) == pytest.approx(velocity(other, 5.0, 300), rel=1e-3)
+
+
+def test_a_torque_limit_that_nobody_knows_leaves_a_dead_zone():
+    robot = SimpleNamespace(nv=1, effort_limit_Nm=np.zeros(1))
+    guidance, rng = Guidance(robot, [1.0]), np.random.default_rng(0)
+    wishes = [
+        guidance.update(0.01 * rng.standard_normal(1), np.full(1, 0.01), 1e-3).wish.any()
+        for _ in range(20_000)
+    ]
+    assert not any(wishes)

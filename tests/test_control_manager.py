@@ -60,7 +60,9 @@ class Sensor:
             wrench=now.wrench._replace(status=status, **wrench),
             status=status,
             depth_m=depth_m,
-            identification=now.identification._replace(in_contact=in_contact),
+            identification=now.identification._replace(
+                in_contact=in_contact, layer=int(in_contact)
+            ),
         )
 
 
@@ -305,7 +307,7 @@ def test_a_late_sample_and_a_silent_program_stop():
 
 def test_a_clock_that_is_set_moves_no_time():
     manager, _ = new_manager()
-    for dt_s in (-3600.0, np.nan, 0.0, 1e9):
+    for dt_s in (-3600.0, np.nan, 0.0, 1e9, None, "x", np.ones(2), 10**400):
         assert run(manager, dt_s=dt_s).time_s < 0.01
 
 
@@ -362,3 +364,85 @@ def test_the_page_shows_the_table_as_it_is():
     rows = [line.strip("| ").split(" | ") for line in page.read_text().splitlines()]
     for rule in TABLE:
         assert [rule.event, rule.sources, rule.target, rule.guards or "–"] in rows
+
+
+def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
+    manager, _ = inserting()
+    now = run(manager, 0.005, Beside(axial_N=np.nan))  # a few are skipped
+    assert now.state is State.INSERTION
+    now = run(manager, 0.01, Beside(axial_N=np.nan))
+    assert (now.state, "axial force of the sensor nan" in now.reason) == (State.FAULTED, True)
+    for command in (np.full(7, np.nan), np.zeros(6), "x"):
+        manager, _ = inserting()
+        reason = run(manager, beside=Beside(command_rad_s=command)).reason
+        assert "expected 7 finite numbers" in reason
+    assert run(inserting()[0], beside=Beside(command_rad_s=[0.0] * 7)).state is State.INSERTION
+
+
+def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
+    stops = []
+    for bad in (False, True):
+        manager, _ = inserting()
+        for k in range(400):
+            axial_N = np.nan if bad and k == 50 else 0.01 * k
+            if run(manager, beside=Beside(axial_N=axial_N)).state is not State.INSERTION:
+                break
+        stops.append(k)
+    assert stops[0] < 200
+    assert abs(stops[0] - stops[1]) <= 1
+
+
+def test_who_does_not_know_where_the_needle_is_refuses_guidance():
+    manager, sensor = new_manager()
+    sensor.tared = True
+    manager.heartbeat()
+    assert "nobody knows" in manager.request("guide")
+    sensor.reads(depth_m=0.02, in_contact=True)  # a session that goes on inside tissue
+    run(manager)
+    sensor.reads(depth_m=0.005, in_contact=True)
+    run(manager)
+    assert "in tissue" in manager.request("guide")
+    sensor.reads(depth_m=0.003)
+    run(manager)
+    sensor.reads(depth_m=0.001)
+    run(manager)
+    assert manager.request("guide") == ""
+
+
+def test_a_log_that_cannot_be_written_is_refused_at_first_and_reported_later(tmp_path):
+    with pytest.raises(OSError, match="No such file"):
+        new_manager(log=tmp_path / "missing" / "log.jsonl")
+    log = tmp_path / "log.jsonl"
+    manager, _ = inserting(log=log)
+    written = log.read_bytes()
+    log.unlink()
+    log.mkdir()  # as a disk that is full
+    assert manager.request("stop") == ""
+    now = run(manager)
+    assert (now.state, "cannot be written" in now.reason) == (State.STOPPED, True)
+    log.rmdir()
+    log.write_bytes(written)
+    manager.request("release")
+    assert read_events(log) == manager.events
+
+
+def test_data_that_no_log_can_hold_are_refused_and_change_nothing():
+    manager, circle = inserting()[0], []
+    circle.append(circle)
+    for data in ("\ud800", circle):
+        with pytest.raises(SettingError, match="data of stop cannot be written"):
+            manager.request("stop", data=data)
+    assert run(manager).state is State.INSERTION
+
+
+def test_a_manager_needs_a_session_and_limits():
+    for arguments in ((None,), (Sensor(), 5.0)):
+        with pytest.raises(SettingError, match="expected an InsertionSession and SafetyLimits"):
+            Manager(*arguments)
+
+
+def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
+    for event in ("stop", "release"):
+        inserting(log=tmp_path / "two.jsonl")[0].request(event)
+    events = read_events(tmp_path / "two.jsonl")
+    assert replay(events) == [event.target for event in events]

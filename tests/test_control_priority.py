@@ -116,6 +116,52 @@ def test_limits_that_cannot_be_are_refused(wrong):
         Limits(ROBOT, **wrong)
 
 
+@pytest.mark.parametrize("margin_rad", [-1.0, np.nan, None])
+def test_a_margin_that_lets_limits_pass_is_refused(margin_rad):
+    with pytest.raises(SettingError, match="margin_rad is"):
+        Limits(ROBOT, margin_rad=margin_rad)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda tool: RemoteCentre([np.nan] * 3),
+        lambda tool: RemoteCentre([None, 0.0, 0.0]),
+        lambda tool: RemoteCentre(tool.tip_m, -30.0),
+        lambda tool: TipVelocity([np.nan] * 3),
+        lambda tool: TipVelocity([0.0] * 3, tool.tip_m),  # a goal without a gain
+        lambda tool: Posture([np.nan] * 7),
+        lambda tool: Posture(Q, np.nan),
+        lambda tool: Fixture([np.nan, 0.0, 0.0], tool.rotation),
+        lambda tool: Fixture(tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]),  # left-handed
+        lambda tool: DecoupledMotion(tool).move(tool, [np.nan] * 3, [0.0] * 3, 1e-3),
+        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.full(7, np.nan)),
+        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.zeros((7, 7))),
+    ],
+)
+def test_a_task_or_a_start_that_cannot_be_is_refused(make):
+    with pytest.raises(SettingError, match=r"expected|needs"):
+        make(tool_at(Q))
+
+
+def test_a_start_is_within_the_limits_of_speed():
+    control = Controller(ROBOT, Limits(ROBOT))
+    control.reset(np.full(7, 100.0))
+    assert (control.last_rad_s <= ROBOT.velocity_limit_rad_s).all()
+
+
+def test_whatever_a_sample_or_a_stack_brings_it_answers_and_keeps_the_last_tool():
+    control, good = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    control.update(good, [])
+    tip_m = control.tool.tip_m
+    bad = ArmSample(1e-3, np.full(7, np.nan), None, Q), ArmSample(10**400, Q, None, Q), object()
+    for sample, stack in (*((each, []) for each in bad), (good, [None]), (good, 3)):
+        assert control.update(sample, stack).status == "skipped"
+    one = [JointVelocity([0.1]), AxialSpeed(0.0)]
+    assert "1 joints" in control.update(good, one).reason
+    assert control.tool.tip_m.tolist() == tip_m.tolist()
+
+
 def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
     monkeypatch.setattr(control_speed, "SECONDS", 1.0)
     monkeypatch.setattr(control_speed, "WARM_TICKS", 300)

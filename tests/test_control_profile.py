@@ -8,8 +8,10 @@ import pytest
 from identification.estimate import RuptureState
 from needleforce.control import InsertionPlan, InsertionProfile, SettingError, State, depth_of
 from needleforce.control.insertion_profile import RuptureCount
+from needleforce.control.manager import MOVING
 
 DT, SPEED_M_S = 1e-3, 5e-3
+TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSERTION}
 
 
 def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None):
@@ -44,6 +46,41 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
     before_N, fall_N, how, count
 ):
     assert counted(before_N, fall_N, **how) == count
+
+
+def test_a_reading_that_is_no_number_is_skipped():
+    ruptures = RuptureCount()
+    for k in range(3100):
+        fallen = k > 3030
+        force_N = np.nan if k == 100 else 2.0 * min(k / 3000.0, 1.0) - fallen
+        left = ruptures.update(found(), force_N, 5e-6 * k, DT, is_steady=True)
+        assert k > 3000 or not left
+    assert ruptures.count == 1
+
+
+@pytest.mark.parametrize("approach_m", [0.0, 3e-3])
+def test_a_stroke_begins_where_its_state_begins(approach_m):
+    plan = InsertionPlan(speed_m_s=5e-3, depth_m=0.01, approach_m=approach_m)
+    profile, depth_m, state_s, state = InsertionProfile(plan), -0.03, 0.0, State.IDLE
+    entered = {}
+    for k in range(1, 9500):
+        state_s += DT
+        now = situation(state, depth_m, k, state_s)
+        now.is_moving = state in MOVING
+        step = profile.update(now)
+        depth_m += DT * step.speed_m_s
+        assert abs(step.speed_m_s) < 0.05
+        if step.event:  # as the manager answers
+            state = State.IDLE if step.event == "arrived" else TARGETS[step.event]
+            entered[state], state_s = depth_m, 0.0
+    assert entered[State.TARE] == pytest.approx(-0.03 + approach_m, abs=1e-4)
+    assert entered[State.INSERTION] == pytest.approx(-0.03 + approach_m, abs=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [{"layer": 1.5}, {"layer": 0}, {"depth_m": np.nan}])
+def test_a_plan_that_never_ends_is_refused(wrong):
+    with pytest.raises(SettingError, match=next(iter(wrong))):
+        InsertionPlan(**{"speed_m_s": 5e-3, "depth_m": 0.01} | wrong)
 
 
 def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):

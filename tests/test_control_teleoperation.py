@@ -262,3 +262,63 @@ def test_line_keeps_the_order_and_the_newest_counts():
 def test_settings_that_cannot_work_are_refused(make, said):
     with pytest.raises(SettingError, match=said):
         make()
+
+
+def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True):
+    return SimpleNamespace(position_m=position_m, velocity_m_s=velocity_m_s, clutch=clutch)
+
+
+@pytest.mark.parametrize("dt_s", [np.nan, np.inf, 0.0, -1e-3, -0.2, None, "x"])
+def test_a_time_step_that_does_not_advance_lets_the_needle_stand(dt_s):
+    tele, now = Teleoperation(), estimate(axial_N=2.0)
+    moving = handle(velocity_m_s=(0.0, 0.0, 0.05))
+    before = [tele.update(moving, now, DT) for _ in range(50)][-1]
+    command = tele.update(moving, now, dt_s)
+    assert command.speed_m_s == 0.0
+    assert command.force_N == pytest.approx(before.force_N)
+    assert np.isfinite(tele.update(moving, now, DT).force_N).all()
+
+
+@pytest.mark.parametrize(
+    "sample",
+    [
+        handle(position_m=None),
+        handle(position_m=(0.0, 0.0)),
+        handle(position_m=((0.0,), 1.0, 2.0)),
+        handle(velocity_m_s=(0.0, 0.0, 1e300)),
+        handle(velocity_m_s=(0.0, np.nan, 0.0)),
+        SimpleNamespace(),
+    ],
+)
+def test_a_sample_that_no_handle_can_give_counts_as_none(sample):
+    forces_N = []
+    for wrong in (sample, None):
+        tele, z = Teleoperation(), 0.0
+        for k in range(100):
+            z += 2e-5
+            good = handle((0.0, 0.0, z), (0.0, 0.0, 0.02))
+            command = tele.update(wrong if k == 50 else good, estimate(1.0), DT)
+        forces_N.append(command.force_N)
+    assert np.abs(forces_N[0]).max() > 0.01
+    assert forces_N[0].tolist() == forces_N[1].tolist()
+    assert np.isfinite(tele.update(handle(clutch=None), estimate(1.0), DT).force_N).all()
+
+
+@pytest.mark.parametrize("frozen", [False, True])
+def test_the_needle_stands_soon_after_a_device_has_gone_or_repeats_itself(frozen):
+    tele, depth_m, depths = Teleoperation(motion_scale=1.0), 0.0, []
+    for k in range(2000):
+        z = 3e-5 * min(k, 300)  # 30 mm/s; the needle follows with 20
+        sample = handle((0.0, 0.0, z), (0.0, 0.0, 0.03)) if k < 300 or frozen else None
+        depth_m += DT * tele.update(sample, estimate(depth_m=depth_m), DT).speed_m_s
+        depths.append(depth_m)
+    assert depths[-1] - depths[299] < 0.005
+    assert depths[-1] == pytest.approx(depths[1000], abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"motion_scale": None}, {"motion_scale": "0.4"}, {"axis": "abc"}, {"lines": (3, 4)}]
+)
+def test_settings_of_another_kind_are_refused(wrong):
+    with pytest.raises(SettingError, match=next(iter(wrong))):
+        Teleoperation(**wrong)

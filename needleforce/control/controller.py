@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.control.errors import ControlError, SettingError
+from needleforce.control.errors import SettingError
 from needleforce.control.ports import ArmSample, Array
 from needleforce.control.priority_solver import (
     ACCELERATION,
+    SPEED,
     Limits,
     LONGEST_STEP_s,
     SLACK_rad_s,
@@ -19,7 +20,7 @@ from needleforce.control.priority_solver import (
     hierarchical,
     joint_bounds,
 )
-from needleforce.control.tasks import JointVelocity, Task, ToolState
+from needleforce.control.tasks import JointVelocity, Task, ToolState, vector
 from urdf import Robot
 
 
@@ -73,11 +74,14 @@ class Controller:
         self.reset()
 
     def reset(self, dq_rad_s: Array | None = None) -> None:
-        """Begin from the velocity that the arm has, shape (n,), or from rest.
+        """Begin from the velocity that the arm has, shape (n,), within its limits, or from rest.
 
         Call it when the arm has not followed: its commands were refused, or it has stopped itself.
+        `SettingError` for anything but n finite numbers.
         """
-        self.last_rad_s = np.zeros(self._joints) + (0.0 if dq_rad_s is None else dq_rad_s)
+        rest = np.zeros(self._joints)
+        now = rest if dq_rad_s is None else vector(dq_rad_s, self._joints, "dq_rad_s")
+        self.last_rad_s = np.clip(now, -self._limits[SPEED], self._limits[SPEED])
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """The command for the coming cycle. It never raises and always answers.
@@ -93,18 +97,18 @@ class Controller:
             q, dt_s = np.ascontiguousarray(sample.q_rad, np.float64), float(sample.dt_s)
             if q.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._skip(f"{q.size} positions, dt_s = {dt_s:g}")
+            if not math.isfinite(q.dot(q)):
+                return self._skip("positions are not finite")
             self._step_s = min(dt_s, LONGEST_STEP_s)
             self.tool.update(q)
             numbers = self._numbers_of(stack)
             numbers.fill(stack, self.tool)
             joint_bounds(self._limits, q, self.last_rad_s, self._step_s, numbers.bounds)
             if not stack:
-                if not math.isfinite(numbers.bounds.sum()):
-                    return self._skip("positions are not finite")
                 return self._send(np.clip(0.0, *numbers.bounds), CommandStatus.BRAKING)
             velocity, is_limited = self._solve(numbers)
-        except (TypeError, ValueError, ControlError) as error:
-            return self._skip(str(error))
+        except Exception as error:  # whatever a sample or a stranger's task brings
+            return self._skip(f"{type(error).__name__}: {error}")
         return self._send(velocity, _SATURATED if is_limited else _OK)
 
     def _numbers_of(self, stack: Sequence[Task]) -> Stack:

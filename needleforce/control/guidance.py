@@ -28,6 +28,8 @@ from numpy.typing import ArrayLike
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
+from residual.fault_detection import UNKNOWN_EFFORT_NM
+from residual.input_validation import MOST_PLAUSIBLE, known_limits
 from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
@@ -46,7 +48,8 @@ HOLD_s = 0.02
 go looks like a spike, and an arm that stopped at once for it would make the next one."""
 GROWTH_s = 20.0
 """Time over which sigma may grow by e: torques drift slowly since the tare, hands come at once."""
-REST_rad_s = 1e-6
+REST_rad_s, LONGEST_s = 1e-6, 0.1
+"""What counts as rest, and the most time that a step stands for: a longer one is a pause."""
 
 
 class Guidance:
@@ -71,7 +74,7 @@ class Guidance:
             raise SettingError(
                 f"damping is {given!r}, expected a positive number for each of {robot.nv} joints"
             )
-        self._least_Nm = LEAST * robot.effort_limit_Nm
+        self._least_Nm = LEAST * known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self.reset()
 
     def reset(self) -> None:
@@ -93,10 +96,11 @@ class Guidance:
         """
         if not 0.0 < dt_s < math.inf:
             return JointVelocity(self._velocity)
+        dt_s = min(dt_s, LONGEST_s)
         # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
         # sigma as the residual grows. What counts is sigma without a hand.
-        grown = math.exp(min(dt_s / GROWTH_s, 1.0))
-        self._sigma_Nm = np.fmin(grown * self._sigma_Nm, sigma_Nm)
+        if is_valid:
+            self._sigma_Nm = np.fmin(math.exp(dt_s / GROWTH_s) * self._sigma_Nm, sigma_Nm)
         zone = self._least_Nm + SIGMAS * self._sigma_Nm
         is_felt = bool((np.abs(residual_Nm) > zone).any())  # not by a number that is not finite
         goal, time_s = (LEFT, OPEN_s) if is_felt else (1.0, CLOSE_s)
@@ -104,7 +108,7 @@ class Guidance:
         zone *= self._zone
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         kept = math.exp(-dt_s / LAG_s)
-        if is_valid and np.isfinite(beyond).all():
+        if is_valid and np.abs(beyond).max() < MOST_PLAUSIBLE:
             self._beyond_Nm, self._rejected_s = beyond, 0.0
         else:
             self._rejected_s += dt_s
@@ -128,5 +132,5 @@ class Guidance:
         self._power_W = old * self._power_W + (1.0 - old) * float(self._wish**2 @ self._damping)
         steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
         rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
-        self._heavy = min(self._heavy * math.exp(dt_s * rate), MOST)
+        self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
         return self._heavy

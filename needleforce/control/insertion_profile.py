@@ -52,6 +52,8 @@ class InsertionPlan:
     acceleration_m_s2: float = 0.1  # of starts and of planned ends
 
     def __post_init__(self) -> None:
+        if not isinstance(self.layer, int | None):
+            raise SettingError(f"layer is {self.layer!r}, expected a whole number or None")
         numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
         require_positive(numbers, or_zero=("approach_m", "dwell_s"))
 
@@ -63,10 +65,10 @@ def depth_of(
 
     `SettingError` where it lies behind the tip, or off the needle's line by more than a tolerance.
     """
-    way = np.subtract(target_m, tip_m)
+    way, axis = np.subtract(target_m, tip_m), axis / np.linalg.norm(axis)
     depth_m = float(axis @ way)
     miss_m = float(np.linalg.norm(way - depth_m * axis))
-    if depth_m <= 0.0 or miss_m > tolerance_m:
+    if not (depth_m > 0.0 and miss_m <= tolerance_m):
         raise SettingError(
             f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm beside the "
             f"needle's line, expected ahead and within {1e3 * tolerance_m:g} mm: align the needle"
@@ -92,6 +94,8 @@ class RuptureCount:
         self, found: Estimate, axial_N: float, depth_m: float, dt_s: float, *, is_steady: bool
     ) -> bool:
         """Whether one more layer has been left; steady is the speed that is commanded."""
+        if not math.isfinite(axial_N):
+            return False
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
         self._slow_N -= math.expm1(-dt_s / _SLOW_S) * (self._force_N - self._slow_N)
         off_N, weight = self._force_N - self._slow_N, min(dt_s / _LEARN_S, 1.0)
@@ -151,9 +155,8 @@ class InsertionProfile:
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
         found = identification or now.estimate.identification
         force_N = now.estimate.wrench.axial if axial_N is None else axial_N
-        if now.is_moving and now.state_s == 0.0:
+        if now.is_moving and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
-            self._speed_m_s = 0.0
         step = self._step(now, dt_s, found, force_N)
         self._speed_m_s = step.speed_m_s
         self._asked_m += dt_s * step.speed_m_s

@@ -18,6 +18,7 @@ from needleforce.control.errors import SettingError
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from residual.errors import TareError
+from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate
@@ -82,7 +83,7 @@ REFUSALS = {
     "limit": "no force limit is set: give the manager SafetyLimits",
     "heartbeat": "the program in charge shows no sign of life: call heartbeat() in every cycle",
     "tared": "the force sensor is not tared: request a tare in free air",
-    "outside": "the needle is in tissue: withdraw it first",
+    "outside": "the needle is in tissue, or nobody knows yet: withdraw it first",
     "device": "no haptic device answers: connect it and read it in every cycle",
     "healthy": "the fault persists: see the last reason",
 }
@@ -174,10 +175,11 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
 
 
 def replay(events: Iterable[LoggedEvent]) -> list[State]:
-    """States after each event of a session, from its events and the facts they met."""
+    """States after each event, from the events and the facts they met; a session begins idle."""
     state, states = State.IDLE, []
     for event in events:
-        state, _ = transition(state, event.event, event.data["facts"])
+        before = State.IDLE if event.seq == 0 else state
+        state, _ = transition(before, event.event, event.data["facts"])
         states.append(state)
     return states
 
@@ -197,6 +199,7 @@ class Situation(NamedTuple):
         return self.state in MOVING
 
 
+_LIMITS = SafetyLimits | None
 _ENTRY_MARGIN_M = 1e-3  # So far above the place of the first contact the needle counts as outside
 _LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time that passed here
 _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
@@ -216,7 +219,12 @@ class Manager:
             `events` only.
 
     Attributes:
-        events: Events so far, refusals included.
+        events: Events so far, refusals included. What could not be written, `Situation.reason` says
+            so, is written with the next event.
+
+    Raises:
+        SettingError: The session or the limits are none.
+        OSError: The log cannot be written.
     """
 
     def __init__(
@@ -226,13 +234,18 @@ class Manager:
         *,
         log: str | Path | None = None,
     ) -> None:
+        if not (hasattr(session, "start_tare_recording") and isinstance(limits, _LIMITS)):
+            what = f"{session!r:.80} and {limits!r}"
+            raise SettingError(f"got {what}, expected an InsertionSession and SafetyLimits or None")
+        if log is not None:
+            Path(log).open("ab").close()
         self.session = session
-        self._limits, self._log = limits, log
+        self._limits, self._log, self._written = limits, log, 0
         self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
         self.events: list[LoggedEvent] = []
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
-        self._depth_m, self._entry_m = 0.0, math.inf
+        self._depth_m = self._entry_m = math.inf  # nobody knows where the needle is
 
     def heartbeat(self) -> None:
         """The program in charge is alive."""
@@ -240,15 +253,19 @@ class Manager:
 
     def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
-        usable = 0.0 < sample.dt_s <= _LONGEST_STEP_S
-        self._last_step_s = step_s = sample.dt_s if usable else self._last_step_s
+        since_s = as_float(sample.dt_s)
+        usable = 0.0 < since_s <= _LONGEST_STEP_S
+        self._last_step_s = step_s = since_s if usable else self._last_step_s
         self._time_s += step_s
         estimate = self.session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-        self._depth_m = estimate.depth_m
-        if self._entry_m == math.inf and estimate.identification.in_contact:
+        is_first, self._depth_m = self._depth_m == math.inf, estimate.depth_m
+        is_inside = estimate.identification.layer > 0
+        if is_inside and self._entry_m == math.inf:
+            self._entry_m = -math.inf if is_first else self._depth_m  # who begins inside knows none
+        elif not is_inside and self._entry_m == -math.inf:
             self._entry_m = self._depth_m
-        watched = estimate, sample, beside
-        event, reason = self._monitors.update(self._state, watched, step_s, self.session.lag_s)
+        watched, times = (estimate, sample, beside), (step_s, since_s, self.session.lag_s)
+        event, reason = self._monitors.update(self._state, watched, times)
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._is_led:
@@ -279,18 +296,31 @@ class Manager:
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         facts, before = self._facts(), self._state
-        self._state, refused = transition(before, event, facts)
-        self._reason = refused or str(data.get("reason", "")) or self._reason
+        after, refused = transition(before, event, facts)
         seq, data = len(self.events), {**data, "facts": facts}
-        row = LoggedEvent(seq, self._time_s, before, event, self._state, refused, data)
+        row = LoggedEvent(seq, self._time_s, before, event, after, refused, data)
+        try:
+            _ENCODER.encode(row)
+        except (ValueError, RecursionError) as error:
+            raise SettingError(f"data of {event} cannot be written as JSON: {error}") from error
         self.events.append(row)
-        if self._log is not None:
-            with Path(self._log).open("ab") as file:  # at once, so that a crash loses none
-                file.write(_ENCODER.encode(row) + b"\n")
-        if self._state is not before:
+        self._state, self._reason = after, refused or str(data.get("reason", "")) or self._reason
+        if after is not before:
             self._entered_s = self._time_s
             self._monitors.enter()
+        if self._log is not None:
+            self._write(self._log)
         return refused
+
+    def _write(self, log: str | Path) -> None:
+        """Write events at once, so that a crash loses none; a full disk stops no monitor."""
+        try:
+            with Path(log).open("ab") as file:
+                for row in self.events[self._written :]:
+                    file.write(_ENCODER.encode(row) + b"\n")
+            self._written = len(self.events)
+        except OSError as error:
+            self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")
 
     def _facts(self) -> list[str]:
         holds = {

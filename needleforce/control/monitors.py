@@ -13,6 +13,7 @@ import numpy as np
 from needleforce.control.errors import require_positive
 from needleforce.control.ports import ArmSample, Array
 from residual.estimate import SensorWarning, Status
+from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
@@ -98,25 +99,27 @@ class Monitors:
         self,
         state: str,
         watched: "tuple[SessionEstimate, ArmSample, Beside]",
-        step_s: float,
-        lag_s: float,
+        times: tuple[float, float, float],
     ) -> tuple[str, str]:
         """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
 
-        Watched is what the session says of a sample, the sample, and what came beside it; the step
-        is the one before where the clock was set, the lag that of the session's force.
+        Watched is what the session says of a sample, the sample, and what came beside it. Times
+        [s] are the step, the one before where the clock was set; the step as it came, nan for none;
+        and the lag of the session's force.
         """
-        estimate, sample, beside = watched
+        (estimate, _, beside), (step_s, since_s, lag_s) = watched, times
         self._last_N = estimate.wrench.axial, estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
-        fault = f"no sample for {1e3 * sample.dt_s:.0f} ms"
-        if not sample.dt_s > self._limits.late_s:
-            fault = self._signals(estimate, step_s) or self._commands(*watched, step_s)
+        axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
+        fault = f"no sample for {1e3 * since_s:.0f} ms"
+        if not since_s > self._limits.late_s:
+            fault = self._signals(estimate, axial_N, step_s) or self._commands(*watched, step_s)
         self._clear_s = 0.0 if fault else self._clear_s + step_s
         if fault:
             return "fault", fault
         ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
-        axial_N = estimate.wrench.axial if beside.axial_N is None else beside.axial_N
+        if not math.isfinite(axial_N):
+            axial_N = self._axial_N or 0.0
         rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
         self._axial_N = axial_N
         self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
@@ -127,11 +130,12 @@ class Monitors:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
         return ("limit", stop) if stop else ("", "")
 
-    def _signals(self, estimate: "SessionEstimate", step_s: float) -> str:
-        is_bad = estimate.status is Status.REJECTED
-        self._bad_s = max(self._bad_s + (step_s if is_bad else -step_s), 0.0)
+    def _signals(self, estimate: "SessionEstimate", axial_N: float, step_s: float) -> str:
+        is_bad, has_force = estimate.status is Status.REJECTED, math.isfinite(axial_N)
+        self._bad_s = max(self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0)
         if self._bad_s > self._limits.lost_s:
-            return f"bad samples for {1e3 * self._bad_s:.0f} ms: {estimate.wrench.message}"
+            why = estimate.wrench.message if has_force else f"axial force of the sensor {axial_N}"
+            return f"bad samples for {1e3 * self._bad_s:.0f} ms: {why}"
         return estimate.wrench.message if estimate.warnings & _BROKEN and not is_bad else ""
 
     def _commands(
@@ -144,6 +148,9 @@ class Monitors:
         if command is None or estimate.status is Status.REJECTED:
             return ""
         position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
+        if np.shape(command) != position.shape or not np.isfinite(command).all():
+            return f"the command is {command!r:.80}, expected {len(position)} finite numbers"
+        command = np.asarray(command, dtype=np.float64)
         moved = 0.0 if self._position is None else position - self._position
         self._position = position
         self._made_rad = kept * (self._made_rad + moved)

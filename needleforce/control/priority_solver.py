@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIssue]
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity, Task, ToolState
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or
@@ -59,6 +59,7 @@ class Limits:
         acceleration_rad_s2: ArrayLike = 10.0,
         margin_rad: float = 0.02,
     ) -> None:
+        require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
         own = robot.velocity_limit_rad_s
         ends = (robot.position_lower_rad + margin_rad, robot.position_upper_rad - margin_rad)
         rows = (*ends, own if velocity_rad_s is None else velocity_rad_s)
@@ -119,9 +120,10 @@ class Stack:
     """
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
+        for task in tasks:
+            if isinstance(task, JointVelocity) and task.size != joints:
+                raise SettingError(f"a task of {task.size} joints, the robot has {joints}")
         last = tasks[-1] if tasks else None
-        if isinstance(last, JointVelocity) and last.size != joints:
-            raise SettingError(f"a task of {last.size} joints, the robot has {joints}")
         sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)]
         self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
         self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))

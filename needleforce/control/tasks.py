@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import Array
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 from urdf import Robot
@@ -84,11 +84,19 @@ class Task(Protocol):
 
 
 def vector(value: ArrayLike, size: int, name: str) -> Array:
-    """Numbers in an array of their own; `SettingError` if there are more or less of them."""
-    given = np.array(value, dtype=np.float64)
-    if given.shape != (size,):
-        raise SettingError(f"{name} is {value!r}, expected {size} numbers")
+    """Numbers in an array of their own; `SettingError` if there are more, less or none."""
+    try:
+        given = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        given = np.zeros(0)
+    if given.shape != (size,) or not np.isfinite(given).all():
+        raise SettingError(f"{name} is {value!r}, expected {size} finite numbers")
     return given
+
+
+def _gain(gain_per_s: float) -> float:
+    require_positive({"gain_per_s": gain_per_s}, or_zero=("gain_per_s",))
+    return float(gain_per_s)
 
 
 @compiled
@@ -119,7 +127,7 @@ class TipTask:
     """
 
     def __init__(self, selection: Array, gain_per_s: float) -> None:
-        self.size, self.selection, self.gain_per_s = len(selection), selection, float(gain_per_s)
+        self.size, self.selection, self.gain_per_s = len(selection), selection, _gain(gain_per_s)
         self.goal_m, self.rotation, self.rate = np.zeros(3), np.eye(3), np.zeros(self.size)
         self._turns = bool(selection[:, 3:].any())
 
@@ -164,8 +172,10 @@ class Fixture(TipTask):
         self, origin_m: ArrayLike, rotation: ArrayLike, gain_per_s: float = GAIN_PER_S
     ) -> None:
         axes = np.array(rotation, dtype=np.float64)
-        if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=1e-6):
-            raise SettingError(f"rotation is {rotation!r}, expected orthonormal axes in columns")
+        is_turn = axes.shape == (3, 3) and np.allclose(axes.T @ axes, np.eye(3), atol=1e-6)
+        if not (is_turn and np.linalg.det(axes) > 0.0):
+            what = "right-handed orthonormal axes in columns"
+            raise SettingError(f"rotation is {rotation!r}, expected {what}")
         across = np.zeros((6, 6))  # place and direction, each along the three axes
         across[:3, :3] = across[3:, 3:] = axes.T
         super().__init__(across[[0, 1, 3, 4, 5]], gain_per_s)
@@ -189,6 +199,8 @@ class TipVelocity(TipTask):
     def __init__(
         self, velocity_m_s: ArrayLike, goal_m: ArrayLike | None = None, gain_per_s: float = 0.0
     ) -> None:
+        if goal_m is not None and gain_per_s == 0.0:
+            raise SettingError("goal_m needs a gain_per_s, or nothing draws the tip there")
         super().__init__(np.eye(6)[:3], gain_per_s if goal_m is not None else 0.0)
         self.rate = vector(velocity_m_s, 3, "velocity_m_s")
         if goal_m is not None:
@@ -242,7 +254,7 @@ class RemoteCentre:
     size = 2
 
     def __init__(self, point_m: ArrayLike, gain_per_s: float = GAIN_PER_S) -> None:
-        self.point_m, self.gain_per_s = vector(point_m, 3, "point_m"), float(gain_per_s)
+        self.point_m, self.gain_per_s = vector(point_m, 3, "point_m"), _gain(gain_per_s)
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
@@ -305,7 +317,7 @@ class Posture(JointVelocity):
 
     def __init__(self, q_rad: ArrayLike, gain_per_s: float = 1.0) -> None:
         super().__init__(q_rad)
-        self.gain_per_s = float(gain_per_s)
+        self.gain_per_s = _gain(gain_per_s)
 
     def velocity(self, q_rad: Array) -> Array:
         """See `JointVelocity.velocity`."""

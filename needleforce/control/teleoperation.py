@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.passivity import HandPort, NeedlePort
 from needleforce.control.ports import Array, MasterSample
+from needleforce.control.tasks import vector
 from residual.estimate import Status
+from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
@@ -41,6 +43,7 @@ _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
+_MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 
 
 class HandPacket(NamedTuple):
@@ -80,6 +83,15 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     return min(max(wanted_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
+def _is_sound(sample: MasterSample | None) -> bool:
+    """Whether a sample holds a place and a velocity that a handle can have."""
+    try:
+        numbers = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
+    except (AttributeError, TypeError, ValueError):
+        return False
+    return numbers.shape == (2, 3) and bool((np.abs(numbers) < _MOST).all())
+
+
 class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
@@ -95,7 +107,7 @@ class DeviceSide:
         self.position_m: float | None = None  # of the handle, until a reset
         self._packet = HandPacket(0.0, 0.0, 0.0)
         self._coupled = 0.0  # 0 to 1
-        self._rate_m_s = self._steady_m_s = 0.0
+        self._rate_m_s = self._steady_m_s = self._still_s = 0.0
 
     def update(
         self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
@@ -104,14 +116,18 @@ class DeviceSide:
 
         Without a sample of the device its force goes to zero.
         """
-        is_coupled = sample is not None and sample.clutch
+        is_coupled = sample is not None and bool(sample.clutch)
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         before_m, self.position_m = self.position_m, None
         if sample is None:
-            self._packet = self._packet._replace(speed_m_s=0.0)
+            if self._packet.speed_m_s != 0.0:  # the same packet again is no news
+                self._packet = self._packet._replace(speed_m_s=0.0)
             return 0.0, self._packet
         self.position_m = position_m = float(self._axis @ sample.position_m)
         speed_m_s = float(self._axis @ sample.velocity_m_s)
+        # A handle that moves changes its place; one that only says so repeats an old sample.
+        self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
+        speed_m_s = 0.0 if self._still_s > _SILENCE_S else speed_m_s
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
         wanted_N, incoming_J = news or (0.0, 0.0)
@@ -199,21 +215,23 @@ class Teleoperation:
         speed_limit_m_s: float = 0.02,
         lines: tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
     ) -> None:
-        direction = np.asarray(axis, dtype=np.float64)
-        length = float(np.linalg.norm(direction))
-        if direction.shape != (3,) or not 0.0 < length < math.inf:
+        direction = vector(axis, 3, "axis")
+        if not direction.any():
             raise SettingError(f"axis is {axis!r}, expected three numbers that are not all zero")
-        if not 0.1 <= motion_scale <= 1.0:
+        if not 0.1 <= as_float(motion_scale) <= 1.0:
             raise SettingError(f"motion_scale is {motion_scale!r}, expected 0.1 to 1")
         require_positive({"force_scale": force_scale, "speed_limit_m_s": speed_limit_m_s})
         if shown not in get_args(Shown):
             raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
+        if lines is not None and not all(hasattr(line, "exchange") for line in lines):
+            raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
-        self._axis, self._lines = direction / length, lines
+        self._axis, self._lines = direction / np.linalg.norm(direction), lines
         self.device = DeviceSide(self._axis, motion_scale)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = self._ruptured_s = 0.0
+        self._last = TeleopCommand(0.0, np.zeros(3))
 
     def reset(self) -> None:
         """Begin anew from where handle and needle are; accounts of energy go on.
@@ -229,16 +247,19 @@ class Teleoperation:
         """Take the device's newest sample and the newest force; never raises.
 
         Args:
-            sample: Of the haptic device; None if it gave none; one with nan counts as none.
+            sample: Of the haptic device; None if it gave none; one of anything but numbers that a
+                handle can have counts as none.
             estimate: Of the session: force and depth.
-            dt_s: Time since the last call.
+            dt_s: Time since the last call; where it does not advance, the needle stands and the
+                force stays.
         """
+        if not 0.0 < as_float(dt_s) < math.inf:
+            return self._last._replace(speed_m_s=0.0)
         if estimate.status is Status.OK:
             self.shown_N = self._smoothed(estimate, dt_s)
         else:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
-        if sample is not None and not np.isfinite((sample.position_m, sample.velocity_m_s)).all():
-            sample = None
+        sample = sample if _is_sound(sample) else None
         force_N, sent = self.device.update(sample, self._from_needle, dt_s)
         lines = self._lines
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
@@ -246,7 +267,8 @@ class Teleoperation:
             arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
-        return TeleopCommand(speed_m_s, -force_N * self._axis)
+        self._last = TeleopCommand(speed_m_s, -force_N * self._axis)
+        return self._last
 
     def _smoothed(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """The force to be felt, less its noise; the raw one as it is."""
