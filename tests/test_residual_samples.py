@@ -33,6 +33,7 @@ BEYOND = {
     "NaN": np.r_[np.nan, STILL[1:]],
     "infinite": np.r_[STILL[1:], np.inf],
     "hardly a number": STILL + 1e300,
+    "no joint has it": STILL + 1e6,
 }
 
 

@@ -184,6 +184,7 @@ SIX = np.ones(6)
         {"gain_per_s": (50.0, 50.0)},
         {"friction": JointFriction(viscous_Nms=SIX, coulomb_Nm=SIX, offset_Nm=SIX)},
         {"friction": SigmoidFriction(amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX)},
+        {"friction": type("NoNumber", (), {"torque": lambda self, dq: dq + np.nan})()},
     ],
 )
 def test_settings_of_another_arm_are_refused_when_the_sensor_is_made(lwr, settings):
