@@ -16,14 +16,13 @@ if TYPE_CHECKING:
 SIGMAS = 5.0  # A force must exceed this many standard deviations to count as contact
 INTERVALS = 24  # parts of the motion; a contact begins and ends with one of them
 IMPLAUSIBLE = 32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
+ORDINARY = {"links": 2.0, "friction": 0.5}  # The same; beyond, hysteresis may look so as well
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
-"""Fraction of the residual, root mean square, that an explanation may leave over; offsets of the
-torque sensors are among it."""
+"""Fraction of the residual, rms, that an explanation may leave over; offsets are among it."""
 LEAST_OFFSETS = 3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
 NEAR = 0.15  # so near to a factor with a reason a factor is that one
-STILL_RAD, MOVED_RAD = 1e-9, 0.01
-"""Means of the same number differ by rounding; an arm that moves so far moves every encoder."""
+STILL_RAD, MOVED_RAD = 1e-9, 0.01  # Rounding of a mean; a way that moves every encoder
 OFFSET_BLOCKS = 10.0
 FURTHEST_M = 0.5  # no hand or tool has its centre of mass further from the last joint
 
@@ -35,26 +34,27 @@ def check_free_of_contact(
 
     A contact that stands during all of the motion breaks the prior. One that begins or ends in it
     is fitted beside all that the tare fits, in its likeliest interval: what friction, drift or a
-    coarse model explain is no contact.
+    coarse model explain is no contact, unless it takes a drift that no sensor has.
 
-    The tare was fitted as if the motion were free. The estimator's covariance is overwritten: it
-    must be the caller's own for this. An external residual is an estimate that the robot sends
-    itself. `TareError` with the force seen, or the likely reason.
+    The estimator's covariance is overwritten: it must be the caller's own. An external residual is
+    one that the robot sends itself. `TareError` with the force seen, or the likely reason.
     """
     basis, blocks = fit.basis, fit.blocks
-    force, std = _beyond_prior(basis, blocks, wrench)
+    (force, std), touches = _beyond_prior(basis, blocks, wrench), False
     if force == 0.0:
         at_prior = FreeMotionFit(basis, blocks, learn=False)
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
         kept, contact = _likeliest_contact(at_prior, wrench)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
         if max(beside.sizes.get(name, 0.0) for name in ("drift", "walk")) >= IMPLAUSIBLE:
+            touches = all(beside.sizes.get(name, 0.0) <= most for name, most in ORDINARY.items())
             beside = FreeMotionFit(basis, blocks.part(kept), contact[kept], learn=False)
         force, std = beside.contact_N(-wrench.kinematics.axis_in_tool)
     if abs(force) <= max(contact_force_N, SIGMAS * std):
         force = 0.0
-    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=force != 0.0)
-    if force != 0.0 or cause:
+    touches |= force != 0.0
+    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=touches)
+    if touches or cause:
         seen = f"the sensor reads {force:.2f} N along the needle where 0 +/- {std:.2f} N is "
         raise TareError(
             (seen + "expected in free motion: " if force != 0.0 else "")

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
 from needleforce.cli.live_view import LEAST_VOXELS, description
 from needleforce.cli.options import RobotOptions
-from needleforce.cli.terminal import progress_bar, write_out
+from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.plots import palette
 from needleforce.plots.chart import Chart, Curve, Instants, Panel, require_matplotlib
 from needleforce.plots.page import (
@@ -25,12 +25,18 @@ from needleforce.plots.page import (
 )
 
 NEVER = "Simulation only: not a medical device."
+NEEDED = {"SimpleITK": "SimpleITK", "skimage": "scikit-image"}
+NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
+"""Modules, all of extras, and the packages that bring them."""
 
 
 def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int) -> int:
     """Do it, print a table, and write a page or its first picture; return the exit code."""
     if folder is not None or picture is not None:
         require_matplotlib("demo")
+    for name, package in NEEDED.items():
+        if find_spec(name) is None:
+            raise CommandError(f"demo abdomen needs {package}; pip install {package}")
     with progress_bar("demonstrating abdomen") as progress:
         made = insert(data, seed, progress)
     rows = _rows(made)

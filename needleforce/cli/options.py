@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 LOG = Group("Log", sort_key=1)
-OUTPUT = Group("Output", help="Without any of these, only a summary is printed.", sort_key=2)
+OUTPUT = Group("Output", help="What is written; without any, a summary alone.", sort_key=2)
 ROBOT = Group("Robot", sort_key=3)
 SENSOR = Group("Sensor", sort_key=4)
 TARE = Group("Tare", sort_key=5)
