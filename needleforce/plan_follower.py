@@ -61,7 +61,7 @@ class PlanFollower:
 
     def follow(self, found: Estimate, depth_m: float) -> None:
         """Take events to the plan, and read it where there was one or the tip has moved."""
-        if self._plan is None:
+        if self._plan is None or not np.isfinite(depth_m):
             return
         last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture
         if found.retracted is not None:

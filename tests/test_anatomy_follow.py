@@ -157,6 +157,9 @@ def arm(monkeypatch):
     return "sim:gel-25-constant"
 
 
+TWO = [{"name": "fat", "exit_m": 0.1}, {"name": "liver", "exit_m": 0.2}]
+
+
 def written(folder, **plan):
     path = folder / "plan.json"
     path.write_text(json.dumps(plan))
@@ -184,6 +187,9 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
         ({"layers": [{"name": "fat", "exit_m": 0.0}]}, "'fat' ends at 0.0 m, not below"),
         ({"layers": [{"name": "fat", "exit_m": 0.1}]}, "1 layers: expected two"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "no mirror image"),
+        ({"entry_m": [0, 0, 0], "target_m": [0, 0, 0], "layers": TWO}, "the same point"),
+        ({"layers": [TWO[0], TWO[1] | {"exit_m": 50}]}, "boundaries at"),
+        ({"layers": [TWO[0] | {"exit_std_m": -1}, TWO[1]]}, "boundaries at"),
         ({"entry_mm": [0, 0, 0]}, "unknown field `entry_mm`"),
         ({"entry_m": [0, 0]}, "expected `array` of length 3|Expected `array` of length 3"),
     ],

@@ -92,6 +92,7 @@ def test_a_path_from_outside_the_volume_stays_in_order():
     [
         ([0, 0, 0], [10, 10, 10], "outside the volume"),
         ([0, 0, np.nan], [0.01, 0.01, 0.01], "two points of 3 numbers"),
+        ([-60.0, 10.0, 10.0], [0.01, 0.01, 0.01], "60 m outside the volume: expected metres"),
         ([0, 0], [0.01, 0.01, 0.01], "two points of 3 numbers"),
         ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], "same point"),
     ],
@@ -99,3 +100,9 @@ def test_a_path_from_outside_the_volume_stays_in_order():
 def test_paths_that_cannot_be_are_refused(entry, target, why):
     with pytest.raises(VolumeError, match=why):
         slabs(["fat", "muscle"]).layers_along(entry, target)
+
+
+@pytest.mark.parametrize("std_m", [np.nan, -1e-3, np.inf, 0.5])
+def test_a_deviation_of_boundaries_that_is_none_is_refused(std_m):
+    with pytest.raises(VolumeError, match=r"boundary_std_m=.*standard deviation in metres"):
+        slabs(["fat", "muscle"]).layers_along([0, 0, 0], [0.01, 0.01, 0.01], std_m)

@@ -169,6 +169,51 @@ def test_touches_that_cannot_register_are_refused():
         fit_surface(surface, wild, good)
 
 
+def test_touches_after_the_patient_has_moved_are_refused():
+    rng, mesh = np.random.default_rng(5), organ()
+    surface, wrong = TouchSurface(mesh.vertices, mesh.faces), 0
+    for _ in range(10):
+        points = touch(mesh, 100, rng, 0.0)
+        robot, truth = touched(points, rng, 0.0)
+        start = rough(points, robot, truth, rng)
+        fit_surface(surface, robot, start, check=False)
+        away = rng.normal(size=3)
+        robot[:45] += 0.01 * away / np.linalg.norm(away)
+        try:
+            found = fit_surface(surface, robot, start, check=False)
+        except RegistrationError:
+            continue
+        wrong += not found.region_contains(np.zeros(3), truth[1])
+    assert wrong < 2
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: 1e3 * p, "millimetres for metres"),
+        (lambda p: np.tile(p[0], (20, 1)), "near a point or a line"),
+        (lambda p: np.linspace(p[0], p[0] + 0.1, 20), "near a point or a line"),
+    ],
+)
+def test_touches_of_another_unit_or_without_width_are_refused(change, says):
+    mesh, start = organ(), Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
+    for check in (True, False):
+        with pytest.raises(RegistrationError, match=says):
+            fit_surface(
+                TouchSurface(mesh.vertices, mesh.faces), change(mesh.vertices), start, check=check
+            )
+
+
+@pytest.mark.parametrize("std_m", [np.nan, np.inf, 0.0, -1e-3, 1.0])
+def test_deviations_of_touches_that_are_none_are_refused(std_m):
+    mesh, start = organ(), Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
+    surface = TouchSurface(mesh.vertices, mesh.faces)
+    with pytest.raises(RegistrationError, match=r"std_m=.*standard deviation in metres"):
+        fit_landmarks(FRONT_m, FRONT_m, std_m=std_m)
+    with pytest.raises(RegistrationError, match=r"touch_std_m=.*standard deviation in metres"):
+        fit_surface(surface, mesh.vertices, start, touch_std_m=std_m)
+
+
 NAMES = ("fat", "muscle", "gland", "lesion", "gland")
 
 
@@ -237,7 +282,19 @@ def test_what_cannot_be_a_plan_is_refused():
         PlanMatch(plan(20)[:1], 1e-3)
     with pytest.raises(PlanError, match="positive standard deviation"):
         PlanMatch(plan(20), 0.0)
+    for field, value in (
+        *(("entry_m", bad) for bad in (float("nan"), 20.0, -0.01)),
+        *(("entry_std_m", bad) for bad in (float("nan"), -1.0)),
+    ):
+        layers = plan(20, 35)
+        layers[1] = replace(layers[1], **{field: value})
+        with pytest.raises(PlanError, match="boundaries at"):
+            PlanMatch(layers, 3e-3)
+    with pytest.raises(PlanError, match="boundaries at"):
+        PlanMatch(plan(20, 35)[::-1], 3e-3)
     match = PlanMatch(plan(20, 35), 3e-3)
+    with pytest.raises(PlanError, match="finite depths"):
+        match.state(float("nan"))
     for bad in (float("nan"), 0.01):
         with pytest.raises(PlanError, match="rupture at"):
             match.state(0.03, [0.03, bad])

@@ -1,10 +1,12 @@
 """Scans and segmentations from files: places, names, refusals."""
 
 import os
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from benchmarks.anatomy_surface import FORMATS, oblique_image, write_labels, write_series
 from groundtruth.torso import analytic_torso
@@ -72,6 +74,8 @@ def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
         ("Layer", "2", "liver lies in layer 2; the file has 1"),
         ("LabelValue", "one", "liver: .*'one'; expected numbers"),
         ("Color", "red", "liver: .*'red'; expected numbers"),
+        ("Color", "0.5 0.5", "liver: colour .* expected three"),
+        ("Color", "nan 0 0", "liver: colour .* expected three"),
     ],
 )
 def test_segments_with_a_damaged_header_are_refused(tmp_path, key, value, why):
@@ -81,6 +85,107 @@ def test_segments_with_a_damaged_header_are_refused(tmp_path, key, value, why):
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
     with pytest.raises(VolumeError, match=f"segment {why}"):
         read_labels(tmp_path / "a.seg.nrrd")
+
+
+@pytest.mark.parametrize(
+    ("fields", "why"),
+    [
+        ({"Segment1_ID": None}, "Segment1_ID is not in its header: expected 2"),
+        ({"Segment0_ID": None}, "Segment0_ID is not in its header: expected 2"),
+        ({"Segment1_LabelValue": "1"}, "segment lesion has the label 1 of another"),
+        ({"Segment1_LabelValue": "3"}, "12 voxels have labels of no segment"),
+    ],
+)
+def test_segments_and_voxels_belong_together(tmp_path, fields, why):
+    values = np.repeat(np.arange(3, dtype=np.uint8), 12).reshape(3, 3, 4)
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing((3.0, 3.0, 3.0))
+    header = {}
+    for k, name in enumerate(("liver", "lesion")):
+        header |= {f"Segment{k}_ID": f"s{k}", f"Segment{k}_Name": name}
+        header[f"Segment{k}_LabelValue"] = str(k + 1)
+    for key, text in (header | fields).items():
+        if text is not None:
+            image.SetMetaData(key, text)
+    sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+    with pytest.raises(VolumeError, match=why):
+        read_labels(tmp_path / "a.seg.nrrd")
+
+
+@pytest.mark.parametrize("names", [{1: None}, {"one": "liver"}, ["liver"]])
+def test_names_that_name_no_label_are_refused(tmp_path, names):
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8)), str(tmp_path / "a.nrrd"))
+    with pytest.raises(VolumeError, match="names"):
+        read_labels(tmp_path / "a.nrrd", names)
+    assert read_labels(tmp_path / "a.nrrd", {"1": "liver"})["liver"].voxels == 64
+
+
+def nifti(path, place=0, kind="", *numbers):
+    """Write a NIfTI file, with other numbers at a place of its header."""
+    image = sitk.GetImageFromArray(np.random.default_rng(0).integers(0, 9, (44, 45, 46), np.int16))
+    image.SetSpacing((3.0, 3.0, 3.0))
+    sitk.WriteImage(image, str(path))
+    whole = bytearray(path.read_bytes())
+    struct.pack_into(f"<{kind}", whole, place, *numbers)
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
+def test_a_nifti_file_that_was_cut_short_is_refused(tmp_path, name):
+    path = tmp_path / name
+    nifti(path)
+    whole = path.read_bytes()
+    assert read_volume(path).values.shape == (46, 45, 44)
+    damaged = bytearray(whole)
+    damaged[-6] ^= 255  # in the checksum; where all is read at once the library notices
+    for content in (whole[:-20], whole[:-9], *[damaged] * (name == "a.nii.gz")):
+        path.write_bytes(content)
+        with pytest.raises(VolumeError, match=r"damaged|Unable to determine"):
+            read_volume(path)
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "numbers", "why"),
+    [
+        (80, "3f", [1.0] * 3, r"spacing of \[1.0, 1.0, 1.0\] .* one of \[3.0, 3.0, 3.0\]"),
+        (80, "f168x2h", (0.0, 1, 0), "spacing of"),  # qform alone
+        (80, "f", [np.nan], "spacing of"),
+        (280, "f", [1.5], "one of .*1.5"),
+        (252, "2h", (0, 0), "neither qform nor sform"),
+    ],
+)
+def test_a_nifti_file_that_contradicts_itself_is_refused(tmp_path, place, kind, numbers, why):
+    nifti(tmp_path / "a.nii", place, kind, *numbers)
+    with pytest.raises(VolumeError, match=why):
+        read_volume(tmp_path / "a.nii")
+
+
+def test_a_nifti_file_with_one_of_qform_and_sform_is_read(tmp_path):
+    for place in (252, 254):
+        nifti(tmp_path / "a.nii", place, "h", 0)
+        assert read_volume(tmp_path / "a.nii").grid.spacing_m == pytest.approx(3e-3)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("space directions", "# ", "no `space directions`"),
+        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', "units are .*: expected mm"),
+        ("left-posterior-superior", "scanner-xyz", "space is 'scanner-xyz'"),
+        ("left-posterior-superior", "3D-right-handed", "space is '3D-right-handed'"),
+        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', None),
+        ("left-posterior-superior", "RAS", None),
+    ],
+)
+def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, why):
+    path = tmp_path / "a.nrrd"
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8)), str(path))
+    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
+    if why is None:
+        assert read_volume(path).values.size == 64
+    else:
+        with pytest.raises(VolumeError, match=why):
+            read_volume(path)
 
 
 def edited_series(folder, edit):
@@ -101,6 +206,36 @@ def another_series(folder, image):
 def other_spacing(folder, image):
     image.SetSpacing((0.8, 0.9, 2.5))
     write_series(image[:, :, :3], folder)
+
+
+class Slanted:
+    """An image whose slices are shifted by so much more each, in their own axes."""
+
+    def __init__(self, step_mm):
+        self._image, self._step_mm = sitk.Image(4, 4, 40, sitk.sitkInt16), np.array(step_mm)
+        self._image.SetSpacing((0.7, 0.9, 2.5))
+
+    def __getattr__(self, name):
+        return getattr(self._image, name)
+
+    def __getitem__(self, key):
+        return self._image[key]
+
+    def TransformIndexToPhysicalPoint(self, index):
+        return self._image.TransformIndexToPhysicalPoint(index) + index[2] * self._step_mm
+
+
+@pytest.mark.parametrize(
+    ("step_mm", "why"),
+    [((0.005, 0, 0), None), ((0.02, 0, 0), "sheared"), ((0, 0, -2.5), "at the same place")],
+)
+def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
+    write_series(Slanted(step_mm), tmp_path)
+    if why is None:
+        assert read_volume(tmp_path).grid.spacing_m[2] == pytest.approx(2.5e-3, rel=1e-4)
+    else:
+        with pytest.raises(VolumeError, match=why):
+            read_volume(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -165,6 +300,28 @@ def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
     else:
         with pytest.raises(VolumeError, match=why):
             read_labels(tmp_path / "labels.nrrd", scan=scan)
+
+
+@pytest.mark.parametrize(("degrees", "size"), [(3.0, 1.0), (0.0, 0.9), (0.0, 0.5)])
+def test_labels_on_as_many_voxels_turned_or_rescaled_are_refused(tmp_path, degrees, size):
+    values = np.zeros((30, 31, 32), np.uint8)
+    values[14:17, 14:17, 14:17] = 1
+    image = sitk.GetImageFromArray(values)
+    scan = Volume(values.T, Grid((32, 31, 30), np.zeros(3), 1e-3 * np.eye(3)))
+    turn = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    image.SetDirection(turn.ravel().tolist())
+    image.SetSpacing([size] * 3)
+    sitk.WriteImage(image, str(tmp_path / "a.nrrd"))
+    with pytest.raises(VolumeError, match="as large as the scan's"):
+        read_labels(tmp_path / "a.nrrd", scan=scan)
+
+
+@pytest.mark.parametrize("change", [lambda v: v + 1024.0, lambda v: 0.0 * v - 1000.0])
+def test_a_scan_without_air_or_without_a_body_is_refused(change):
+    values, grid = cube()
+    labels = Labels.of([values], grid, [Structure.named("part", 1)])
+    with pytest.raises(VolumeError, match=r"no body in a scan of .* Hounsfield"):
+        labels.with_body(Volume(change(np.where(values, 40.0, -1000.0)), grid))
 
 
 def test_names_say_what_stops_a_needle():

@@ -9,7 +9,7 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `surface`, `path_layers`; `landmarks`, `surface_fit`; `plan_match`;
-`errors`.
+`file_checks`, `errors`.
 """
 
 from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError

@@ -20,3 +20,11 @@ class RegistrationError(AnatomyError, ValueError):
 
 class PlanError(AnatomyError, ValueError):
     """A plan that cannot be matched with ruptures."""
+
+
+def require_deviation(name: str, value_m: float, error: type[AnatomyError]) -> None:
+    """Refuse a standard deviation that is none, or in millimetres."""
+    if not 0.0 < value_m < 0.1:
+        raise error(
+            f"{name}={value_m!r}: expected a positive standard deviation in metres, below 0.1"
+        )

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from scipy.stats import f as f_law
 
-from needleforce.anatomy.errors import Array, RegistrationError
+from needleforce.anatomy.errors import Array, RegistrationError, require_deviation
 
 LEAST_WIDTH_m = 5e-3
 """Root mean square distance of landmarks from a line below which they count as collinear."""
@@ -100,8 +100,10 @@ def fit_landmarks(
 
     Raises:
         RegistrationError: Too few, collinear, mirrored or swapped landmarks, millimetres for
-            metres, one that lies elsewhere. Three landmarks cannot show a mirror image.
+            metres, a deviation that is none, one landmark elsewhere. Three landmarks cannot show a
+            mirror image.
     """
+    require_deviation("std_m", std_m, RegistrationError)
     model, robot = _checked(model_m, robot_m)
     rotation, translation, squares = _rigid_fit(model, robot)
     degrees = 3 * len(model) - 6

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.anatomy.errors import Array, VolumeError
+from needleforce.anatomy.errors import Array, VolumeError, require_deviation
 
 if TYPE_CHECKING:
     from needleforce.anatomy.volume import Labels
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 UNLABELLED = "unlabelled"  # Name of what no structure covers
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
 """Of the kernel: standard deviation and reach; and the distance of points on the path."""
+MOST_OUTSIDE_m = 1.0  # The first point; beyond it the unit is not the metre
 VOTE_STD = 0.105
 """Standard deviation of the difference of two votes, from the voxels' size alone: of the analytic
 torso's seeds below 1000, at 1 and 3 mm."""
@@ -54,8 +55,11 @@ def layers_on_path(
             stated deviations hold what the voxels' size brings, and this.
 
     Raises:
-        VolumeError: A point is not finite, both are the same, or the target lies outside.
+        VolumeError: A point is not finite, both are the same, the target lies outside, or the entry
+            more than a metre; a deviation that is negative or in millimetres.
     """
+    if boundary_std_m != 0.0:
+        require_deviation("boundary_std_m", boundary_std_m, VolumeError)
     entry, target = np.asarray(entry_m, float), np.asarray(target_m, float)
     if entry.shape != (3,) or target.shape != (3,) or not np.all(np.isfinite([entry, target])):
         raise VolumeError(
@@ -64,6 +68,12 @@ def layers_on_path(
     first, last = labels.grid.indices(np.array([entry, target]))
     if np.any(last < -0.5) or np.any(last > np.array(labels.grid.shape) - 0.5):
         raise VolumeError(f"the target {target.tolist()} m lies outside the volume")
+    beyond_m = np.maximum(-first, first - labels.grid.shape) * labels.grid.spacing_m
+    if beyond_m.max() > MOST_OUTSIDE_m:
+        raise VolumeError(
+            f"the entry {entry.tolist()} lies {beyond_m.max():.3g} m outside the volume: expected "
+            "metres, not millimetres"
+        )
     length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
     if steps == 0.0:
         raise VolumeError(f"entry and target are the same point {entry.tolist()}")

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtr
 from scipy.stats import t as student
 
-from needleforce.anatomy.errors import Array, PlanError
+from needleforce.anatomy.errors import Array, PlanError, require_deviation
 from needleforce.anatomy.path_layers import Layer
 
 GRID_m = 0.1e-3
@@ -37,6 +37,7 @@ RUPTURE_STD_m = 0.2e-3
 """Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the virtual sensor."""
 ALARM_m = 0.5e-3
 """Travel from a rupture to its alarm: of random stacks behind the virtual sensor 0.15 to 0.9 mm."""
+MOST_m = 1.0  # Depth of a boundary; beyond it the unit is not the metre
 BACK_m = 1e-3  # A tip so far above the deepest point is being withdrawn
 OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
 """Where the tip is before the first boundary; what a rupture is that belongs to none."""
@@ -76,16 +77,13 @@ class PlanMatch:
         fingerprint: By which two plans are told apart.
 
     Raises:
-        PlanError: No boundary in the plan, or a deviation that is not positive.
+        PlanError: No boundary in the plan, depths or deviations that cannot be, or not in metres.
     """
 
     def __init__(self, layers: Sequence[Layer], offset_std_m: float) -> None:
         if len(layers) < 2:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
-        if not 0.0 < offset_std_m < 0.1:
-            raise PlanError(
-                f"offset_std_m={offset_std_m!r}: expected a positive standard deviation in metres"
-            )
+        require_deviation("offset_std_m", offset_std_m, PlanError)
         self.layers = tuple(layers)
         # Boundary k is the one in front of layer k: the first is the surface.
         bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
@@ -93,6 +91,13 @@ class PlanMatch:
         made_of = repr((names, bounds, float(offset_std_m)))
         self.fingerprint = sha256(made_of.encode()).hexdigest()[:16]
         self._bound_m, bound_std_m = np.array(bounds).T
+        depths_m = np.append(self._bound_m, layers[-1].exit_m)
+        is_plan = np.all(np.abs(depths_m) < MOST_m) and np.all(np.diff(depths_m) >= 0.0)
+        if not is_plan or not np.all((bound_std_m >= 0.0) & (bound_std_m < MOST_m)):
+            raise PlanError(
+                f"boundaries at {depths_m.tolist()} m, deviations {bound_std_m.tolist()}: expected "
+                f"depths that grow, in metres and below {MOST_m:g}, and no negative deviation"
+            )
         self._law_std_m = np.hypot(bound_std_m, RUPTURE_STD_m)[:, None]
         # Organs move beneath the skin: where that lies says little of the offset.
         self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
@@ -134,11 +139,15 @@ class PlanMatch:
             entry_depth_m: Depth, from where the others count, of the plan's entry point.
 
         Raises:
-            PlanError: A depth of a rupture that is not finite, or above the one before.
+            PlanError: A depth that is not finite, or of a rupture above the one before.
         """
         ruptures = tuple(float(depth) - entry_depth_m for depth in ruptures_m)
         depth = float(depth_m) - entry_depth_m
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
+        if not np.isfinite(depth + deepest):
+            raise PlanError(
+                f"tip at {depth_m!r} m, deepest {deepest_m!r} m: expected finite depths"
+            )
         ahead, (weight, false) = self._ahead(deepest), self._after(ruptures)
         joint = self._joint(ahead, weight)
         is_back = depth < deepest - BACK_m

@@ -50,7 +50,8 @@ class Surface:
 def surface_of(labels: "Labels", name: str) -> Surface:
     """Return the closed surface of a structure, whose volume is that of its voxels.
 
-    A structure that the volume cuts off is closed there; one in several parts stays so.
+    A structure that the volume cuts off is closed there. One in several parts stays so, but beside
+    a larger part one of less than some 30 voxels shrinks or vanishes, its volume goes to the rest.
 
     Raises:
         VolumeError: No structure with voxels has that name.

@@ -14,22 +14,23 @@ from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from needleforce.anatomy.errors import Array, RegistrationError
-from needleforce.anatomy.landmarks import Registration, point_jacobian
+from needleforce.anatomy.errors import Array, RegistrationError, require_deviation
+from needleforce.anatomy.landmarks import LEAST_WIDTH_m, Registration, point_jacobian
 
 Pose = tuple[Array, Array]  # Rotation and shift
 
 TOUCH_STD_m = 0.5e-3
 SURFACE_STD_m = 0.25e-3  # Least error of a segmented surface: measured on organs segmented at 3 mm
 SURFACE_REACH_m = 7e-3  # Over which it is the same
+COARSE_STD_m = 0.45e-3  # More than such a surface is off as a whole
 SURFACE_BIAS_m = 0.05e-3  # By which all of it may be too large or too small
 LEAST_TOUCHES = 15
+LARGEST = 5.0  # Metres of touches or surface, and their ratio, beyond which units differ
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
 ROUNDS, LAST_STEP = 60, 1e-7
-FULL_STEPS = (
-    8.0  # Later ones are shorter: from facet to facet they would go back and forth for ever
-)
+WIDE_ROUNDS = 12  # So long the touches' own distances say which of them slipped, then their noise
+FULL_STEPS = 8.0  # Later ones are shorter: from facet to facet they would go back and forth
 NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle is looked for
 PUSH_m = 6e-3  # How far a solution is pushed along its weakest directions, measured at the touches
 BACK = 0.5  # Part of the push that may be left at the touches after fitting again
@@ -52,6 +53,7 @@ class TouchSurface:
         sizes = np.linalg.norm(normals, axis=1)
         kept = sizes > 0.0
         self._corners, self._normals = corners[kept], normals[kept] / sizes[kept, None]
+        self.extent_m = float(np.linalg.norm(np.ptp(self._corners, axis=(0, 1))))
         self._tree = KDTree(self._corners.mean(axis=1))
 
     def nearest(self, points: Array) -> tuple[Array, Array]:
@@ -75,14 +77,17 @@ class _Fit:
     def __init__(self, surface: TouchSurface, touches: Array, std_m: float, start: Pose) -> None:
         self._given = surface, touches, std_m
         self.pose = start
+        narrow = 1.15 * float(np.hypot(std_m, COARSE_STD_m))
         for count in range(ROUNDS):
             self.points = touches @ self.pose[0].T + self.pose[1]
             places, normals = surface.nearest(self.points)
             apart = self.points - places
             self.distances = (apart * normals).sum(axis=1)
-            # While far away everything counts; then what lies further than the rest does not.
+            # While far away everything counts; then what lies further than the rest does not; last
+            # what lies further than noise: many that slipped together would widen their own scale.
             far = np.linalg.norm(apart, axis=1)
-            scale = max(1.4826 * float(np.median(far)), 1.5 * std_m)
+            self.middle_m = float(np.median(far))
+            scale = max(1.4826 * self.middle_m, narrow) if count < WIDE_ROUNDS else narrow
             self.weights = (1.0 - np.minimum(far / (TUKEY * scale), 1.0) ** 2) ** 2
             # Derivatives of the distances, shape (n, 6).
             self.rows = np.einsum("ni,nij->nj", normals, self._levers())
@@ -93,7 +98,7 @@ class _Fit:
             step = -np.linalg.solve(normal, self.rows.T @ (self.weights * self.distances))
             step *= min(1.0, FULL_STEPS / (count + 1.0))
             self.pose = self._moved(step)
-            if count > 5 and np.linalg.norm(step * [0.1, 0.1, 0.1, 1, 1, 1]) < LAST_STEP:
+            if count > WIDE_ROUNDS and np.linalg.norm(step * [0.1, 0.1, 0.1, 1, 1, 1]) < LAST_STEP:
                 break
         # Median absolute distance: outliers do not matter.
         self.cost = float(np.median(np.abs(self.distances)))
@@ -143,16 +148,11 @@ def fit_surface(
         check: Look for other solutions (four times the work).
 
     Raises:
-        RegistrationError: Too few touches, or too many that do not lie on the surface; a surface
+        RegistrationError: Too few or narrow touches, millimetres for metres, a deviation that is
+            none; too many touches off the surface, or the middle one further than noise; a surface
             along which the solution slides or spins; another solution that fits as well or better.
     """
-    touches = np.asarray(touches_m, dtype=float)
-    if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
-        raise RegistrationError(f"touches of shape {touches.shape}: expected finite (n, 3)")
-    if len(touches) < LEAST_TOUCHES:
-        raise RegistrationError(
-            f"too few touches: {len(touches)}; expected {LEAST_TOUCHES} or more, spread widely"
-        )
+    touches = _checked(surface, touches_m, touch_std_m)
     inverse = start.rotation.T, -start.rotation.T @ start.translation_m
     found = _Fit(surface, touches, touch_std_m, inverse)
     outliers = float(np.mean(found.weights == 0.0))
@@ -161,9 +161,41 @@ def fit_surface(
             f"{100.0 * outliers:.0f} % of the touches do not lie on the surface: another organ, or "
             "a start too far away; register by landmarks again"
         )
+    noise_m = float(np.hypot(touch_std_m, COARSE_STD_m))
+    if found.middle_m > noise_m:
+        raise RegistrationError(
+            f"half of the touches lie {1e3 * found.middle_m:.1f} mm or more from the surface, "
+            f"expected {1e3 * noise_m:.1f} at most: the patient has moved, it is another organ, or "
+            "touch_std_m is too small"
+        )
     if check:
         _require_no_other(touches, found, touch_std_m)
     return _registration(touches, found, touch_std_m)
+
+
+def _checked(surface: TouchSurface, touches_m: ArrayLike, std_m: float) -> Array:
+    """Touches that could register."""
+    require_deviation("touch_std_m", std_m, RegistrationError)
+    touches = np.asarray(touches_m, dtype=float)
+    if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
+        raise RegistrationError(f"touches of shape {touches.shape}: expected finite (n, 3)")
+    if len(touches) < LEAST_TOUCHES:
+        raise RegistrationError(
+            f"too few touches: {len(touches)}; expected {LEAST_TOUCHES} or more, spread widely"
+        )
+    size_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
+    if max(size_m, surface.extent_m, size_m / surface.extent_m) > LARGEST:
+        raise RegistrationError(
+            f"the touches spread over {size_m:.3g} m, the surface over {surface.extent_m:.3g} m: "
+            "millimetres for metres? Give both in metres"
+        )
+    width = np.linalg.svd(touches - touches.mean(axis=0), compute_uv=False)[1]
+    if width < LEAST_WIDTH_m * np.sqrt(len(touches)):
+        raise RegistrationError(
+            f"the touches spread over {1e3 * size_m:.3g} mm, near a point or a line: touch more of "
+            "the surface"
+        )
+    return touches
 
 
 def _require_no_other(touches: Array, found: _Fit, std_m: float) -> None:

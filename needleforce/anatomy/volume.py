@@ -7,6 +7,7 @@ and metres, and arrays are (i, j, k) along the axes of their `Grid`.
 
 import json
 import locale
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from needleforce.anatomy.errors import Array, VolumeError
+from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.path_layers import layers_on_path
 from needleforce.anatomy.surface import Surface, surface_of
 
@@ -164,11 +166,20 @@ class Labels:
         """Add ``body``: all that is not air around the patient, found in the CT.
 
         With ``fat`` it comes as two structures, ``lean`` and ``fat``.
+
+        Raises:
+            VolumeError: Labels that lie elsewhere than the scan, only air, or no air around.
         """
         _require_agreement(self, scan)
         parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
-        ndimage.label(scan.values > BODY_HU, output=parts)
-        inside = parts == np.bincount(parts.ravel())[1:].argmax() + 1
+        count = ndimage.label(scan.values > BODY_HU, output=parts)
+        inside = parts == np.bincount(parts.ravel())[1:].argmax() + 1 if count else parts > 0
+        inner = inside[1:-1, 1:-1, 1:-1]
+        if not count or inside.sum() - inner.sum() == inside.size - inner.size:
+            raise VolumeError(
+                f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: expected a "
+                f"CT in Hounsfield units with air, below {BODY_HU:g}, around the patient"
+            )
         head = int(np.abs(scan.grid.axes_m[2]).argmax())  # lungs are open at the top of a scan
         for section in np.moveaxis(inside, head, 0):
             section[:] = ndimage.binary_fill_holes(section)
@@ -204,8 +215,9 @@ def read_volume(path: Path | str) -> Volume:
     """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
 
     Raises:
-        VolumeError: Not readable, not three-dimensional, not in millimetres; of DICOM: no series or
-            several, slices that are missing, doubled, of different sizes or sheared.
+        VolumeError: Not readable, damaged, not three-dimensional, not in millimetres, or without a
+            word on how it lies; of DICOM: no series or several, slices that are missing, doubled,
+            of different sizes or sheared.
     """
     arrays, grid, _ = _read(Path(path))
     if len(arrays) != 1:
@@ -215,7 +227,7 @@ def read_volume(path: Path | str) -> Volume:
 
 def read_labels(
     path: Path | str,
-    names: Mapping[int, str] | Path | str | None = None,
+    names: Mapping[Any, str] | Path | str | None = None,
     scan: Volume | None = None,
 ) -> Labels:
     """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label per voxel.
@@ -243,6 +255,9 @@ def read_labels(
     try:
         segments = _segments(header, len(volumes)) or _plain_structures(volumes, names)
         labels = Labels.of(volumes, grid, segments)
+        loose = sum(map(np.count_nonzero, volumes)) - sum(one.voxels for one in labels.structures)
+        if loose:
+            raise VolumeError(f"{loose} voxels have labels of no segment: its header is damaged")
     except VolumeError as error:
         raise VolumeError(f"{path}: {error}") from None
     if scan is not None:
@@ -251,32 +266,41 @@ def read_labels(
 
 
 def _plain_structures(
-    volumes: Sequence[NDArray[Any]], names: Mapping[int, str] | Path | str | None
+    volumes: Sequence[NDArray[Any]], names: Mapping[Any, str] | Path | str | None
 ) -> list[Structure]:
-    if isinstance(names, Path | str):
-        try:
-            names = {int(k): str(v) for k, v in json.loads(Path(names).read_bytes()).items()}
-        except (OSError, ValueError, AttributeError) as error:
-            raise VolumeError(f"cannot read names from {names}: {error}") from error
+    try:
+        read = json.loads(Path(names).read_bytes()) if isinstance(names, Path | str) else names
+        given = {int(value): name for value, name in (read or {}).items()}
+    except (OSError, ValueError, AttributeError) as error:
+        raise VolumeError(f"cannot read names from {names}: {error}") from error
+    if not all(isinstance(name, str) for name in given.values()):
+        raise VolumeError(f"names {given}: expected a text for each label")
     if len(volumes) > 1:
         raise VolumeError("several labels per voxel and no segments: expected a .seg.nrrd file")
-    given, most = names or {}, int(volumes[0].max())
+    most = int(volumes[0].max())
     return [Structure.named(given.get(k, f"label_{k}"), k) for k in range(1, most + 1)]
 
 
 def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
     """Return the segments that 3D Slicer described in the file's header, none in other files."""
     found: list[Structure] = []
-    while (key := f"Segment{len(found)}_") + "ID" in header:
+    count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
+    for key in (f"Segment{k}_" for k in range(count)):
+        if key + "ID" not in header:
+            raise VolumeError(f"{key}ID is not in its header: expected {count} segments from 0 on")
         name = header.get(key + "Name", header[key + "ID"])
         try:
             value = int(header.get(key + "LabelValue", len(found) + 1))
             made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
             colour = tuple(float(part) for part in header.get(key + "Color", "").split())
+            if len(colour) not in (0, 3) or not all(0.0 <= part <= 1.0 for part in colour):
+                raise ValueError(f"colour {colour}: expected three from 0 to 1")
         except ValueError as error:
             raise VolumeError(f"segment {name}: {error}; expected numbers in its header") from error
         if not 0 <= made.volume < layers:
             raise VolumeError(f"segment {name} lies in layer {made.volume}; the file has {layers}")
+        if (made.volume, made.value) in ((one.volume, one.value) for one in found):
+            raise VolumeError(f"segment {name} has the label {value} of another: give it its own")
         found.append(replace(made, colour=colour or made.colour))
     return found
 
@@ -313,6 +337,10 @@ def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
         raise VolumeError(f"{path} measures {diagonal:.3g} m: expected a file in millimetres")
     values = SimpleITK.GetArrayFromImage(image).T  # it gives (k, j, i), or (k, j, i, component)
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
+    if header.get("nifti_type") == "1":
+        require_whole_nifti(path, header, np.array(image.GetSpacing()))
+    elif path.suffix in (".nrrd", ".nhdr"):
+        require_placed_nrrd(path)
     return [values] if values.ndim == 3 else list(values), grid, header
 
 
@@ -333,13 +361,16 @@ def _read_series(folder: Path) -> Any:
     if len(files) > 1:
         along = steps @ np.cross(axes[0], axes[1])
         usual = float(np.median(along))
+        if abs(usual) < 1e-3:
+            raise VolumeError(f"{folder}: slices lie at the same place: expected one scan")
         worst = int(np.abs(along - usual).argmax())
         if abs(along[worst] - usual) > 0.01 * abs(usual):
             raise VolumeError(
                 f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
                 f"{Path(files[worst]).name}: a slice is missing or doubled"
             )
-        if np.abs(steps @ axes.T).max() > 0.01 * abs(usual):
+        aside = np.abs(steps @ axes.T).max(), np.abs(np.cumsum(steps @ axes.T, axis=0)).max()
+        if aside[0] > 0.01 * abs(usual) or aside[1] > 0.5 * headers[0, 9:11].min():
             raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan")
     reader.SetFileNames(files)
     return reader.Execute()
@@ -360,20 +391,18 @@ def _slice_header(reader: Any, name: str) -> list[float]:
 def _require_agreement(labels: Labels, scan: Volume) -> None:
     """Refuse labels on a grid as large as the scan's elsewhere, or with voxels outside the scan."""
     last = np.array(scan.grid.shape) - 1.0
-
-    def beyond(box: Sequence[slice] = ()) -> float:
-        found = scan.grid.indices(labels.grid.corners_m(box))
-        return float(np.maximum(-found, found - last).max())
-
+    corners = scan.grid.indices(labels.grid.corners_m())
+    off = float(np.minimum(np.abs(corners), np.abs(corners - last)).max())
     extents = (np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid))
-    off = beyond()
-    if np.allclose(*extents, atol=0.1 * scan.grid.spacing_m.min()) and off > 0.1:
+    is_as_large = np.allclose(*extents, atol=0.1 * scan.grid.spacing_m.min())
+    if (is_as_large or sorted(labels.grid.shape) == sorted(scan.grid.shape)) and off > 0.1:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {off:.1f} voxels beside it: "
-            "origin or directions of one of the files are wrong"
+            "origin, spacing or directions of one of the files are wrong"
         )
     for item in labels.structures:
-        if (off := beyond(item.box)) > 1.0:
+        found = scan.grid.indices(labels.grid.corners_m(item.box))
+        if (off := float(np.maximum(-found, found - last).max())) > 1.0:
             raise VolumeError(
                 f"{item.name} lies {off:.0f} voxels outside the scan: the labels belong to another "
                 "scan, or lost their origin when they were cropped"

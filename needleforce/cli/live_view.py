@@ -174,6 +174,8 @@ def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
             raise ValueError("neither layers nor entry_m and target_m in it")
         return PlanScene(rotation=turn, translation_m=shift), []
     way = np.array(plan.entry_m), np.array(plan.target_m)
+    if np.array_equal(*way):
+        raise ValueError(f"entry_m and target_m are the same point {list(plan.entry_m)}")
     if not files:
         if not plan.layers:
             raise ValueError("no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it")
