@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,8 +18,16 @@ pytest.importorskip("viser")
 from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy.plan_match import PlanState
 from needleforce.cli import main
-from needleforce.scene import PlanScene, SlicerOutput, StateRing, Viewer, open_viewer
+from needleforce.scene import (
+    PlanScene,
+    SceneError,
+    SlicerOutput,
+    StateRing,
+    Viewer,
+    open_viewer,
+)
 from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
+from urdf import example_robot_path, load_example
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no chromium: apt-get install chromium")
@@ -272,6 +281,40 @@ def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
     assert "docs/scene.md" in said
 
 
+def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
+    page = Viewer(load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda")))
+    page.append(insertion(2))
+    page.show()
+    shapes = page._arm._shapes
+    assert np.allclose(shapes._urdf.cfg, [*HOME, 0.0])
+    page.stop()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--port", "70000"], "error: 127.0.0.1, port 70000: .*expected an address"),
+        (["--port", "-1"], "port -1: .*a port of 0 to 65535"),
+        (["--host", "nosuchhost.invalid"], "nosuchhost.invalid, port 8080: .*expected an address"),
+        (["--host", "192.0." + "2.1"], "expected an address of this machine"),
+        (["--host", "::1", "--port", "70000"], "::1, port 70000"),
+    ],
+)
+def test_where_nothing_can_listen_is_said_in_one_line(options, why, tmp_path, capsys):
+    assert main(["view", str(tmp_path / "none.csv"), *options]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert re.search(why, said)
+
+
+def test_a_page_beside_a_loop_that_cannot_be_opened_is_said_so():
+    robot = load_lwr()
+    with pytest.raises(SceneError, match="port 70000"):
+        open_viewer(robot, port=70000)
+    place = np.zeros(3)
+    with pytest.raises(SceneError, match="expected two points"):
+        open_viewer(robot, PlanScene((), (), place, place), port=8291)
+
+
 RECEIVER = """
 import json, sys, time, pyigtl
 client = pyigtl.OpenIGTLinkClient("127.0.0.1", int(sys.argv[1]))
@@ -293,6 +336,26 @@ client.stop()
 """
 
 
+def tick(time_s, force_N=1.0, rupture=None):
+    found = SimpleNamespace(tip_force_N=0.5, rupture=rupture)
+    wrench = SimpleNamespace(axial=force_N, axial_std=0.1)
+    return SimpleNamespace(time_s=time_s, depth_m=0.02, wrench=wrench, identification=found)
+
+
+def test_3d_slicer_is_not_left_alone_when_time_begins_anew(monkeypatch):
+    pytest.importorskip("pyigtl")
+    sent = []
+    with SlicerOutput(18978) as output:
+        monkeypatch.setattr(output, "_send", sent.append)
+        times = (0.0, 0.01, 60.0, 60.01, 0.5, 0.51, 0.52)
+        assert [output.put(tick(time_s), np.eye(4)) for time_s in times] == [1, 0, 1, 0, 1, 0, 1]
+        assert output.put(tick(1.0, np.float64(np.nan)), np.eye(4))
+        assert json.loads(sent[-1].string, parse_constant=pytest.fail)["force_N"] is None
+        for port in (18978, 70000):
+            with pytest.raises(SceneError, match=f"port {port}: .*expected a free one"):
+                SlicerOutput(port)
+
+
 def test_3d_slicer_gets_pose_force_and_ruptures():
     pytest.importorskip("pyigtl")
     port = 18977
@@ -311,15 +374,8 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
             rupture = SimpleNamespace(layer=1, depth_m=0.02, probability=0.9, time_s=1.0)
             sent = 0
             for k in range(1000):
-                now = SimpleNamespace(
-                    time_s=0.001 * k,
-                    depth_m=0.02,
-                    wrench=SimpleNamespace(axial=1.0, axial_std=0.1),
-                    identification=SimpleNamespace(
-                        tip_force_N=0.5, rupture=rupture if k == 999 else None
-                    ),
-                )
-                sent += output.put(now, pose)
+                found = rupture if k == 999 else None
+                sent += output.put(tick(0.001 * k, rupture=found), pose)
                 time.sleep(0.001)
             assert sent == pytest.approx(51, abs=1)
             found = json.loads(receiver.communicate(timeout=30.0)[0])

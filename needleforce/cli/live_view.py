@@ -21,6 +21,7 @@ from needleforce.cli.terminal import CommandError, progress_bar, say, stop_reque
 from needleforce.recordings import load_mapping, read_log
 from needleforce.scene import PlanScene, Viewer, view_row
 from needleforce.scene.nodes import EMPTY
+from needleforce.scene.viewer import check_address
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
 from urdf import Robot, example_robot_path
@@ -86,6 +87,7 @@ class SessionTare:
 
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     """Show a recording until Ctrl-C, or write it as one page; return the exit code."""
+    check_address(options.host, options.port)  # better before minutes of work than after
     model = robot_from_options(robot, options.mapping)
     plan = None if options.anatomy is None else read_plan(options.anatomy)
     rows = replayed(recording, model, options, plan)

@@ -4,19 +4,12 @@ Reading order: `state_ring` (what a loop hands over), `nodes` (what stands in th
 (the page), `live` (the page beside a loop), `slicer` (OpenIGTLink).
 """
 
-from needleforce.scene.live import LiveView, open_viewer
-from needleforce.scene.nodes import PlanScene
-from needleforce.scene.slicer import SlicerOutput
-from needleforce.scene.state_ring import StateRing, view_row
-from needleforce.scene.viewer import SceneError, Viewer
-
-__all__ = [
-    "LiveView",
-    "PlanScene",
-    "SceneError",
-    "SlicerOutput",
-    "StateRing",
-    "Viewer",
-    "open_viewer",
-    "view_row",
-]
+from needleforce.scene.live import LiveView as LiveView, open_viewer as open_viewer
+from needleforce.scene.nodes import PlanScene as PlanScene
+from needleforce.scene.slicer import SlicerOutput as SlicerOutput
+from needleforce.scene.state_ring import (
+    SceneError as SceneError,
+    StateRing as StateRing,
+    view_row as view_row,
+)
+from needleforce.scene.viewer import Viewer as Viewer

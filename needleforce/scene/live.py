@@ -13,8 +13,8 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from needleforce.scene.nodes import EMPTY, PlanScene
-from needleforce.scene.state_ring import Closing, StateRing, view_row
-from needleforce.scene.viewer import SceneError, Viewer
+from needleforce.scene.state_ring import Closing, SceneError, StateRing, view_row
+from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
 UPDATES_HZ = 30.0
@@ -22,11 +22,7 @@ START_s = 60.0
 
 
 class LiveView(Closing):
-    """A page in another process; made by `open_viewer`.
-
-    Attributes:
-        url: Where the page is.
-    """
+    """A page in another process, to be found at `url`; made by `open_viewer`."""
 
     def __init__(self, ring: StateRing, process: Any, pipe: Connection, url: str) -> None:
         self._ring, self._process, self._pipe, self.url = ring, process, pipe, url

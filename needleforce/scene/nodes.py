@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from needleforce.scene.state_ring import Array
+from needleforce.scene.state_ring import Array, SceneError
 from urdf import Robot
 
 PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
@@ -43,24 +43,18 @@ EMPTY = PlanScene()  # neither anatomy nor plan
 
 
 class ArmNodes:
-    """The arm: its URDF's own shapes where the file is known, else a line through its joints.
-
-    Args:
-        server: The viser server.
-        robot: The arm with its tool; z of its tool frame is the needle.
-        urdf_path: Its description; None to draw joints only.
-    """
+    """The arm: its URDF's own shapes, else a line through its joints; z of its tool: the needle."""
 
     def __init__(self, server: Any, robot: Robot, urdf_path: Path | None = None) -> None:
         self._server, self._robot, self._data = server, robot, robot.create_data()
         self._shapes: Any = None
-        self._order: list[int] = []
         if urdf_path is not None:
             from viser.extras import ViserUrdf
 
             self._shapes = ViserUrdf(server, urdf_path, root_node_name="/arm")
-            names = list(robot.joint_names)
-            self._order = [names.index(n) for n in self._shapes.get_actuated_joint_names()]
+            shown, names = self._shapes.get_actuated_joint_names(), robot.joint_names
+            self._order = [shown.index(name) for name in names]
+            self._shown_rad = np.zeros(len(shown))  # what the robot lacks, it holds at zero
         self._needle = server.scene.add_cylinder(
             "/needle", radius=NEEDLE_RADIUS_m, height=NEEDLE_m, color=(200, 200, 210)
         )
@@ -73,7 +67,8 @@ class ArmNodes:
         pose = data.oMf[self._robot.tool_frame_id]
         tip, axis = pose.translation.copy(), pose.rotation[:, 2].copy()
         if self._shapes is not None:
-            self._shapes.update_cfg(q[self._order])
+            self._shown_rad[self._order] = q
+            self._shapes.update_cfg(self._shown_rad)
         else:
             places = np.array([data.oMi[k].translation for k in range(model.njoints)] + [tip])
             _add_lines(self._server, "/bones", places, (90, 100, 120), 6.0)
@@ -103,7 +98,10 @@ def add_anatomy(server: Any, plan: PlanScene) -> None:
     if plan.entry_m is None or plan.target_m is None:
         return
     entry, target = plan.to_robot(plan.entry_m), plan.to_robot(plan.target_m)
-    axis = (target - entry) / np.linalg.norm(target - entry)
+    length_m = float(np.linalg.norm(target - entry))
+    if not length_m > 0.0:
+        raise SceneError(f"a plan from {plan.entry_m} to {plan.target_m}: expected two points")
+    axis = (target - entry) / length_m
     _add_lines(server, "/plan/way", np.array([entry - 0.03 * axis, target]), PLANNED, 2.0)
     server.scene.add_icosphere("/plan/target", 3e-3, color=(80, 220, 120), position=tuple(target))
     for k, (layer, behind) in enumerate(zip(plan.layers[:-1], plan.layers[1:], strict=True)):

@@ -4,22 +4,26 @@ Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's coo
 from LPS metres to Slicer's RAS millimetres.
 """
 
-import json
 from functools import partial
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.scene.state_ring import Closing
+from needleforce.scene.state_ring import Closing, SceneError
 
 PORT = 18944
 MOST_HZ = 50.0
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
+def _json(values: dict[str, float]) -> str:
+    return msgspec.json.encode(values, enc_hook=float).decode()  # a NaN becomes null
+
+
 class SlicerOutput(Closing):
-    """A server that sends at most `MOST_HZ` updates a second.
+    """A server that sends at most `MOST_HZ` updates a second; `SceneError` if the port is no use.
 
     Args:
         port: Where Slicer connects.
@@ -30,7 +34,10 @@ class SlicerOutput(Closing):
         import pyigtl
 
         self._igtl: Any = pyigtl
-        self._server = pyigtl.OpenIGTLinkServer(port=port, local_server=not any_address)
+        try:
+            self._server = pyigtl.OpenIGTLinkServer(port=port, local_server=not any_address)
+        except (OSError, OverflowError) as error:
+            raise SceneError(f"port {port}: {error}; expected a free one, 0 to 65535") from error
         self._send = partial(self._server.send_message, wait=False)
         self._next_s = -np.inf
 
@@ -48,8 +55,9 @@ class SlicerOutput(Closing):
         if rupture is not None:
             known = {"layer": rupture.layer, "depth_mm": 1e3 * rupture.depth_m}
             known |= {"probability": rupture.probability, "time_s": rupture.time_s}
-            self._send(self._igtl.StringMessage(json.dumps(known), device_name="Rupture"))
-        if now.time_s < self._next_s:
+            self._send(self._igtl.StringMessage(_json(known), device_name="Rupture"))
+        # A time before that of the last tick is that of a session which has begun anew.
+        if self._next_s - 1.0 / MOST_HZ <= now.time_s < self._next_s:
             return rupture is not None
         self._next_s = now.time_s + 1.0 / MOST_HZ
         matrix = LPS_TO_RAS @ np.array(pose_m, dtype=float)
@@ -57,7 +65,7 @@ class SlicerOutput(Closing):
         self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
         forces = {"force_N": now.wrench.axial, "force_std_N": now.wrench.axial_std}
         forces |= {"tip_force_N": now.identification.tip_force_N, "depth_mm": 1e3 * now.depth_m}
-        self._send(self._igtl.StringMessage(json.dumps(forces), device_name="Force"))
+        self._send(self._igtl.StringMessage(_json(forces), device_name="Force"))
         return True
 
     def close(self) -> None:

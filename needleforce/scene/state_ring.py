@@ -43,6 +43,10 @@ def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     )
 
 
+class SceneError(Exception):
+    """A page or an output that cannot be opened, or what cannot be shown."""
+
+
 class Closing(AbstractContextManager[Any]):
     """What is closed at the end of a ``with`` block."""
 

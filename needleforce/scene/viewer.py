@@ -4,6 +4,8 @@ Rows come in any number at a time. While `live` is set the page shows the newest
 line back takes back what had not happened yet: the arm, the forces, the marks of ruptures.
 """
 
+import errno
+import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -13,21 +15,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from needleforce.scene.nodes import (
-    EMPTY,
-    EXPECTED,
-    FOUND,
-    ArmNodes,
-    CAMERA_m,
-    PlanScene,
-    add_anatomy,
-    add_ring,
-    turned_to,
-)
-from needleforce.scene.state_ring import FIELDS, Array
+from needleforce.scene import nodes
+from needleforce.scene.state_ring import FIELDS, Array, SceneError
 from urdf import Robot
 
-LOOPBACK = "127.0.0.1"
 MOST_N = 4.0  # force at which the bar is full
 POINTS = 500  # of a curve; older ones are thinned
 KEPT_HZ = 50.0
@@ -54,7 +45,7 @@ class Mark(NamedTuple):
 class _Seen(SimpleNamespace):
     """A row by the names of its fields, in words; behind ± stand two standard deviations."""
 
-    def __init__(self, row: Array, plan: PlanScene) -> None:
+    def __init__(self, row: Array, plan: nodes.PlanScene) -> None:
         super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
         self.names = {-1: "outside"} | {k: layer.name for k, layer in enumerate(plan.layers)}
         self.next_name = self.names.get(self.plan_layer + 1.0, "")
@@ -86,8 +77,15 @@ class _Seen(SimpleNamespace):
         yield f"all lies {off} deeper than planned"
 
 
-class SceneError(Exception):
-    """A page that cannot be opened or written."""
+def check_address(host: str, port: int) -> None:
+    """Raise `SceneError` where nothing can listen: viser would wait for ever. Busy is no fault."""
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, port), family=family).close()
+    except (OSError, OverflowError, UnicodeError) as error:
+        if getattr(error, "errno", None) != errno.EADDRINUSE:
+            how = "expected an address of this machine, and a port of 0 to 65535"
+            raise SceneError(f"{host}, port {port}: {error}; {how}") from error
 
 
 class Viewer:
@@ -105,32 +103,33 @@ class Viewer:
         marks: The ruptures shown, past and to come.
 
     Raises:
-        SceneError: viser is not installed.
+        SceneError: viser is not installed, nothing can listen there, or the plan has no way.
     """
 
     def __init__(
         self,
         robot: Robot,
-        plan: PlanScene = EMPTY,
+        plan: nodes.PlanScene = nodes.EMPTY,
         *,
         urdf_path: Path | None = None,
-        host: str = LOOPBACK,
+        host: str = "127.0.0.1",
         port: int = 8080,
     ) -> None:
         try:
             import viser
         except ImportError as error:
             raise SceneError("viser is not installed; pip install viser") from error
+        check_address(host, port)
         self._server = viser.ViserServer(host=host, port=port, label="needleforce", verbose=False)
         self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
         self._server.scene.set_up_direction("+z")
         self._plan, self._rows = plan, np.empty((0, len(FIELDS) + robot.nv))
         self.marks: list[Mark] = []
         self._lock = threading.Lock()
-        self._arm = ArmNodes(self._server, robot, urdf_path)
-        add_anatomy(self._server, plan)
-        up = np.array([0.0, 0.0, 1.0])
-        self._ahead = add_ring(self._server, "/ahead", np.zeros(3), up, EXPECTED, "")
+        self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
+        nodes.add_anatomy(self._server, plan)
+        at, up = np.zeros(3), np.array([0.0, 0.0, 1.0])
+        self._ahead = nodes.add_ring(self._server, "/ahead", at, up, nodes.EXPECTED, "")
         self._server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
         self._shown_s = -1.0
         self._add_panel()
@@ -191,7 +190,8 @@ class Viewer:
             return
         tip, axis = self._arm.update(row[len(FIELDS) :])
         place, text = tip + (seen.rupture_depth_m - seen.depth_m) * axis, seen.event()
-        handles = add_ring(self._server, f"/ruptures/{len(self.marks)}", place, axis, FOUND, text)
+        name = f"/ruptures/{len(self.marks)}"
+        handles = nodes.add_ring(self._server, name, place, axis, nodes.FOUND, text)
         for handle in handles:
             handle.visible = False  # until its time is shown
         self.marks.append(Mark(seen.time_s, seen.rupture, text, handles))
@@ -226,7 +226,7 @@ class Viewer:
             ring.visible = label.visible = bool(np.isfinite(seen.plan_next_m))
             if ring.visible:
                 ring.position = tuple(tip + (seen.plan_next_m - seen.depth_m) * axis)
-                ring.wxyz, label.text = turned_to(axis), f"{seen.next_name}, expected"
+                ring.wxyz, label.text = nodes.turned_to(axis), f"{seen.next_name}, expected"
             self._slider.max = max(float(self._rows[-1, 0]), 0.01)
             if self._live.value:
                 self._slider.value = round(seen.time_s, 2)
@@ -236,7 +236,7 @@ class Viewer:
             self._draw_curves(at)
         if self._shown_s < 0.0:  # the first
             self._server.initial_camera.look_at = tuple(tip)
-            self._server.initial_camera.position = tuple(tip + CAMERA_m)
+            self._server.initial_camera.position = tuple(tip + nodes.CAMERA_m)
 
     def _draw_curves(self, at: int) -> None:
         rows = self._rows[: at + 1]
