@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter
 
+import msgspec
+
 from benchmarks import ResultsError
 from benchmarks.benchmark import Job, Outcome
 from benchmarks.campaign_workers import DIED, Workers, answers
@@ -39,7 +41,7 @@ def run_jobs(
         on_progress: Is called as jobs end, of a serial run also meanwhile.
         results: Where their rows are written while they come, and at the end, or when the run is
             interrupted; each time whole.
-        is_resumed: Whether jobs whose rows stand there are not done again.
+        is_resumed: Whether jobs all of whose rows stand there are not done again.
 
     Raises:
         ResultsError: The file cannot be read or written, or has rows of other jobs.
@@ -66,8 +68,25 @@ def run_jobs(
     return [found[index] for index in range(len(jobs))]
 
 
+class _Counts(msgspec.Struct):
+    """What stands in a file of results beside its rows: how many each run has given."""
+
+    runs: dict[str, int] = {}
+
+
+def _counts(path: Path) -> dict[str, int]:
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Counts).runs
+    except msgspec.ValidationError as error:
+        raise ResultsError(f"{path} is not a file of results: {error}") from error
+
+
 def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
-    """What an interrupted run has left, by the index of the job; a run that draws is not in it."""
+    """What an interrupted run has left, by the index of the job.
+
+    A run that draws, or that has not the number of rows which it gave, is not in it.
+    """
+    counts = _counts(path) if path.exists() else {}
     named = {(job.benchmark, job.plant, job.seed): job for job in order}
     rows: dict[Job, list] = {}
     for row in read_results(path) if path.exists() else ():
@@ -81,7 +100,7 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
     return {
         order[job]: Outcome(job=job, rows=tuple(each))
         for job, each in rows.items()
-        if job.drawings is None
+        if job.drawings is None and counts.get(str(job)) == len(each)
     }
 
 
@@ -96,7 +115,9 @@ def _kept(path: Path | None, found: dict[int, Outcome]) -> Iterator[Callable[[],
     def write() -> None:
         nonlocal due_s
         begun_s = perf_counter()
-        write_results(path, (row for index in sorted(found) for row in found[index].rows))
+        done = [found[index] for index in sorted(found) if found[index].rows]
+        runs = {str(outcome.job): len(outcome.rows) for outcome in done}
+        write_results(path, (row for outcome in done for row in outcome.rows), runs)
         pause_s = PAUSE_RATIO * (perf_counter() - begun_s)
         due_s = perf_counter() + max(LEAST_PAUSE_S, pause_s)
 

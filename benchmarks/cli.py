@@ -134,7 +134,7 @@ def run(
     *ids: str,
     plant: Sequence[str] = (),
     seeds: Positive = 1,
-    first_seed: int | None = None,
+    first_seed: Annotated[int | None, Parameter(validator=Number(gte=0))] = None,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     kept: Kept = _KEPT,
     report: Path | None = None,

@@ -63,15 +63,16 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 NAMES = Row.__struct_fields__
 TEXTS = tuple(name for name in NAMES if name not in ("seed", "value"))
-SCHEMA = 1
+Runs = Mapping[str, int] | None  # how many rows each has given, where that is known
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
 
 
-def to_json(rows: Iterable[Row]) -> bytes:
-    """Rows and nothing else, so that equal runs give equal bytes; not finite becomes null."""
+def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
+    """Rows, and how many each run has, so that equal runs give equal bytes; not finite: null."""
     lines = b",\n  ".join(map(_line, rows))
-    return b'{"schema": %d, "rows": [\n  %b\n]}\n' % (SCHEMA, lines)
+    counts = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
+    return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, counts)
 
 
 def _line(row: Row) -> bytes:
@@ -79,13 +80,13 @@ def _line(row: Row) -> bytes:
     return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
-def write_results(path: str | Path, rows: Iterable[Row]) -> None:
+def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> None:
     """Write rows to a file, whole or not at all; raises `ResultsError` where that cannot be."""
     from needleforce.plots import FiguresError
     from needleforce.plots.chart import write_file
 
     try:
-        write_file(path, to_json(rows))
+        write_file(path, to_json(rows, runs))
     except FiguresError as error:
         raise ResultsError(str(error)) from error
 

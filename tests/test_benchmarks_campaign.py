@@ -1,5 +1,6 @@
 """Runs of many jobs: on processes, on a cluster, killed, interrupted and gone on with."""
 
+import json
 import os
 import signal
 import threading
@@ -124,12 +125,49 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
     assert jobs_done == [4, 6, 7]
     capsys.readouterr()
     for arguments, message in (
+        (["--first-seed", "-1"], "Must be >= 0"),
         (["--resume"], "--resume goes on with the file of --json"),
         (["--seeds", "2", "--json", path, "--resume"], "a run that is not asked for"),
         (["--cluster", "tcp://127.0.0.1:9", "--report", str(tmp_path)], "--report draws on this"),
     ):
         assert main(["run", *arguments]) == 2
         assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changed", "again"),
+    [
+        ({"rows": slice(0, 3)}, [1, 2]),  # of seed 1 a part, of seed 2 nothing
+        ({"rows": slice(1, 6)}, [0]),
+        ({"runs": {}}, [0, 1, 2]),
+        ({}, []),
+    ],
+)
+def test_a_run_with_some_of_its_rows_is_done_again(changed, again, tmp_path, monkeypatch, capsys):
+    done, names = [], ("wrench_rmse_N", "rupture_recall")
+
+    def pretend(job, progress):
+        done.append(job.seed)
+        return Findings([Measurement("virtual", "default", name, job.seed) for name in names])
+
+    items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
+    monkeypatch.setattr(runner, "BENCHMARKS", items)
+    path = tmp_path / "a.json"
+    asked = ["run", "--seeds", "3", "--workers", "1", "--json", str(path)]
+    assert main(asked) == 0
+    whole, found = path.read_bytes(), json.loads(path.read_bytes())
+    for key, value in changed.items():
+        found[key] = found[key][value] if isinstance(value, slice) else value
+    path.write_text(json.dumps(found))
+    del done[:]
+    assert main([*asked, "--resume"]) == 0
+    assert done == again
+    assert json.loads(path.read_bytes()) == json.loads(whole)
+    if again:
+        assert path.read_bytes() == whole
+    path.write_text(json.dumps(found | {"runs": 3}))
+    assert main([*asked, "--resume"]) == 2
+    assert "is not a file of results" in capsys.readouterr().err
 
 
 def test_a_cluster_that_is_not_there_is_one_line(jobs_done, monkeypatch, capsys):
