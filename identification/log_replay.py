@@ -15,6 +15,7 @@ from identification.offline import read_column
 _LEAST_TRAVEL_M = 1e-3
 _LARGEST_DEPTH_M = 1.0
 _LEAST_FORCE_N = 0.02
+_LEAST_GAP_S = 0.25
 
 
 class SignCheck:
@@ -47,7 +48,7 @@ class SignCheck:
         self._least_N = min(self._least_N, float(force.min()))
         self._largest_N = max(self._largest_N, float(force.max()))
         if speed_m_s is not None:
-            self._agreement += float(np.nansum(change * speed_m_s))
+            self._agreement += float(change @ np.where(np.isfinite(speed_m_s), speed_m_s, 0.0))
 
     def hints(self) -> tuple[str, ...]:
         """One sentence per suspicion; none for a recording that looks right."""
@@ -78,6 +79,7 @@ _REPORTED = (
     SampleStatus.MOTION_RANGE,
     SampleStatus.DEPTH_JUMP,
     SampleStatus.SPEED_SIGN,
+    SampleStatus.TIME_RANGE,
 )
 """What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
 
@@ -96,7 +98,7 @@ class ReplayStream:
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
-        self._has_begun = False
+        self._gap_s, self._gaps = 0.0, 0  # 0 s until rows have come
         self._latest_s: float | None = None
         self._rejected: Counter[SampleStatus] = Counter()
 
@@ -107,13 +109,14 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far, and how many were rejected."""
+        """Suspicions about signs and units of all rows so far, how many were rejected, and gaps."""
         rejected = (
             f"rows that were rejected: {self._rejected[status]} ({status.value})"
             for status in _REPORTED
             if self._rejected[status]
         )
-        return (*self._signs.hints(), *rejected)
+        gaps = f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; predictions restart"
+        return (*self._signs.hints(), *rejected, *[gaps] * (self._gaps > 0))
 
     def run(
         self,
@@ -135,12 +138,13 @@ class ReplayStream:
             latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
             self._latest_s, dt_s = float(latest_s[-1]), t_s - latest_s[:-1]
         dt_s = np.array(dt_s)
-        if not self._has_begun:
+        if not self._gap_s:
             steps_s = dt_s[1:HEAD_ROWS]
             forward = steps_s[steps_s > 0.0]
             begin = int(np.argmax(np.isfinite(t_s)))
-            dt_s[: begin + 1] = float(np.median(forward)) if forward.size else 1e-3
-            self._has_begun = True
+            usual_s = float(np.median(forward)) if forward.size else 1e-3
+            dt_s[: begin + 1], self._gap_s = usual_s, max(_LEAST_GAP_S, 10.0 * usual_s)
+        self._gaps += int((dt_s > self._gap_s).sum())
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
         depths, forces, steps, times = (each.tolist() for each in (depth_m, force_N, dt_s, t_s))

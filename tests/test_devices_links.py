@@ -3,11 +3,13 @@
 import json
 import socket
 import time
+from functools import partial
 from http.client import IncompleteRead
 
 import numpy as np
 import pytest
 
+from needleforce.cli import main
 from needleforce.devices import (
     DeviceSettingError,
     FriArm,
@@ -103,6 +105,16 @@ def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
     assert not accepted[620:790].any()
     moved = counts["commanded_rad"] - ROWS[0]
     assert np.allclose(moved, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
+
+
+@pytest.mark.parametrize("command", ["record", "live"])
+def test_an_arm_from_which_nothing_comes_is_said_so(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("needleforce.cli.live.FriArm", partial(FriArm, give_up_s=0.2))
+    to = ["-o", str(tmp_path / "x.csv")] if command == "record" else []
+    assert main([command, "fri:0", *to]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith("error: no sample came from fri:0 (1 outages): expected one per")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_commands_that_cannot_be_are_refused():

@@ -47,8 +47,6 @@ def run(
     return logs.run_log(source, output, request, estimate)
 
 
-# From a log to its result.
-
 Rows = dict[str, NDArray[np.float64]]
 _UNTARED = "whose status says that the force is not tared or not settled"
 _DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
@@ -213,8 +211,6 @@ class IdentificationResult:
         return layers, plots.Section(heading=heading, anchor="identification", tables=(settings,))
 
 
-# Layers as a table for people, in millimetres.
-
 HEADER = (
     *("layer", "from mm", "thick mm", "rupture s", "alarm s", "drop N"),
     *("K N/m", "friction N", "B Ns/m2"),
@@ -242,8 +238,6 @@ def _with_std(value: float, std: float | None, digits: int) -> str:
     text = f"{value:.{digits}f}"
     return text if std is None else f"{text}±{std:.{digits}f}"
 
-
-# Charts after the paper's Figure 8.
 
 _FORCES = (
     ("force_N", "axial force, as recorded", palette.READING),

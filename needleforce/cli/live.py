@@ -87,6 +87,14 @@ def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
                 return
 
 
+def _require_samples(arm_name: str, arm: Any) -> None:
+    if not arm.report.used:
+        raise CommandError(
+            f"no sample came from {arm_name} ({arm.report}): expected one per cycle; does the arm "
+            "run, and does it send to this machine and port?"
+        )
+
+
 def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions) -> int:
     """Write the joint signals of an arm as they come; return the exit code."""
     with (
@@ -103,6 +111,7 @@ def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOption
             to.append({"t_s": times, **_columns(chunk)})
             t_s, rows = float(times[-1]), rows + len(chunk)
             has_torque = chunk[0].tau_Nm is not None
+    _require_samples(arm_name, arm)
     say(f"{rows} samples, {t_s:.3f} s in {output}; {arm.report}")
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
@@ -223,6 +232,7 @@ def watch_arm(
                 view.show(now, panel)
                 if page is not None:
                     page.put(now, sample.q_rad)
+    _require_samples(arm_name, arm)
     say(f"{arm.report}; {session.rejected} samples rejected by the session")
     return 0
 
