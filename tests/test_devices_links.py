@@ -181,8 +181,20 @@ def test_an_address_that_cannot_be_is_said_so():
         FriArm(port=0, wait_s=2.0, give_up_s=1.0)
     with pytest.raises(LinkError, match="is it the sensor"):
         NetFT(scale="http://127.0.0.1:9/none.xml")
-    with pytest.raises(DeviceSettingError, match="positive counts"):
-        NetFT(scale=Scale(0.0, 1.0))
+    for scale in (Scale(0.0, 1.0), (1,), (1, 2, 3)):
+        with pytest.raises(DeviceSettingError, match="positive counts"):
+            NetFT(scale=scale)
+    for port in (-5, 0, 70000):
+        with pytest.raises(DeviceSettingError, match="expected 1 to 65535"):
+            NetFT(port=port, scale=Scale(1.0, 1.0))
+
+
+def test_a_force_sensor_that_was_closed_has_nothing_to_read():
+    ft = NetFT(scale=Scale(1.0, 1.0))
+    ft.close()
+    assert ft.read() is None
+    assert list(ft.stream()) == []
+    ft.close()
 
 
 @pytest.mark.parametrize("buffered", [False, True])

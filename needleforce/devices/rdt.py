@@ -22,11 +22,9 @@ REQUEST_MARK = 0x1234
 STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
 RECORD = np.dtype([("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 COUNTS = 1 << 32
-LONGEST_COUNTED_s = 1.0
-"""A sensor that was silent for longer may have been switched off and count from zero."""
+LONGEST_COUNTED_s = 1.0  # A sensor silent for longer may have been off, and count from zero
 MOST_REPLY = 1 << 20
-ROOM = 1 << 22
-"""Bytes for the records of half a second, if the system allows as many (net.core.rmem_max)."""
+ROOM = 1 << 22  # Bytes for the records of half a second, if net.core.rmem_max allows as many
 FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
 
 
@@ -86,12 +84,14 @@ class NetFT(DatagramLink):
 
         Raises:
             LinkError: The sensor's page cannot be read, or no port is free here.
-            DeviceSettingError: A scale that is not positive.
+            DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
         """
         page = scale or f"http://{host}/netftcalapi.xml"
         self.scale = read_scale(page) if isinstance(page, str) else page
-        if not all(0.0 < counts < np.inf for counts in self.scale):
+        if np.shape(self.scale) != (2,) or not all(0.0 < each < np.inf for each in self.scale):
             raise DeviceSettingError(f"{self.scale}: expected positive counts per N and per Nm")
+        if not 0 < port <= 65535:
+            raise DeviceSettingError(f"port {port} of the sensor: expected 1 to 65535")
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
         super().__init__(local, 0, peer=host, room=ROOM)
         self.status = 0
@@ -108,14 +108,14 @@ class NetFT(DatagramLink):
         Raises nothing: what is malformed or old is counted in `report`.
         """
         found = None
-        while (data := self._receive(0.0)) is not None:
+        while self._is_open and (data := self._receive(0.0)) is not None:
             for wrench in self._records(data):
                 found = wrench
         return found
 
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
         """Every wrench as it comes, shape (6,); None after a silence: it is asked for again."""
-        while True:
+        while self._is_open:
             data = self._receive(wait_s)
             if data is None:
                 self.report.outages += 1
