@@ -62,8 +62,7 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
-    late = replay(t_s + 1e9 * (t_s > 0.5), 0.01 * t_s, 0.0 * t_s)
-    assert late.hints[-1] == "gaps in time longer than 0.25 s: 1; predictions restart"
+    assert "longer than 0.25 s: 1;" in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1]
 
 
 def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(columns):

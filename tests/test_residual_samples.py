@@ -36,7 +36,6 @@ BEYOND = {
     "no joint has it": STILL + 1e6,
 }
 
-
 UPDATES = {
     "velocity, q": lambda robot, bad: VelocityEstimator(7).update(bad, STILL, 1e-3),
     "velocity, tau": lambda robot, bad: VelocityEstimator(7).update(STILL, bad, 1e-3),
