@@ -100,51 +100,43 @@ ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ = 115e-3, 0.02
 ABDOMEN_STANDOFF_M = 22e-3
 
 
-def _constant(name: str, title: str, layers: tuple[Layer, ...], speed_m_s: float) -> Scenario:
+def _insertions(
+    name: str, title: str, layers: tuple[Layer, ...], speed_m_s: float, stroke_m: float | None
+) -> Iterator[Scenario]:
+    """At constant speed; and at sinusoidal speed, if there is a stroke."""
     depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
-    return Scenario(
-        id=f"{name}-constant",
-        title=f"{title}, constant speed",
-        layers=layers,
-        motion=constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M),
+    even = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+    yield Scenario(
+        id=f"{name}-constant", title=f"{title}, constant speed", layers=layers, motion=even
     )
-
-
-def _sinusoidal(name: str, title: str, layers: tuple[Layer, ...], stroke_m: float) -> Scenario:
-    return Scenario(
-        id=f"{name}-sinusoidal",
-        title=f"{title}, sinusoidal speed",
-        layers=layers,
-        motion=sinusoidal_motion(
+    if stroke_m is not None:
+        sine = sinusoidal_motion(
             stroke_m=stroke_m, frequency_hz=GEL_FREQUENCY_HZ, standoff_m=SINE_STANDOFF_M
-        ),
-    )
+        )
+        yield Scenario(
+            id=f"{name}-sinusoidal", title=f"{title}, sinusoidal speed", layers=layers, motion=sine
+        )
 
 
 def _catalogue() -> Iterator[Scenario]:
     for percent in (25, 50, 70):
-        name, title, layers = f"gel-{percent}", f"one {percent} % isinglass gel", (gel(percent),)
-        yield _constant(name, title, layers, TABLE_I_SPEED_M_S)
-        yield _sinusoidal(name, title, layers, GEL_STROKE_M)
+        name, title = f"gel-{percent}", f"one {percent} % isinglass gel"
+        yield from _insertions(name, title, (gel(percent),), TABLE_I_SPEED_M_S, GEL_STROKE_M)
     bare = (gel(25), gel(50), gel(70))
     gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
     glove = "three gels, latex glove around the middle one"
     # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
-    yield _constant("stack", "three gels", bare, TABLE_I_SPEED_M_S)
-    yield _sinusoidal("stack", "three gels", bare, STACK_STROKE_M)
-    yield _constant("stack-glove", glove, gloved, GLOVE_SPEED_M_S)
-    yield _sinusoidal("stack-glove", glove, gloved, STACK_STROKE_M)
-    yield _constant("liver", "bovine liver, capsule first", (BOVINE_LIVER,), TABLE_I_SPEED_M_S)
-    yield Scenario(
-        id="abdomen-sinusoidal",
-        title="abdominal phantom: fat, muscle, liver; sinusoidal speed",
-        layers=ABDOMEN,
-        motion=sinusoidal_motion(
-            stroke_m=ABDOMEN_STROKE_M,
-            frequency_hz=ABDOMEN_FREQUENCY_HZ,
-            standoff_m=ABDOMEN_STANDOFF_M,
-        ),
+    yield from _insertions("stack", "three gels", bare, TABLE_I_SPEED_M_S, STACK_STROKE_M)
+    yield from _insertions("stack-glove", glove, gloved, GLOVE_SPEED_M_S, STACK_STROKE_M)
+    liver = "bovine liver, capsule first"
+    yield from _insertions("liver", liver, (BOVINE_LIVER,), TABLE_I_SPEED_M_S, None)
+    sine = sinusoidal_motion(
+        stroke_m=ABDOMEN_STROKE_M,
+        frequency_hz=ABDOMEN_FREQUENCY_HZ,
+        standoff_m=ABDOMEN_STANDOFF_M,
     )
+    title = "abdominal phantom: fat, muscle, liver; sinusoidal speed"
+    yield Scenario(id="abdomen-sinusoidal", title=title, layers=ABDOMEN, motion=sine)
     yield Scenario(
         id="free-motion",
         title="no tissue",

@@ -319,16 +319,12 @@ class _Window:
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
         return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
-    def _waves(self, hz: Array) -> Array:
-        """Columns of harmonics that grow with the travel, four pairs per frequency."""
-        phase = np.outer(np.outer(2.0 * math.pi * hz, (1.0, 2.0)), self.time_s - self.time_s[-1])
-        cosine, sine, y = np.cos(phase), np.sin(phase), self.travel
-        return np.stack((cosine, cosine * y, sine, sine * y), axis=1).reshape(-1, self.count)
-
     def waves(self, hz: Array) -> tuple[Array, float]:
-        """Fit of a smooth course and of waves; mean square of the error it leaves."""
-        y, v, one = self.travel, self.speed, np.ones(self.count)
-        columns = np.array([one, y, y * y, y**3, v, v * y, *self._waves(hz)])
+        """Fit of a smooth course and waves that grow with the travel; mean square of the rest."""
+        phase = np.outer(np.outer(2.0 * math.pi * hz, (1.0, 2.0)), self.time_s - self.time_s[-1])
+        cosine, sine, y, v = np.cos(phase), np.sin(phase), self.travel, self.speed
+        waves = np.stack((cosine, cosine * y, sine, sine * y), axis=1).reshape(-1, self.count)
+        columns = np.array([np.ones(self.count), y, y * y, y**3, v, v * y, *waves])
         matrix, force = np.ascontiguousarray((columns / self.sigma).T), self.force / self.sigma
         scale = np.sqrt((matrix * matrix).sum(axis=0)) + 1e-12
         found, error = _fitted(matrix / scale, force, np.diag(0.0 * scale), 0.0 * scale)

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 SIGMAS = 5.0  # A force must exceed this many standard deviations to count as contact
 INTERVALS = 24  # parts of the motion; a contact begins and ends with one of them
 IMPLAUSIBLE = 32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
-ORDINARY = {"links": 2.0, "friction": 0.5}  # The same; beyond, hysteresis may look so as well
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, rms, that an explanation may leave over; offsets are among it."""
@@ -33,31 +32,30 @@ def check_free_of_contact(
     """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
 
     A contact that stands during all of the motion breaks the prior. One that begins or ends in it
-    is fitted beside all that the tare fits, in its likeliest interval: what friction, drift or a
-    coarse model explain is no contact, unless it takes a drift that no sensor has.
+    is fitted beside all that the tare fits, as a constant force in its likeliest interval and as
+    one that grows until the end: what friction, drift or a coarse model explain is no contact.
 
     The estimator's covariance is overwritten: it must be the caller's own. An external residual is
     one that the robot sends itself. `TareError` with the force seen, or the likely reason.
     """
     basis, blocks = fit.basis, fit.blocks
-    (force, std), touches = _beyond_prior(basis, blocks, wrench), False
-    if force == 0.0:
-        at_prior = FreeMotionFit(basis, blocks, learn=False)
+    seen = [_beyond_prior(basis, blocks, wrench)]
+    if seen[0][0] == 0.0:
+        at_prior, axis = FreeMotionFit(basis, blocks, learn=False), -wrench.kinematics.axis_in_tool
+        torque = _tip_torque(blocks, wrench)
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
-        kept, contact = _likeliest_contact(at_prior, wrench)
+        kept, contact = _likeliest_contact(at_prior, torque)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
         if max(beside.sizes.get(name, 0.0) for name in ("drift", "walk")) >= IMPLAUSIBLE:
-            touches = all(beside.sizes.get(name, 0.0) <= most for name, most in ORDINARY.items())
             beside = FreeMotionFit(basis, blocks.part(kept), contact[kept], learn=False)
-        force, std = beside.contact_N(-wrench.kinematics.axis_in_tool)
-    if abs(force) <= max(contact_force_N, SIGMAS * std):
-        force = 0.0
-    touches |= force != 0.0
-    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=touches)
-    if touches or cause:
-        seen = f"the sensor reads {force:.2f} N along the needle where 0 +/- {std:.2f} N is "
+        entry = FreeMotionFit(basis, blocks, _growing_contact(at_prior, torque))
+        seen = [beside.contact_N(axis), entry.contact_N(axis)]
+    seen = [(N, std) for N, std in seen if abs(N) > max(contact_force_N, SIGMAS * std)]
+    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=bool(seen))
+    if seen or cause:
+        force = "the sensor reads {:.2f} N along the needle where 0 +/- {:.2f} N is "
         raise TareError(
-            (seen + "expected in free motion: " if force != 0.0 else "")
+            (force.format(*seen[0]) + "expected in free motion: " if seen else "")
             + (cause or "the needle seems to be in contact, or the payload is wrong")
             + ". Tare in free air, or ignore_contact=True if you know better"
         )
@@ -78,18 +76,21 @@ def _beyond_prior(
     return worst
 
 
-def _likeliest_contact(
-    fit: FreeMotionFit, wrench: "WrenchEstimator"
-) -> tuple[NDArray[np.bool_], Array]:
+def _tip_torque(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
+    """Joint torques per newton on the tip, along the tool's axes, shape (blocks, n, 3)."""
+    torque = np.empty((*blocks.q_rad.shape, 3))
+    for k, position in enumerate(blocks.q_rad):
+        wrench.kinematics.update(position)
+        torque[k] = wrench.kinematics.jacobian[:3].T
+    return torque
+
+
+def _likeliest_contact(fit: FreeMotionFit, torque: Array) -> tuple[NDArray[np.bool_], Array]:
     """Torque per newton on the tip, in the likeliest interval of contact, shape (blocks, n, 3).
 
     First come the blocks that say how large its force is: not those in which it begins or ends.
     """
     q = fit.blocks.q_rad
-    torque = np.empty((*q.shape, 3))
-    for k, position in enumerate(q):
-        wrench.kinematics.update(position)
-        torque[k] = wrench.kinematics.jacobian[:3].T
     parts = np.array_split(np.arange(len(q)), min(INTERVALS, len(q)))
     within = np.zeros((*torque.shape[:2], len(parts), 3))
     for k, part in enumerate(parts):
@@ -102,6 +103,19 @@ def _likeliest_contact(
     if not (kept & is_touched).any():  # as short as its edges
         kept[is_touched] = True
     return kept, is_touched[:, None, None] * torque
+
+
+def _growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
+    """The same of a force that grows evenly, from its likeliest start, to a newton at the end."""
+    age_s = fit.blocks.age_s[:, None]
+    starts_s = age_s[np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int), 0]
+    grown = np.maximum(age_s - starts_s, 0.0) / np.maximum(age_s[-1] - starts_s, 1e-9)
+
+    def gain(growth: Array) -> float:
+        known, evidence = fit.information_on(growth[:, None, None] * torque)
+        return float(evidence @ np.linalg.lstsq(known, evidence, rcond=1e-9)[0])
+
+    return max(grown.T, key=gain)[:, None, None] * torque
 
 
 def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:

@@ -15,6 +15,7 @@ from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import HandOnArm, PointMotion, Trocar, Wall, distance_to_axis_m
 from groundtruth.tissue import Tissue
+from needleforce import InsertionSession
 from urdf import NeedleTool
 
 IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
@@ -66,6 +67,16 @@ def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(servo, at
     expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push
     np.testing.assert_allclose(truth.tau_Nm, expected, atol=2e-3)
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
+
+
+@pytest.mark.parametrize("plant", [CLEAN, FRI])
+def test_free_strokes_are_a_tare(plant):
+    rig, wish = SimulatedArm(plant=plant, seed=8), down(-0.03)
+    session = InsertionSession(rig.robot)
+    for sample in run(rig, 6.0, lambda t_s, rig: np.sin(np.pi / 3.0 * t_s) * wish(t_s, rig)):
+        session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+    session.tare()
+    assert session.tared
 
 
 def test_a_force_on_the_tip_reaches_joints_and_ft_sensor_and_bends_the_arm_as_its_servo_allows():

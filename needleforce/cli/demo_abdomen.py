@@ -29,7 +29,6 @@ from needleforce.anatomy import (
     Registration,
     RegistrationError,
     Structure,
-    Surface,
     TouchSurface,
     fit_landmarks,
     fit_surface,
@@ -188,7 +187,8 @@ def register(
 
     Where the touches cannot register (a torso that could spin), it is the landmarks twice.
     """
-    skin = _skin(labels)
+    body = [inside_body(labels).astype(np.uint8)]
+    skin = Labels.of(body, labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
     front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
     marks = front[_spread(front, LANDMARKS, rng)]
     robot = marks @ truth[0].T + truth[1] + 1e-3 * rng.normal(size=marks.shape)
@@ -202,11 +202,6 @@ def register(
         return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
     except RegistrationError:
         return rough, rough
-
-
-def _skin(labels: Labels) -> Surface:
-    volume = inside_body(labels).astype(np.uint8)
-    return Labels.of([volume], labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
 
 
 def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:
