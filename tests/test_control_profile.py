@@ -19,12 +19,12 @@ def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None):
     return SimpleNamespace(in_contact=in_contact, rupture_state=state, rupture=rupture)
 
 
-def counted(before_N, fall_N, steady=True, alarm_N=None, **how):
+def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
     """Layers left after a force that has grown for three seconds falls within 20 ms."""
     ruptures, rng = RuptureCount(), np.random.default_rng(0)
     for k in range(3100):
         force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(max(k - 3000, 0) / 20.0, 1.0)
-        noisy_N = force_N + 0.005 * rng.standard_normal()
+        noisy_N = force_N + 0.005 * rng.standard_normal() + beat_N * np.sin(8.0 * k * DT)
         seen = found(alarm_N=alarm_N if k == 3030 else None, **how)
         ruptures.update(seen, noisy_N, 5e-6 * k, DT, is_steady=steady)
     return ruptures.count
@@ -36,8 +36,11 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, **how):
         (2.0, 1.0, {}, 1),
         (2.0, 1.0, {"steady": False}, 0),  # a needle that brakes
         (2.0, 1.0, {"steady": False, "alarm_N": 2.0}, 1),
-        (2.0, 0.2, {}, 0),
-        (2.0, 0.2, {"state": RuptureState.EXPECTED}, 1),
+        (2.0, 0.07, {}, 0),
+        (2.0, 0.07, {"state": RuptureState.EXPECTED}, 1),
+        (2.0, 0.2, {"beat_N": 0.2}, 0),  # one heartbeat like those before
+        (2.0, 0.2, {"beat_N": 0.2, "state": RuptureState.EXPECTED}, 0),
+        (2.0, 1.0, {"beat_N": 0.2}, 1),
         (0.2, 0.07, {}, 0),  # an error of the force
         (0.2, 0.2, {"in_contact": False}, 0),  # the start of the motion
     ],
@@ -46,6 +49,17 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
     before_N, fall_N, how, count
 ):
     assert counted(before_N, fall_N, **how) == count
+
+
+def test_a_force_that_falls_behind_a_gap_is_no_rupture():
+    for gap_s, event in ((0.0, "rupture"), (3e-3, "")):
+        profile, events = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)), []
+        for k in range(3050):
+            axial_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
+            now = situation(State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N)
+            now.time_s += gap_s * (k > 3000)
+            events.append(profile.update(now).event)
+        assert max(events) == event
 
 
 def test_a_reading_that_is_no_number_is_skipped():
@@ -121,7 +135,7 @@ def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
     for k in range(1001, 1200):
         asked_m += DT * speeds[-1]
         speeds.append(profile.update(situation(State.DWELL, tip_m, k, 1e-3)).speed_m_s)
-    assert min(speeds) < -0.02
+    assert min(speeds) < -0.01
     assert asked_m == pytest.approx(tip_m, abs=5e-5)
     assert speeds[-1] == 0.0
     back = profile.update(situation(State.DWELL, tip_m - 1e-4, 1200, 2e-3))

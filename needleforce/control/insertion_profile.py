@@ -20,22 +20,19 @@ if TYPE_CHECKING:
     from needleforce.control.manager import Situation
 
 _TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
-_BACK_m_s2 = 2.0  # With which a command that was taken back comes to rest
+_BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
 _HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows in 0.1 s
 _NEAR_M = 2e-5  # So near to its end a motion has arrived
-_SMOOTH_S, _SLOW_S, _LEARN_S, _PEAK_S = 3e-3, 0.015, 1.0, 0.1
-"""Time constants: of the force, of what its noise is measured against, of that measurement, and of
-the memory of the last peak."""
-_FIRST_NOISE_N, _SIGMAS = 0.03, 7.0
-"""Noise before it is measured; a fall by so many standard deviations of it is one."""
-_LARGE, _LARGE_N, _LARGE_SIGMAS = 0.15, 0.1, 10.0
-"""A fall by so much of the force, in newtons, and in deviations of the noise is a rupture whatever
-the identification still waits for; smaller ones are errors of the force that go with the posture,
-and slow noise: on FRI falls by 8 deviations."""
+_SMOOTH_S, _PEAK_S = 3e-3, 0.1  # Time constants: of the force, and of the memory of its last peak
+_BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
+"""Ordinary falls of the force are older than a block, and no rupture's; they are forgotten slowly.
+A heartbeat is ordinary once the needle has been in tissue for a second."""
+_LARGE, _LARGE_N, _BEYOND = 0.04, 0.1, 3.0
+"""A fall by so much of the force, in newtons, and in ordinary ones is a rupture, whatever the
+identification still waits for."""
+_GAP_STEPS = 2.5  # A step so many times the one before is a gap, in which an arm stops and starts
 _APART_M = 3e-3  # Two ruptures less far apart are one
-_SETTLED_S = 0.1
-"""A command is steady this long after its last change: where the force is late, the force of an arm
-that got under way falls until then."""
+_SETTLED_S = 0.1  # So long after its last change a command is steady: late forces fall until then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,15 +77,15 @@ class RuptureCount:
     """Ruptures, counted by a program that knows how the needle is commanded.
 
     By itself the identification must wait whether a fall of the force is a needle that brakes. At a
-    steady command it is none: a rupture that is likelier than not counts once the force has fallen
-    by more than its noise, and so does a large and sudden fall. An alarm without a fall does not
-    count: a tip that meets the next membrane has left no layer yet.
+    steady command it is none, but a beating heart, a jerky arm and slow noise make the force fall,
+    too, again and again. So one counts that is large, or likely a rupture, and several times the
+    largest of the last seconds; with an alarm any larger one: a tip at a membrane has left nothing.
     """
 
     def __init__(self) -> None:
-        self.count, self._last_m = 0, -math.inf
-        self._force_N = self._slow_N = self._peak_N = self._rise_N = 0.0
-        self._variance_N2 = _FIRST_NOISE_N**2
+        self.count, self._last_m, self._inside_s = 0, -math.inf, 0.0
+        self._force_N = self._peak_N = self._block_s = 0.0
+        self._newest_N = self._newer_N = self._ordinary_N = 0.0  # largest falls, by their age
 
     def update(
         self, found: Estimate, axial_N: float, depth_m: float, dt_s: float, *, is_steady: bool
@@ -96,28 +93,29 @@ class RuptureCount:
         """Whether one more layer has been left; steady is the speed that is commanded."""
         if not math.isfinite(axial_N):
             return False
+        self._inside_s = self._inside_s + dt_s if found.in_contact else 0.0
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
-        self._slow_N -= math.expm1(-dt_s / _SLOW_S) * (self._force_N - self._slow_N)
-        off_N, weight = self._force_N - self._slow_N, min(dt_s / _LEARN_S, 1.0)
-        noise_N2 = (off_N - self._rise_N) ** 2
-        if noise_N2 > 9.0 * self._variance_N2:  # hardly noise
-            weight *= 0.1
-        self._rise_N += weight * (off_N - self._rise_N)
-        self._variance_N2 += weight * (noise_N2 - self._variance_N2)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
-        self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
-        if not (found.in_contact and is_steady):  # what falls then is the start of the motion
+        if not is_steady:  # what falls then is the start of the motion
             self._peak_N = self._force_N
-        before_N = self._peak_N if alarm is None else max(self._peak_N, alarm.force_N)
-        fall_N = before_N - self._force_N
-        noise_N = math.sqrt(self._variance_N2)
-        is_large = fall_N > max(_LARGE * before_N, _LARGE_N, _LARGE_SIGMAS * noise_N)
+        self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        self._block_s += dt_s
+        if self._block_s > 0.0:  # long enough after a rupture
+            self._newest_N = max(self._newest_N, self._peak_N - self._force_N)
+        self._ordinary_N *= math.exp(-dt_s / _PAST_S)
+        if self._block_s > _BLOCK_S:
+            self._ordinary_N = max(self._ordinary_N, self._newer_N)
+            self._block_s, self._newest_N, self._newer_N = 0.0, 0.0, self._newest_N
+        fall_N = max(self._peak_N, alarm.force_N if alarm else -math.inf) - self._force_N
+        is_large = fall_N > max(_LARGE * self._peak_N, _LARGE_N)
         is_likely = is_large or found.rupture_state is RuptureState.EXPECTED
-        is_rupture = alarm is not None or (is_steady and is_likely)
-        is_rupture &= found.in_contact and fall_N > _SIGMAS * noise_N
+        counts = alarm is not None or (is_likely and is_steady and self._inside_s > _FIRST_S)
+        least_N = (_BEYOND if alarm is None else 1.0) * self._ordinary_N
+        is_rupture = counts and found.in_contact and fall_N > least_N
         if not is_rupture or depth_m < self._last_m + _APART_M:
             return False
         self.count, self._last_m = self.count + 1, depth_m
+        self._block_s, self._newest_N, self._newer_N = -_RUPTURE_S, 0.0, 0.0
         return True
 
 
@@ -138,7 +136,9 @@ class InsertionProfile:
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
         self._program = [*(["approach"] if plan.approach_m > 0.0 else []), "tare", "insert"]
-        self._speed_m_s = self._from_m = self._last_s = self._asked_m = self._steady_s = 0.0
+        self._speed_m_s = self._from_m = self._last_s = self._asked_m = self._steady_s = (
+            self._step_s
+        ) = 0.0
         self._held_m: float | None = None  # where an insertion has ended
         self._is_slack = False
 
@@ -184,8 +184,8 @@ class InsertionProfile:
 
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        is_even = self._speed_m_s == self._plan.speed_m_s
-        self._steady_s = self._steady_s + dt_s if is_even else 0.0
+        is_even = self._speed_m_s == self._plan.speed_m_s and dt_s <= _GAP_STEPS * self._step_s
+        self._steady_s, self._step_s = self._steady_s + dt_s if is_even else 0.0, dt_s
         is_steady = self._steady_s > _SETTLED_S
         is_left = self._ruptures.update(found, axial_N, depth_m, dt_s, is_steady=is_steady)
         if is_left and self._ruptures.count == self._plan.layer:
