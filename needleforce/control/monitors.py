@@ -27,7 +27,7 @@ class SafetyLimits:
     lateral_N: float = 0.5  # force across the needle
     lateral_s: float = 0.04  # for which it may act; a force twice that limit, half as long
     free_N: float = 15.0  # change of the axial force in free air, where it may not be tared yet
-    lost_s: float = 0.007  # time of bad samples beyond that of valid ones
+    lost_s: float = 0.006  # time of bad samples beyond that of valid ones
     late_s: float = 0.03  # longest time without a sample
     refused_s: float = 0.005  # time of refused commands
     device_s: float = 0.05  # longest time without news of the haptic device in teleoperation
