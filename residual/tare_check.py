@@ -50,12 +50,12 @@ def check_free_of_contact(
             beside = FreeMotionFit(basis, blocks.part(kept), contact[kept], learn=False)
         entry = FreeMotionFit(basis, blocks, _growing_contact(at_prior, torque))
         seen = [beside.contact_N(axis), entry.contact_N(axis)]
-    seen = [(N, std) for N, std in seen if abs(N) > max(contact_force_N, SIGMAS * std)]
-    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=bool(seen))
-    if seen or cause:
-        force = "the sensor reads {:.2f} N along the needle where 0 +/- {:.2f} N is "
+    touch = [(N, std) for N, std in seen if abs(N) > max(contact_force_N, SIGMAS * std)]
+    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=bool(touch))
+    if touch or cause:
+        text = "the sensor reads {:.2f} N along the needle where 0 +/- {:.2f} N is expected in "
         raise TareError(
-            (force.format(*seen[0]) + "expected in free motion: " if seen else "")
+            (text.format(*touch[0]) + "free motion: " if touch else "")
             + (cause or "the needle seems to be in contact, or the payload is wrong")
             + ". Tare in free air, or ignore_contact=True if you know better"
         )
@@ -111,11 +111,11 @@ def _growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
     starts_s = age_s[np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int), 0]
     grown = np.maximum(age_s - starts_s, 0.0) / np.maximum(age_s[-1] - starts_s, 1e-9)
 
-    def gain(growth: Array) -> float:
-        known, evidence = fit.information_on(growth[:, None, None] * torque)
-        return float(evidence @ np.linalg.lstsq(known, evidence, rcond=1e-9)[0])
-
-    return max(grown.T, key=gain)[:, None, None] * torque
+    torques = grown[:, None, :, None] * torque[:, :, None]
+    known, seen = fit.information_on(torques.reshape(*torque.shape[:2], -1))
+    own = [slice(k, k + 3) for k in range(0, len(seen), 3)]
+    gains = [seen[k] @ np.linalg.lstsq(known[k, k], seen[k], rcond=1e-9)[0] for k in own]
+    return torques[:, :, int(np.argmax(gains))]
 
 
 def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:

@@ -25,12 +25,13 @@ _HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows i
 _NEAR_M = 2e-5  # So near to its end a motion has arrived
 _SMOOTH_S, _PEAK_S = 3e-3, 0.1  # Time constants: of the force, and of the memory of its last peak
 _BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
-"""Ordinary falls of the force are older than a block, and no rupture's; they are forgotten slowly.
-A heartbeat is ordinary once the needle has been in tissue for a second."""
-_LARGE, _LARGE_N, _BEYOND = 0.04, 0.1, 3.0
-"""A fall by so much of the force, in newtons, and in ordinary ones is a rupture, whatever the
-identification still waits for."""
-_GAP_STEPS = 2.5  # A step so many times the one before is a gap, in which an arm stops and starts
+"""Ordinary is the largest fall of the last seconds, without those newer than a block and of counted
+ruptures. A heartbeat is, once the needle has been in tissue for a second."""
+_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N = 0.04, 0.15, 0.1, 3.0, 0.03
+"""A fall by so much of the force, more before that second is over, in newtons, and by so many times
+the ordinary one is a rupture, whatever the identification waits for. Least falls of an alarm."""
+_GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
+"""A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
 _SETTLED_S = 0.1  # So long after its last change a command is steady: late forces fall until then
 
@@ -93,29 +94,31 @@ class RuptureCount:
         """Whether one more layer has been left; steady is the speed that is commanded."""
         if not math.isfinite(axial_N):
             return False
-        self._inside_s = self._inside_s + dt_s if found.in_contact else 0.0
+        self._inside_s = max(self._inside_s + (dt_s if found.in_contact else -dt_s), 0.0)
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
-        if not is_steady:  # what falls then is the start of the motion
+        if self._block_s < 0.0 or not is_steady:  # what falls then is that rupture, or the start
             self._peak_N = self._force_N
         self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
         self._block_s += dt_s
-        if self._block_s > 0.0:  # long enough after a rupture
-            self._newest_N = max(self._newest_N, self._peak_N - self._force_N)
+        seen_N = self._peak_N - self._force_N
+        self._newest_N = max(self._newest_N, seen_N if found.in_contact else min(seen_N, _LARGE_N))
         self._ordinary_N *= math.exp(-dt_s / _PAST_S)
         if self._block_s > _BLOCK_S:
             self._ordinary_N = max(self._ordinary_N, self._newer_N)
             self._block_s, self._newest_N, self._newer_N = 0.0, 0.0, self._newest_N
         fall_N = max(self._peak_N, alarm.force_N if alarm else -math.inf) - self._force_N
-        is_large = fall_N > max(_LARGE * self._peak_N, _LARGE_N)
-        is_likely = is_large or found.rupture_state is RuptureState.EXPECTED
-        counts = alarm is not None or (is_likely and is_steady and self._inside_s > _FIRST_S)
-        least_N = (_BEYOND if alarm is None else 1.0) * self._ordinary_N
+        is_known = self._inside_s > _FIRST_S
+        is_large = fall_N > max((_LARGE if is_known else _FIRST_LARGE) * self._peak_N, _LARGE_N)
+        is_likely = is_known and found.rupture_state is RuptureState.EXPECTED
+        is_likely |= is_large and self._inside_s > _RUPTURE_S + _BLOCK_S
+        least_N = max((_BEYOND if alarm is None else 1.0) * self._ordinary_N, _LEAST_N)
+        counts = alarm is not None or (is_likely and is_steady)
         is_rupture = counts and found.in_contact and fall_N > least_N
         if not is_rupture or depth_m < self._last_m + _APART_M:
             return False
         self.count, self._last_m = self.count + 1, depth_m
-        self._block_s, self._newest_N, self._newer_N = -_RUPTURE_S, 0.0, 0.0
+        self._block_s, self._newest_N, self._newer_N, self._inside_s = -_RUPTURE_S, 0.0, 0.0, 0.0
         return True
 
 
@@ -184,8 +187,11 @@ class InsertionProfile:
 
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        is_even = self._speed_m_s == self._plan.speed_m_s and dt_s <= _GAP_STEPS * self._step_s
-        self._steady_s, self._step_s = self._steady_s + dt_s if is_even else 0.0, dt_s
+        is_even = self._speed_m_s == self._plan.speed_m_s
+        self._steady_s = self._steady_s + dt_s if is_even else 0.0
+        if dt_s > max(_GAP_S, _GAP_STEPS * self._step_s):
+            self._steady_s = min(self._steady_s, _SETTLED_S - _FADE_S)
+        self._step_s += 0.02 * (dt_s - self._step_s)
         is_steady = self._steady_s > _SETTLED_S
         is_left = self._ruptures.update(found, axial_N, depth_m, dt_s, is_steady=is_steady)
         if is_left and self._ruptures.count == self._plan.layer:
