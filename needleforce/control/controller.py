@@ -50,15 +50,12 @@ class Controller:
 
     Args:
         robot: The arm; the z axis of its tool frame is the needle.
-        limits: What its joints may do.
+        limits: What its joints may do; `SettingError` for those of another robot.
         solve: Strict priority within limits; another one to compare with, not to move an arm.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample.
         last_rad_s: What was commanded last, shape (n,).
-
-    Raises:
-        SettingError: For limits of another robot.
     """
 
     def __init__(self, robot: Robot, limits: Limits, solve: Solver = hierarchical) -> None:

@@ -277,11 +277,8 @@ class Manager:
         """Ask for a transition; returns why it is refused, empty if it is not.
 
         Args:
-            event: One of `EVENTS`.
+            event: One of `EVENTS`; `SettingError` for any other.
             data: What the log should hold beside it; a ``reason`` shows in `Situation.reason`.
-
-        Raises:
-            SettingError: There is no such event.
         """
         if event == "arrived" and self._state is State.TARE:
             try:
