@@ -14,8 +14,8 @@ DT, SPEED_M_S = 1e-3, 5e-3
 TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSERTION}
 
 
-def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None):
-    rupture = None if alarm_N is None else SimpleNamespace(force_N=alarm_N)
+def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0):
+    rupture = None if alarm_N is None else SimpleNamespace(force_N=alarm_N, depth_m=alarm_m)
     return SimpleNamespace(in_contact=in_contact, rupture_state=state, rupture=rupture)
 
 
@@ -49,6 +49,15 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
     before_N, fall_N, how, count
 ):
     assert counted(before_N, fall_N, **how) == count
+
+
+def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
+    ruptures, left = RuptureCount(), []
+    for k in range(5000):
+        force_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
+        seen = found(alarm_N=2.0, alarm_m=0.015) if k == 4000 else found()
+        left.append(ruptures.update(seen, force_N, 5e-6 * k, DT, is_steady=True))
+    assert np.flatnonzero(left) == pytest.approx([3001], abs=5)
 
 
 def test_a_force_that_falls_behind_a_gap_is_no_rupture():

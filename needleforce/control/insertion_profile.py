@@ -115,7 +115,7 @@ class RuptureCount:
         least_N = max((_BEYOND if alarm is None else 1.0) * self._ordinary_N, _LEAST_N)
         counts = alarm is not None or (is_likely and is_steady)
         is_rupture = counts and found.in_contact and fall_N > least_N
-        if not is_rupture or depth_m < self._last_m + _APART_M:
+        if not is_rupture or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M:
             return False
         self.count, self._last_m = self.count + 1, depth_m
         self._block_s, self._newest_N, self._newer_N, self._inside_s = -_RUPTURE_S, 0.0, 0.0, 0.0
