@@ -38,8 +38,8 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
         (2.0, 1.0, {"steady": False, "alarm_N": 2.0}, 1),
         (2.0, 0.07, {}, 0),
         (2.0, 0.07, {"state": RuptureState.EXPECTED}, 1),
-        (2.0, 0.2, {"beat_N": 0.2}, 0),  # one heartbeat like those before
-        (2.0, 0.2, {"beat_N": 0.2, "state": RuptureState.EXPECTED}, 0),
+        (2.0, 0.0, {"beat_N": 0.2}, 0),  # heartbeats
+        (2.0, 0.1, {"beat_N": 0.2, "state": RuptureState.EXPECTED}, 0),
         (2.0, 1.0, {"beat_N": 0.2}, 1),
         (0.2, 0.07, {}, 0),  # an error of the force
         (0.2, 0.2, {"in_contact": False}, 0),  # the start of the motion

@@ -27,9 +27,9 @@ _SMOOTH_S, _PEAK_S = 3e-3, 0.1  # Time constants: of the force, and of the memor
 _BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
 """Ordinary is the largest fall of the last seconds, without those newer than a block and of counted
 ruptures. A heartbeat is, once the needle has been in tissue for a second."""
-_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N = 0.04, 0.15, 0.1, 3.0, 0.03
-"""A fall by so much of the force, more before that second is over, in newtons, and by so many times
-the ordinary one is a rupture, whatever the identification waits for. Least falls of an alarm."""
+_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.04, 0.15, 0.1, 2.0, 0.03, 1.5e-3
+"""A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
+one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
 _GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
 """A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
@@ -85,7 +85,7 @@ class RuptureCount:
 
     def __init__(self) -> None:
         self.count, self._last_m, self._inside_s = 0, -math.inf, 0.0
-        self._force_N = self._peak_N = self._block_s = 0.0
+        self._force_N = self._peak_N = self._block_s = self._fallen_s = 0.0
         self._newest_N = self._newer_N = self._ordinary_N = 0.0  # largest falls, by their age
 
     def update(
@@ -112,9 +112,10 @@ class RuptureCount:
         is_large = fall_N > max((_LARGE if is_known else _FIRST_LARGE) * self._peak_N, _LARGE_N)
         is_likely = is_known and found.rupture_state is RuptureState.EXPECTED
         is_likely |= is_large and self._inside_s > _RUPTURE_S + _BLOCK_S
-        least_N = max((_BEYOND if alarm is None else 1.0) * self._ordinary_N, _LEAST_N)
-        counts = alarm is not None or (is_likely and is_steady)
-        is_rupture = counts and found.in_contact and fall_N > least_N
+        is_likely &= is_steady and fall_N > max(_BEYOND * self._ordinary_N, _LEAST_N)
+        self._fallen_s = self._fallen_s + dt_s if is_likely else 0.0
+        is_alarm = alarm is not None and fall_N > max(self._ordinary_N, _LEAST_N)
+        is_rupture = found.in_contact and (is_alarm or self._fallen_s > _LASTS_S)
         if not is_rupture or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M:
             return False
         self.count, self._last_m = self.count + 1, depth_m
@@ -187,8 +188,7 @@ class InsertionProfile:
 
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        is_even = self._speed_m_s == self._plan.speed_m_s
-        self._steady_s = self._steady_s + dt_s if is_even else 0.0
+        self._steady_s = (self._steady_s + dt_s) * (self._speed_m_s == self._plan.speed_m_s)
         if dt_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._steady_s = min(self._steady_s, _SETTLED_S - _FADE_S)
         self._step_s += 0.02 * (dt_s - self._step_s)
