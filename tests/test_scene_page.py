@@ -263,6 +263,24 @@ def test_a_recording_that_cannot_be_tared_is_said_so(
     assert "ignore_contact" not in warned
 
 
+def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
+    from needleforce.cli.live_commands import ViewOptions
+    from needleforce.cli.live_view import replayed
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+    from needleforce.recordings.table import Labels
+
+    model, order, table = load_lwr(), [3, 1, 0, 2, 6, 5, 4], signal_table(short_run())
+    signals = {name: table[name][:1001] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+    turned = {name: v[:, order] if v.ndim == 2 else v for name, v in signals.items()}
+    names = tuple(model.joint_names[k] for k in order)
+    write_table(tmp_path / "a.mcap", signals, labels=Labels(joint_names=model.joint_names))
+    write_table(tmp_path / "b.mcap", turned, labels=Labels(joint_names=names))
+    one, other = (replayed(tmp_path / name, model, ViewOptions()) for name in ("a.mcap", "b.mcap"))
+    assert len(one) > 90
+    assert np.array_equal(one, other, equal_nan=True)
+
+
 def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
     monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
     assert (
