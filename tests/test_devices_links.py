@@ -1,7 +1,10 @@
 """Arms, force sensors and haptic devices against emulators in processes of their own."""
 
+import io
 import json
+import signal
 import socket
+import threading
 import time
 from functools import partial
 from http.client import IncompleteRead
@@ -30,6 +33,7 @@ from needleforce.devices.emulators import (
     emulate_rdt,
 )
 from needleforce.devices.proxy import LOOPBACK
+from needleforce.recordings import read_log
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
@@ -115,6 +119,52 @@ def test_an_arm_from_which_nothing_comes_is_said_so(command, tmp_path, monkeypat
     said = capsys.readouterr().err.splitlines()
     assert said[-1].startswith("error: no sample came from fri:0 (1 outages): expected one per")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
+    arm = FriArm(port=0, wait_s=0.05, give_up_s=0.3)
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.sendto(measurement(count=5), arm.address)
+        samples, begin_s = iter(arm), time.monotonic()
+        assert next(samples).missed == 0
+        is_over = threading.Event()
+
+        def flood():
+            while not is_over.wait(0.01):
+                box.sendto(bytes(900), arm.address)
+                box.sendto(measurement(count=5), arm.address)
+
+        threading.Thread(target=flood, daemon=True).start()
+        assert list(samples) == []
+        is_over.set()
+        assert 0.3 <= time.monotonic() - begin_s < 0.3 + PATIENCE_S
+    assert min(arm.report.malformed, arm.report.stale) > 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("sends", [False, True])
+def test_a_signal_ends_a_recording_whether_or_not_something_comes(
+    number, sends, tmp_path, monkeypatch, capsys
+):
+    path, arm = tmp_path / "x.mcap", FriArm(port=0, give_up_s=PATIENCE_S)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def ask():
+        with socket.socket(type=socket.SOCK_DGRAM) as box:
+            for count in range(1, 701 if sends else 1):
+                box.sendto(measurement(count=count), arm.address)
+                time.sleep(1e-3)
+        time.sleep(0.5)
+        signal.pthread_kill(threading.main_thread().ident, number)
+
+    asking = threading.Thread(target=ask)
+    monkeypatch.setattr("needleforce.cli.live.FriArm", lambda **_: asking.start() or arm)
+    code = main(["record", "fri:0", "-o", str(path)])
+    asking.join()
+    signal.signal(signal.SIGINT, before)
+    assert code == (0 if sends else 2)
+    assert (f" s in {path}" if sends else "error: no sample came from") in capsys.readouterr().err
+    assert not sends or len(read_log(path)) == arm.report.used > 350
 
 
 def test_commands_that_cannot_be_are_refused():
@@ -246,6 +296,26 @@ def test_a_page_that_breaks_off_names_no_counts(monkeypatch):
         rdt.read_scale("http://127.0.0.1/")
 
 
+@pytest.mark.parametrize(
+    ("force", "torque", "why"),
+    [
+        ("N", "N-m", None),
+        ("", "Nm", "counts per '' under <scalfu>, expected N"),
+        ("lbf", "lbf-in", "counts per 'lbf' under <scalfu>, expected N: set the sensor to it"),
+        ("N", "N-mm", "counts per 'N-mm' under <scaltu>, expected Nm"),
+    ],
+)
+def test_counts_per_other_units_are_refused(force, torque, why, monkeypatch):
+    page = f"<netft><scalfu>{force}</scalfu><scaltu>{torque}</scaltu>"
+    page += "<calcpf>1000</calcpf><calcpt>2000</calcpt></netft>"
+    monkeypatch.setattr(rdt, "urlopen", lambda *_, **__: io.BytesIO(page.encode()))
+    if why is None:
+        assert rdt.read_scale("http://127.0.0.1/") == (1000.0, 2000.0)
+        return
+    with pytest.raises(LinkError, match=why):
+        rdt.read_scale("http://127.0.0.1/")
+
+
 def test_a_sensor_that_reports_a_fault_gives_no_force():
     record = np.zeros(1, rdt.RECORD)
     with socket.socket(type=socket.SOCK_DGRAM) as box:
@@ -286,8 +356,6 @@ def test_a_haptic_device_moves_and_is_felt():
 
 def test_what_a_haptic_service_should_not_send_is_counted():
     server = pytest.importorskip("websockets.sync.server")
-    import threading
-
     from needleforce.devices import HaplyMaster
 
     place = {"x": 0, "y": 0, "z": 1}

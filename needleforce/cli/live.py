@@ -1,11 +1,13 @@
 """`needleforce record` and `needleforce live`: an arm's joint signals into a file, or watched."""
 
+import signal
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from needleforce.cli.live_commands import LiveOptions, WatchOptions
 from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
+from needleforce.cli.terminal import CommandError, handled, progress_bar, say, write_out
 from needleforce.devices import ArmSample, FrankaArm, FriArm, ReplayArm, UrArm, paced
 from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
@@ -74,12 +76,34 @@ def arm_named(
         yield arm, robot
 
 
+@contextmanager
+def _stop_request(arm: Any) -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C, SIGTERM or SIGHUP came; the first ends the samples, two interrupt.
+
+    It ends them also while nothing comes.
+    """
+    is_asked = False
+
+    def hear(_number: int, _frame: FrameType | None) -> None:
+        nonlocal is_asked
+        if is_asked:
+            raise KeyboardInterrupt
+        is_asked = True
+        arm.end()
+
+    with ExitStack() as handlers:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                handlers.enter_context(handled(number, hear))
+        yield lambda: is_asked
+
+
 def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
-    """Samples until the time is over, the arm stays away, or Ctrl-C."""
+    """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or SIGHUP."""
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
     passed_s = 0.0
-    with stop_request() as is_asked:
+    with _stop_request(arm) as is_asked:
         for sample in paced(arm) if isinstance(arm, ReplayArm) else arm:
             passed_s += sample.dt_s
             yield sample

@@ -35,7 +35,7 @@ def run_command(work: Callable[[], int]) -> int:
         raise _Terminated
 
     try:
-        with _handled(signal.SIGTERM, end):
+        with handled(signal.SIGTERM, end):
             code = work()
             write_out("")
         return code
@@ -70,7 +70,7 @@ def _explained(error: BaseException) -> str:
 
 
 @contextmanager
-def _handled(number: int, handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def handled(number: int, handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Let a handler have a signal while the block runs; only a process's first thread may."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -93,7 +93,7 @@ def stop_request() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         is_pressed = True
 
-    with _handled(signal.SIGINT, hear):
+    with handled(signal.SIGINT, hear):
         yield lambda: is_pressed
 
 

@@ -135,13 +135,9 @@ class Emulator(AbstractContextManager["Emulator"]):
         self._pipe.send("stop")
         return self.counts()
 
-    def close(self) -> None:
-        """Kill it, if it still runs."""
+    def __exit__(self, *error: object) -> None:
         self._process.kill()
         self._process.join()
-
-    def __exit__(self, *error: object) -> None:
-        self.close()
 
 
 def _run(pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[Any, ...]) -> None:

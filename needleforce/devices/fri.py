@@ -116,7 +116,7 @@ class FriArm(DatagramLink):
             port: The port set in its configuration; 0 for any free one, see `address`.
             peer: Address of the controller; others are dropped. None: whoever is valid first.
             wait_s: A silence longer than this counts as an outage.
-            give_up_s: After so long a silence the samples end.
+            give_up_s: After so long without a valid measurement the samples end.
             robot: Kept as `robot`.
 
         Raises:
@@ -141,18 +141,17 @@ class FriArm(DatagramLink):
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come, each answered already."""
-        silent_s = 0.0
-        while self._is_open and silent_s < self._give_up_s:
+        heard_s, is_silent = monotonic(), False
+        while self._is_open and monotonic() - heard_s < self._give_up_s:
             data = self._receive(self._wait_s)
             if data is None:
-                self.report.outages += silent_s == 0.0
-                silent_s += self._wait_s
-                self.state = State.OFF
+                self.report.outages += not is_silent
+                is_silent, self.state = True, State.OFF
                 self.peer = None  # after an outage it may come back on another port
                 continue
             for sample in self._answered(data):
-                silent_s = 0.0
                 yield sample
+                heard_s, is_silent = monotonic(), False
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Joint velocity for the coming cycles [rad/s], shape (7,).

@@ -141,7 +141,11 @@ def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) 
                 sample = master.read()
                 counts["cycles"] += 1
                 if sample is not None:
-                    link.send(json.dumps(_state(sample.position_m, sample.velocity_m_s)))
+                    at, to = sample.position_m.tolist(), sample.velocity_m_s.tolist()
+                    values = {"cursor_position": at, "cursor_velocity": to}
+                    state = {k: dict(zip(AXES, v, strict=True)) for k, v in values.items()}
+                    device = {"device_id": "emulated", "state": state}
+                    link.send(json.dumps({"inverse3": [device]}))
                 due_s += period_s
                 # The device goes on with its last force when no new one comes in time.
                 with suppress(TimeoutError):
@@ -155,9 +159,3 @@ def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) 
         threading.Thread(target=server.serve_forever, daemon=True).start()
         pipe.poll(None)
     return {**counts, "port_energy_J": master.port_energy_J}
-
-
-def _state(position_m: np.ndarray, velocity_m_s: np.ndarray) -> dict[str, Any]:
-    values = {"cursor_position": position_m, "cursor_velocity": velocity_m_s}
-    state = {name: dict(zip(AXES, v.tolist(), strict=True)) for name, v in values.items()}
-    return {"inverse3": [{"device_id": "emulated", "state": state}]}

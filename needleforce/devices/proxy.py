@@ -129,9 +129,13 @@ class Link:
     def __init__(self) -> None:
         self.report, self._is_open = LinkReport(), True
 
+    def end(self) -> None:
+        """Let the samples end, at the latest with the present wait; a signal handler may."""
+        self._is_open = False
+
     def close(self) -> None:
         """End the connection, and with it the samples."""
-        self._is_open = False
+        self.end()
 
     def __enter__(self) -> Self:
         return self

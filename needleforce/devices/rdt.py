@@ -39,7 +39,7 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     """Ask the sensor's page of its calibration for its counts.
 
     Raises:
-        LinkError: The page cannot be read or names no counts.
+        LinkError: The page cannot be read, names no counts, or counts per another unit than SI.
     """
     try:
         with urlopen(url, timeout=timeout_s) as reply:
@@ -47,12 +47,15 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
         raise LinkError(f"no counts per newton from {url}: {error}; is it the sensor?") from error
     numbers = []
-    for name in ("calcpf", "calcpt"):
-        text = tree.findtext(f".//{name}")
+    for name, unit_name, si in (("calcpf", "scalfu", "N"), ("calcpt", "scaltu", "Nm")):
+        text, unit = (tree.findtext(f".//{each}") for each in (name, unit_name))
         try:
             numbers.append(float(text or ""))
         except ValueError:
             raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
+        if unit is not None and unit.strip().replace("-", "") != si:
+            what = f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected {si}"
+            raise LinkError(f"{what}: set the sensor to it, or give scale=Scale(per_N, per_Nm)")
     return Scale(*numbers)
 
 
