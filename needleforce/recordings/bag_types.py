@@ -27,7 +27,7 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
-_CHUNK_BYTES = 1 << 20  # of a bag that is written
+_CHUNK_BYTES = 1 << 16  # of a bag that is written: who follows it sees rows so many at a time
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -238,7 +238,7 @@ class McapWriter:
     """
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        self._types, self._labels = standard_types(), labels
+        self._types, self._labels, self._stream = standard_types(), labels, stream
         self._channels: dict[str, int] = {}
         library = optional_library("mcap.writer", "MCAP files")
         self._bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
@@ -269,6 +269,7 @@ class McapWriter:
         for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
             for (channel, kind), message in zip(places, messages, strict=True):
                 self._bag.add_message(channel, stamp_ns, serialize(message, kind), stamp_ns)
+        self._stream.flush()  # for readers of a file that grows
 
     def finish(self) -> None:
         """Write the index."""

@@ -76,11 +76,10 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, writer = "standard output", CsvWriter
-        file = nullcontext(sys.stdout.buffer)
+        name, writer, file = "standard output", CsvWriter, nullcontext(sys.stdout.buffer)
     else:
         name, writer = str(path), _find_writer(Path(path))
-        file = whole_file(path, is_in_place=is_live and Path(path).suffix.lower() == ".csv")
+        file = whole_file(path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap")))
     with ExitStack() as files:
         table = OpenTable(lambda: writer(files.enter_context(file), labels()), name)
         yield table
