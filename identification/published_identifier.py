@@ -370,7 +370,9 @@ def _identify(
         friction_identified=drop > 0.0,
         friction_N=damping * rupture.speed_m_s,
     )
-    windows = less_viscous_windows(np.vstack((state.windows, state.tracker.window)), damping)
+    windows = np.vstack((state.windows, state.tracker.window))
+    windows[:, _OF_FORCE] -= damping * windows[:, _OF_SPEED]  # as if its friction were not felt
+    windows.setflags(write=False)
     fresh = _fresh_rls(config)[2:]
     rls = (*rerun_windows(windows, (fresh[0], fresh[2])), *fresh)
     window: Any = tuple(windows[-1].tolist())
@@ -395,14 +397,6 @@ def append_window(windows: Array, sums: Sums, most: int) -> Array:
         grown = np.concatenate((grown[0:even:2] + grown[1:even:2], grown[even:]))
     grown.setflags(write=False)
     return grown
-
-
-def less_viscous_windows(windows: Array, damping_Ns_per_m: float) -> Array:
-    """Windows as if ``damping_Ns_per_m * v`` had been subtracted from every force sample."""
-    corrected = windows.copy()
-    corrected[:, _OF_FORCE] -= damping_Ns_per_m * windows[:, _OF_SPEED]
-    corrected.setflags(write=False)
-    return corrected
 
 
 @compiled

@@ -212,8 +212,8 @@ def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
 
 def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     path = tmp_path / "x.mcap"
-    force_N = np.random.default_rng(0).normal(size=50_000)
-    write_table(path, {"t_s": np.arange(50_000) / 1000, "force_N": force_N})
+    q_rad = np.random.default_rng(0).normal(size=(5000, 7))
+    write_table(path, {"t_s": np.arange(5000) / 1000, "q_rad": q_rad})
     whole, data = len(read_log(path)), bytearray(path.read_bytes())
     data[len(data) * 6 // 10] ^= 1
     path.write_bytes(data)

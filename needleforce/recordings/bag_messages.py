@@ -5,6 +5,7 @@ import io
 import re
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from itertools import chain
 from operator import attrgetter
 from pathlib import Path
@@ -108,16 +109,12 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
         stream = lz4.open(io.BytesIO(packed))
     else:
         raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
-    parts: list[bytes] = []
-    total = 0
-    try:
+    found = bytearray()
+    with suppress(zstd.ZstdError, RuntimeError, EOFError):
         # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
-        while total <= size and (part := stream.read(1 << 16)):
-            parts.append(part)
-            total += len(part)
-    except (zstd.ZstdError, RuntimeError, EOFError):
-        pass
-    return b"".join(parts)
+        while len(found) <= size and (part := stream.read(1 << 16)):
+            found += part
+    return bytes(found)
 
 
 MAGIC = b"\x89MCAP0\r\n"

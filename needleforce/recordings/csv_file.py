@@ -138,8 +138,9 @@ class _CsvRows:
         return line.split(self._delimiter)
 
     def table(self) -> Table:
-        """Return the rows that wait as a table; the first reports which columns are left out."""
-        rows, width = [row for _, row in self.rows], len(self.names)
+        """Return waiting rows as a table; the first `HEAD_ROWS` say which columns are left out."""
+        taken = self.rows if self._is_chosen else self.rows[:HEAD_ROWS]
+        rows, width = [row for _, row in taken], len(self.names)
         try:
             values = np.loadtxt(rows, delimiter=self._delimiter, comments=None, ndmin=2)
         except ValueError:
@@ -147,7 +148,7 @@ class _CsvRows:
         if values.shape[1] != width:
             # Cell by cell is slower, but it can say what is wrong.
             found = []
-            for n, row in self.rows:
+            for n, row in taken:
                 cells = self._split_row(row)
                 if len(cells) == width:
                     found.append(self._values(n, cells))
@@ -166,7 +167,7 @@ class _CsvRows:
             whole = [row[self.names.index(name)] for row in cells if len(row) == width]
             with suppress(ValueError, OverflowError):  # some are no whole numbers
                 columns[name] = np.array([int(cell) for cell in whole], dtype=np.int64)
-        self.rows = []
+        self.rows = self.rows[len(taken) :]
         return Table(columns=columns, start_ns=self._start_ns, warnings=warnings)
 
     def _split_row(self, row: str) -> list[str]:
@@ -252,7 +253,7 @@ def csv_tables(
     try:
         for batch in lines:
             rows.add(batch)
-            if len(rows.rows) >= (HEAD_ROWS if is_first else 1):
+            while len(rows.rows) >= (HEAD_ROWS if is_first else 1):
                 yield rows.table()
                 is_first, read_until = False, lines.size
             waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)

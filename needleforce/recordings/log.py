@@ -25,6 +25,7 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
 from needleforce.recordings.table import (
+    HEAD_ROWS,
     NS_PER_S,
     FloatArray,
     RowClock,
@@ -279,12 +280,14 @@ class LogStream:
         for name in (*self._required, *optional):
             channel, spec = CHANNELS[name], self._mapping.channels.get(name)
             source = _find_source(table, channel, spec)
+            is_wanted = name in self._required or spec is not None
             if source is None:
                 missing += [channel] * (name in self._required)
-            elif name in self._required or spec or np.isfinite(source.read(table)).any():
+            elif is_wanted or np.isfinite(source.read(table)[:HEAD_ROWS]).any():
                 self._sources[channel.key] = source
             else:
-                self._report((f"{name}: its columns hold no finite value and were left out",))
+                what = "hold no finite value in the first rows and were left out"
+                self._report((f"{name}: its columns {what}",))
         if missing:
             channel, *others = missing
             also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
