@@ -4,7 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
-from bag_samples import insertion_rows, write_bag
+from bag_samples import insertion_rows, mapped, write_bag
 
 from needleforce.recordings import (
     CHANNELS,
@@ -33,10 +33,6 @@ JOINTS = ("q", "dq", "tau")
 def table_of(*names, **two_dimensional):
     columns = {name: np.full(3, float(i)) for i, name in enumerate(names)}
     return Table(columns={**columns, **two_dimensional})
-
-
-def found(table, pattern):
-    return [name for name, _ in find_columns(table, pattern)]
 
 
 def detected(table, channel):
@@ -101,7 +97,7 @@ def test_a_pattern_gives_columns_in_the_order_of_their_numbers(pattern, names):
         *("q3", "q1", "q2", "a", "k10", "k08", "k09", "/j10/effort", "/j9/effort", "odd*name"),
         wrench=np.arange(18.0).reshape(3, 6),
     )
-    assert found(table, pattern) == names
+    assert [name for name, _ in find_columns(table, pattern)] == names
 
 
 @pytest.mark.parametrize(
@@ -191,9 +187,8 @@ def test_a_mapping_is_a_copy_and_spells_units_one_way():
     ],
 )
 def test_a_mapping_that_contradicts_itself_is_refused(channels, rate_hz, message):
-    channels = {name: ColumnSpec(columns=columns) for name, columns in channels.items()}
     with pytest.raises(MappingError, match=message):
-        ColumnMapping(channels=channels, rate_hz=rate_hz)
+        mapped(rate_hz, **channels)
 
 
 def test_toml_gives_columns_units_scales_and_rate(tmp_path):
@@ -264,10 +259,10 @@ def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
     write_table(path, {"t_s": np.arange(50) / 1000, **columns})
     mapping = from_toml(tmp_path, suggest_mapping(path, JOINTS))
     assert set(mapping.channels) >= set(JOINTS)
-    plain, mapped = (read_log(path, given, required=JOINTS) for given in (None, mapping))
-    np.testing.assert_array_equal(plain.t_s, mapped.t_s)
+    plain, same = (read_log(path, given, required=JOINTS) for given in (None, mapping))
+    np.testing.assert_array_equal(plain.t_s, same.t_s)
     for name in plain.channels:
-        np.testing.assert_array_equal(plain[name], mapped[name])
+        np.testing.assert_array_equal(plain[name], same[name])
 
 
 def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
@@ -281,18 +276,23 @@ def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
     assert "# columns = " in text.split("# [dq]")[1]
     topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
     assert f"#   /joint_states: {topic}" in text.splitlines()
+    kept = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
+    text = suggest_mapping(folder, JOINTS, mapping=ColumnMapping(**kept), joints=("a", "b", "c"))
+    assert tomllib.loads(text).items() >= kept.items()
     text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
     assert "# The robot calls them: x, y, z" in text.splitlines()
 
 
 def test_a_suggested_mapping_takes_units_and_what_is_known(tmp_path):
     path = tmp_path / "log.csv"
-    path.write_text("time_ms,depth_mm,force,Kraft\n0,1,2,3\n1,2,3,4\n", encoding="utf-8")
-    known = ColumnMapping(channels={"force": ColumnSpec(columns="Kraft", scale=-1.0)})
-    text = suggest_mapping(path, ("depth", "force"), mapping=known)
+    names = "time_ms,depth_mm,force,Kraft,a_deg,b_rad"
+    path.write_text(f"{names}\n0,1,2,3,4,5\n1,2,3,4,5,6\n", encoding="utf-8")
+    known = mapped(force=ColumnSpec(columns="Kraft", scale=-1.0), q=("a_deg", "b_rad"))
+    text = suggest_mapping(path, ("depth", "force", "q"), mapping=known)
     content = tomllib.loads(text)
     assert content["depth"]["unit"] == "mm"
     assert content["time"]["unit"] == "ms"
+    assert content["q"] == {"columns": ["a_deg", "b_rad"], "scale": 1.0}
     assert content["force"] == {"columns": "Kraft", "unit": "N", "scale": -1.0}
     assert 'unit = "N"  # assumed; of N, mN' in text.splitlines()
     with pytest.raises(FileAccessError, match="cannot read the mapping"):

@@ -264,11 +264,11 @@ def test_types_of_other_writers_become_numbers(path):
     )
 
 
-@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
-def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(path, unit):
+@pytest.mark.parametrize(("unit", "name"), [("ns", "time"), ("us", "stamp_ns"), ("ms", "time_ms")])
+def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(path, unit, name):
     stamps = np.array([1_700_000_000_123, 1_700_000_000_124, "NaT"], dtype="M8[ms]")
     stamps = stamps.astype(f"M8[{unit}]")
-    pq.write_table(pa.table({"time": pa.array(stamps), "f": [1.0, 2.0, 3.0]}), path)
+    pq.write_table(pa.table({name: pa.array(stamps), "f": [1.0, 2.0, 3.0]}), path)
     log = read_log(path)
     assert log.t_s.tolist() == [0.0, 0.001]
     assert log.start_ns == 1_700_000_000_123_000_000

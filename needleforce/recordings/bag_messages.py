@@ -204,11 +204,10 @@ class _McapReader:
             if (message := self._message(data)) is not None:
                 yield message
             return
-        kind = _PARSED.get(opcode)
-        if kind is None:
+        if opcode not in _PARSED:
             return
         try:
-            record = getattr(self._library, kind).read(self._stream(io.BytesIO(data)))
+            record = getattr(self._library, _PARSED[opcode]).read(self._stream(io.BytesIO(data)))
         except Exception:
             # Damaged bytes end in whatever the parser runs into.
             self._faults += ["has a damaged record"] * is_whole

@@ -132,7 +132,7 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
 
 def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     columns: dict[str, np.ndarray] = {}
-    warnings, types = [], arrow.types
+    warnings, types, seconds = [], arrow.types, frozenset[str]()
     start_ns = int((file.schema_arrow.metadata or {}).get(START_KEY.encode(), 0))
     for name in file.schema_arrow.names if file.metadata.num_rows else ():
         cells = file.read(columns=[name]).column(0).combine_chunks()
@@ -143,6 +143,7 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
             if is_known.any():
                 start_ns = start_ns or start_of_clock(int(stamps_ns[is_known][0]))
             columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
+            seconds |= {name}
             continue
         try:
             if types.is_string(cells.type) or types.is_large_string(cells.type):
@@ -156,7 +157,7 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     if not columns:
         left_out = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
-    return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns)
+    return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds)
 
 
 class ParquetWriter:

@@ -11,7 +11,6 @@ import numpy as np
 from needleforce.recordings.channels import (
     CHANNELS,
     Channel,
-    detect_columns,
     find_columns,
     parse_column_name,
     width_of,
@@ -23,7 +22,7 @@ from needleforce.recordings.errors import (
     MappingError,
     require_size,
 )
-from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, mapped_columns
+from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, channel_columns
 from needleforce.recordings.table import (
     HEAD_ROWS,
     NS_PER_S,
@@ -106,9 +105,9 @@ class _Source(NamedTuple):
 def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Source | None:
     """Find a channel in a table; None if no name looks like it.
 
-    The unit is the specification's, else the one in each column's name, else SI.
+    The unit is the specification's, else that in each column's name, else SI; see `Table.seconds`.
     """
-    found = detect_columns(table, channel) if spec is None else mapped_columns(table, spec)
+    found = channel_columns(table, channel, spec)
     spec = spec or ColumnSpec(columns=channel.name)
     if not found:
         return None
@@ -123,7 +122,8 @@ def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _So
         raise MappingError(
             f"{channel.name}: {scales.size} scale factors for {width} columns; give one or {width}"
         )
-    units = [spec.unit or parse_column_name(name, channel.units).unit for name in columns]
+    named = (spec.unit or parse_column_name(name, channel.units).unit for name in columns)
+    units = ["s" if c in table.seconds else unit for c, unit in zip(columns, named, strict=True)]
     si = np.array([channel.units[unit or channel.si_unit] for unit in units])
     return _Source(channel, columns, np.repeat(si, widths) * scales, all(units))
 

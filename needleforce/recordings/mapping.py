@@ -211,7 +211,7 @@ class ChannelRequest:
         # Mapped channels first: the topics they choose decide where others would be ambiguous.
         for name in dict.fromkeys((*mapped, *names)):
             if (spec := self.mapping.channels.get(name)) is not None:
-                found = mapped_columns(table, spec)
+                found = channel_columns(table, CHANNELS[name], spec)
             else:
                 found = self._detected(table, name, needed)
             if not found and name in self.required:
@@ -239,8 +239,10 @@ class ChannelRequest:
             raise
 
 
-def mapped_columns(table: Table, spec: ColumnSpec) -> Found:
-    """Return the columns that a specification names; `ColumnError` if one is not there."""
+def channel_columns(table: Table, channel: Channel, spec: ColumnSpec | None) -> Found:
+    """Return the columns that a specification names, else those of usual names; `ColumnError`."""
+    if spec is None:
+        return detect_columns(table, channel)
     return [column for pattern in spec.patterns for column in find_columns(table, pattern)]
 
 
@@ -273,7 +275,7 @@ def _channel_text(
 ) -> list[str]:
     reason = f"not found; {channel.meaning}"
     try:
-        found = detect_columns(table, channel) if spec is None else mapped_columns(table, spec)
+        found = channel_columns(table, channel, spec)
     except ColumnError as error:
         if spec is not None:
             raise
@@ -283,13 +285,14 @@ def _channel_text(
         return [comment_line(reason), *(f"# {line}" for line in lines)]
     names = [name for name, _ in found]
     used |= set(names)
-    units = {parse_column_name(name, channel.units).unit for name in names}
-    unit = (spec and spec.unit) or (units.pop() if len(units) == 1 else None)
-    source = "of" if unit else "assumed; of"
+    units = {(spec and spec.unit) or parse_column_name(name, channel.units).unit for name in names}
+    unit = units.pop() if len(units) == 1 else None
+    of = f"{'of' if unit else 'assumed; of'} {', '.join(channel.units)}"
+    unit_line = f"unit = {json.dumps(unit or channel.si_unit)}  # {of}"
     return [
         f"[{channel.name}]  # {channel.meaning}",
         f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
-        f"unit = {json.dumps(unit or channel.si_unit)}  # {source} {', '.join(channel.units)}",
+        "# No unit for all: they are those of the names." if units else unit_line,
         f"scale = {json.dumps(spec.scale if spec else 1.0)}  # -1.0 turns the sign"
         + (", or one for each joint" * channel.per_joint),
     ]

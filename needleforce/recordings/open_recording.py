@@ -9,7 +9,6 @@ from tempfile import TemporaryDirectory
 
 from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bag_reader import Bag, bag_tables, survey
-from needleforce.recordings.channels import CHANNELS, detect_columns
 from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
@@ -187,39 +186,41 @@ def suggest_mapping(
     """
     known, names = mapping or ColumnMapping(), list(channels)
     lines = [comment_line(f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"), ""]
+    lines += [f"rate_hz = {known.rate_hz}", ""] if known.rate_hz is not None else []
+    is_time_wanted = "time" in known.channels
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
         bag = Bag(Path(source))
         survey(bag)
         table = bag.table()
-        lines += ["# Topics:"]
-        lines += [comment_line(f"  {topic.describe()}") for topic in bag.topics.values()]
-        lines += [*map(comment_line, bag.warnings), "", *_bag_head(bag, table, names, joints)]
+        lines += ["# Topics:", *(comment_line(f"  {t.describe()}") for t in bag.topics.values())]
+        lines += [*map(comment_line, bag.warnings), ""]
+        lines += _bag_head(bag, table, names, joints, known)
     else:
-        table = next(stream_tables(source, FollowOptions()))
-        if known.rate_hz is None:
-            names = ["time", *names]
-        else:
-            lines += [f"rate_hz = {known.rate_hz}", ""]
+        table, is_time_wanted = next(stream_tables(source, FollowOptions())), known.rate_hz is None
     lines += [*payload, ""] if payload else []
+    names = ["time", *names] if is_time_wanted else names
     return "\n".join([*lines, *mapping_text(table, names, known)])
 
 
-def _bag_head(bag: Bag, table: Table, channels: Sequence[str], joints: Sequence[str]) -> list[str]:
-    """Say whose messages are the rows, and the order of joints."""
+def _bag_head(
+    bag: Bag, table: Table, channels: Sequence[str], joints: Sequence[str], known: ColumnMapping
+) -> list[str]:
+    """Say whose messages are the rows, and the order of joints; what is known stays."""
     columns: set[str] = set()
     for name in channels:
         with suppress(ColumnError):  # several would fit, which the mapping will say
-            columns |= {column for column, _ in detect_columns(table, CHANNELS[name])}
+            columns |= ChannelRequest(known, optional=(name,)).columns(table) or set()
     topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
     if not topics:
         return []
+    reference = known.reference_topic or max(topics, key=lambda topic: topic.count).name
     lines = [
         "# Rows are the messages of this topic; others are interpolated to its time stamps.",
-        f"reference_topic = {json.dumps(max(topics, key=lambda topic: topic.count).name)}",
+        f"reference_topic = {json.dumps(reference)}",
     ]
     here = list(dict.fromkeys(joint for topic in topics for joint in topic.joint_names))
     if here:
-        order = joints if joints and set(joints) <= set(here) else here
+        order = known.joints or (joints if joints and set(joints) <= set(here) else here)
         lines.append("# Joints in the order of the robot; they are found by these names.")
         if list(order) != list(joints) and joints:
             lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))

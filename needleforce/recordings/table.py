@@ -31,6 +31,7 @@ class Table:
     warnings: tuple[str, ...] = ()  # what the reader had to leave out or guess
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of (n, k) columns
     start_ns: int = 0
+    seconds: frozenset[str] = frozenset()  # columns of time stamps, whatever unit the name says
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
