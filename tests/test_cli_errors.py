@@ -29,6 +29,7 @@ def folder(lwr, tmp_path_factory):
     write_insertion(folder / "no_torque.csv", lwr, seconds=0.1, only=("t_s", "q_rad"))
     columns = {"t_s": [0.0, 0.001], "q_rad": [[0.0] * 6] * 2, "tau_Nm": [[0.0] * 6] * 2}
     write_table(folder / "six.csv", columns)
+    (folder / "sub").mkdir()
     for name, text in FILES.items():
         (folder / name).write_text(text)
     return folder
@@ -47,6 +48,7 @@ FILES = {
     "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "three.toml": "payload = 3",
+    "sub/map.toml": 'payload = "heavy.toml"',
 }
 
 LOGS = {
@@ -67,6 +69,7 @@ OPTIONS = {
     "--q q_rad_{1..6}": "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS",
     "--mapping missing.toml": "cannot read the mapping",
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
+    "--mapping sub/map.toml": "cannot read the payload file sub/heavy.toml",
     "--rate -5": "rate_hz = -5",
     "--robot pandas": "no example robot 'pandas'; robots: panda",
     "--robot ur5e --urdf arm.urdf": "--robot and --urdf name two robots",
@@ -107,6 +110,8 @@ USAGE = {
     "force good.csv --mode axail": 'Did you mean "axial"',
     "force good.csv --gian 4": "Unknown option: --gian. Did you mean --gain",
     "force good.csv --tare 0:1 --no-tare": "--tare and --no-tare contradict each other",
+    "force good.csv --force-tare --no-tare": "--force-tare and --no-tare contradict each other",
+    "force good.csv --no-tare --figure a.png --from 3 --to 1": "--from 3 --to 1: expected --from",
     "force good.csv --from soon": 'unable to convert "soon" into float',
     "identify good.csv --method ferro": 'Choose from: "multilayer", "published"',
     "identify empty.csv": "it is empty",
@@ -160,15 +165,15 @@ def test_a_figure_without_matplotlib_is_refused_before_the_work(
     monkeypatch.setattr(builtins, "__import__", missing)
     monkeypatch.chdir(folder)
     line = complaint([command, "missing.csv", *output], capsys)
-    assert "needs matplotlib, which is not installed" in line
-    assert "pip install" in line
+    assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
 def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
     (tmp_path / "file").touch()
     for command in ("force", "identify"):
-        line = complaint([command, "no.csv", "--report", str(tmp_path / "new" / "page")], capsys)
-        assert "no.csv" in line
+        assert "no.csv" in complaint(
+            [command, "no.csv", "--report", f"{tmp_path}/new/page"], capsys
+        )
         line = complaint([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
         assert "cannot write to" in line
     assert os.listdir(tmp_path) == ["file"]

@@ -39,11 +39,6 @@ def text_of(rows):
     return "\n".join(lines) + "\n"
 
 
-def streamed(tables):
-    """The log of a stream."""
-    return LogStream(tables, **ASKED).joined()
-
-
 def assert_same(found, log):
     np.testing.assert_array_equal(found.t_s, log.t_s)
     assert list(found.channels) == list(log.channels)
@@ -60,7 +55,7 @@ def test_text_in_pieces_of_any_size_is_the_whole_text(tmp_path_factory, size, ro
     path.write_bytes(text)
     data = gzip.compress(text, mtime=0) if packed else text
     pieces = [data[start : start + size] for start in range(0, len(data), size)]
-    assert_same(streamed(csv_tables(pieces, "log")), read_log(path, **ASKED))
+    assert_same(LogStream(csv_tables(pieces, "log"), **ASKED).joined(), read_log(path, **ASKED))
 
 
 def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
@@ -88,7 +83,7 @@ def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path)
     whole.write_bytes(text)
     cuts = [10, 5000, 17_777, 33_333, len(text)]
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
-    found = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)))
+    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)), **ASKED).joined()
     writer.join()
     assert_same(found, read_log(whole, **ASKED))
 
@@ -103,10 +98,10 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
         return len(asked) > 3
 
     patience = FollowOptions(follow=True, should_stop=should_stop)
-    found = streamed(stream_tables(path, patience))
+    found = LogStream(stream_tables(path, patience), **ASKED).joined()
     assert found.t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(found.warnings)
-    found = streamed(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)))
+    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)), **ASKED).joined()
     assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
 
 

@@ -42,9 +42,10 @@ def run(
         channels = ("q", torque, "dq")
         write_out(suggest_mapping(source, channels, mapping=known, joints=joints, payload=payload))
         return 0
+    if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
+        given = "--tare" if sensor.tare is not None else "--force-tare"
+        raise CommandError(f"{given} and --no-tare contradict each other; give one of them")
     if sensor.tare is not None:
-        if sensor.no_tare:
-            raise CommandError("--tare and --no-tare contradict each other; give one of them")
         tare_window(sensor.tare, 0.0)  # before a log is waited for
     robot, friction = robots.with_friction(robot, sensor.friction)
     config = robots.sensor_config(sensor, friction)

@@ -119,9 +119,8 @@ def estimate_table(t_s: NDArray[np.float64], estimates: list[Estimate]) -> Rows:
     """
     *numbers, ruptures, layers, retracted = zip(*map(_read, estimates), strict=True)
     table = {"t_s": t_s}
-    for name, values in zip((*_NUMBERS, "used"), numbers, strict=True):
-        # None becomes nan.
-        table[name] = np.array(values, dtype=np.float64)
+    cells = zip((*_NUMBERS, "used"), numbers, strict=True)
+    table |= {name: np.array(v, dtype=np.float64) for name, v in cells}  # None becomes nan
     for name, found in zip(_EVENTS, (ruptures, layers, retracted), strict=True):
         table[name] = np.array([0.0 if event is None else float(event.layer) for event in found])
     table["is_final"] = np.array([float(one is not None and one.is_final) for one in layers])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -153,11 +153,11 @@ def run_log(
 
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done."""
-    named = {
-        "-o": output.output if output.output != STANDARD_STREAM else None,
-        "--figure": output.figure,
-        "--report": output.report and output.report / PAGE,
-    }
+    start, end = output.start, output.end
+    if start is not None and end is not None and not start < end:
+        raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
+    named: dict[str, Any] = {"-o": None if output.output == STANDARD_STREAM else output.output}
+    named |= {"--figure": output.figure, "--report": output.report and output.report / PAGE}
     outputs = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)

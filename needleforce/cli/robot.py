@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass, replace
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
 
 import msgspec
@@ -129,12 +130,11 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     if value == "needle":
         return NeedleTool()
     if isinstance(value, str):
-        value, where = read_toml(value, "payload file"), value
+        where = value if options.payload is not None else str(Path(mapping or "").parent / value)
+        value = read_toml(where, "payload file")
     if not isinstance(value, dict):
-        what = type(value).__name__
-        raise CommandError(
-            f"{mapping}: payload is {what}, expected a table, a file, needle or none"
-        )
+        what = f"payload is {type(value).__name__}, expected a table, a file, needle or none"
+        raise CommandError(f"{mapping}: {what}")
     return _payload(value, where)
 
 
