@@ -35,10 +35,14 @@ def run(
 ) -> int:
     """Run the command and return its exit code; what it raises is reported in one line."""
     known = logs.mapping_from_options(columns)
+    force, optional = known.channels.get("force"), OPTIONAL
+    if force is not None and "axial" not in force.patterns[0].lower():
+        # What `needleforce force` states of the axial force holds for no other.
+        optional = tuple(name for name in OPTIONAL if name == "speed" or name in known.channels)
     if columns.print_config:
-        write_out(suggest_mapping(source, (*REQUIRED, *OPTIONAL), mapping=known))
+        write_out(suggest_mapping(source, (*REQUIRED, *optional), mapping=known))
         return 0
-    request = ChannelRequest(mapping=known, required=REQUIRED, optional=OPTIONAL)
+    request = ChannelRequest(mapping=known, required=REQUIRED, optional=optional)
 
     def estimate(log: LogSession) -> IdentificationResult:
         with logs.open_output(output, log, Labels(prefix="/needleforce/identification")) as table:
@@ -156,9 +160,7 @@ class IdentificationResult:
         x = rows["t_s"] - start_s
         if over == "depth":
             x, x_label = 1e3 * rows["depth_m"], "depth [mm]"
-        forces = [
-            Curve(style=style, x=x, y=rows[name], label=text) for name, text, style in _FORCES
-        ]
+        forces = [Curve(style=style, x=x, y=rows[n], label=text) for n, text, style in _FORCES]
         panels = [Panel(y_label=palette.FORCE, curves=tuple(forces), height=2.0)]
         for name, label in _PARAMETERS.items():
             std = rows[name.replace("_N", "_std_N", 1)]

@@ -266,12 +266,10 @@ class JoinedRows:
         for message in messages:
             if message.topic.name in self.topics:
                 self.topics[message.topic.name].add(message)
-            is_pause = message is NONE_YET
-            if is_pause or len(reference.new_ns) >= MOST_ROWS:
+            waits = message is NONE_YET
+            if waits or len(reference.new_ns) >= MOST_ROWS:
                 # Which columns are which channels is decided from the first table.
-                while (ready := self._ready()) >= (
-                    1 if is_pause and not self._is_new else HEAD_ROWS
-                ):
+                while (ready := self._ready()) >= (1 if waits and not self._is_new else HEAD_ROWS):
                     yield self._table(min(ready, MOST_ROWS))
                 # What no row needs that waits or may still come, be it a little late, is forgotten.
                 newest_ns = max(topic.latest_ns for topic in self.topics.values())
