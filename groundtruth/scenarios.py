@@ -213,9 +213,7 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     speed = _uniform(rng, PEAK_SPEED_M_S if sine else SPEED_M_S)
     thickness = rng.uniform(*THICKNESS_M, size=count)
     thickness *= min(1.0, TOTAL_MAX_M / thickness.sum())
-    layers = tuple(
-        _layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, start=1)
-    )
+    layers = tuple(_layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1))
     kind = "sinusoidal" if sine else "constant"
     return Scenario(
         id=RANDOM_STACK,

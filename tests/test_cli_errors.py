@@ -171,9 +171,7 @@ def test_a_figure_without_matplotlib_is_refused_before_the_work(
 def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
     (tmp_path / "file").touch()
     for command in ("force", "identify"):
-        assert "no.csv" in complaint(
-            [command, "no.csv", "--report", f"{tmp_path}/new/page"], capsys
-        )
+        assert "no.csv" in complaint([command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys)
         line = complaint([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
         assert "cannot write to" in line
     assert os.listdir(tmp_path) == ["file"]

@@ -154,6 +154,9 @@ def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
         assert text in alone
     tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
     assert tables[0].group() == tables[1].group()
+    rows = "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n1,0.001,1,1,1,1,1\n"
+    (insertion / "two.csv").write_text(rows)  # whose joints are meant does not matter
+    assert main(["report", str(insertion / "two.csv"), str(insertion / "two")]) == 0
     for text in ("time since the first sample [s]", "axial force [N]", "tare", "rejected"):
         assert f"<!-- {text} -->" in (insertion / "a" / "log" / "forces-over-time.svg").read_text()
     for text in ("estimated rupture time", "friction identified", "enhanced force"):

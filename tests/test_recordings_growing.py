@@ -56,9 +56,8 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     path, go_on = tmp_path / "growing.mcap", threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
-    tables = stream_tables(
-        path, FollowOptions(follow=True, idle_s=LONGEST_S), ChannelRequest(**ASKED)
-    )
+    patience = FollowOptions(follow=True, idle_s=LONGEST_S)
+    tables = stream_tables(path, patience, ChannelRequest(**ASKED))
     rows, before = 0, None
     for table in tables:
         rows += len(table.columns["t_s"])

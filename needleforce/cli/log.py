@@ -58,8 +58,14 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError("a report needs a file, not a pipe; or give --report DIR to force")
     table = next(recordings.stream_tables(source, FollowOptions()))
-    request = ChannelRequest(mapping=mapping_from_options(columns), required=tuple(channels))
-    return request.columns(table) is not None
+    mapping, asked = mapping_from_options(columns), tuple(channels)
+    try:
+        return ChannelRequest(mapping, asked).columns(table) is not None
+    except recordings.ColumnError:
+        layers = ChannelRequest(mapping, ("depth", "force"))
+        if mapping.channels.keys() & {*asked} or layers.columns(table) is None:
+            raise
+        return False  # `identify` asks for no joints, so it does not matter how many might fit
 
 
 class LogSession:
@@ -158,15 +164,13 @@ def check_outputs(source: str, output: Output) -> None:
         raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
     named: dict[str, Any] = {"-o": None if output.output == STANDARD_STREAM else output.output}
     named |= {"--figure": output.figure, "--report": output.report and output.report / PAGE}
-    outputs = {option: Path(path) for option, path in named.items() if path is not None}
+    paths = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)
     if output.figure is not None:
         plots.require_matplotlib("--figure", output.figure)
         output_files.require_place(output.figure)
-    output_files.check_outputs(
-        outputs, None if source == STANDARD_STREAM else readable_path(source)
-    )
+    output_files.check_outputs(paths, None if source == STANDARD_STREAM else readable_path(source))
 
 
 @contextmanager

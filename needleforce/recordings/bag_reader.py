@@ -310,10 +310,8 @@ class JoinedRows:
                     found = interpolate(at_ns, topic.stamps_ns, values, topic.limit_ns)
                 columns[column] = found[:, 0] if topic.columns[column] is None else found
         reference.keep(slice(rows, None))
-        warnings, self._warnings, self._is_new = tuple(self._warnings), [], False
-        return Table(
-            columns=columns, warnings=warnings, joint_names=joints, start_ns=self._start_ns
-        )
+        notes, self._warnings, self._is_new = tuple(self._warnings), [], False
+        return Table(columns=columns, warnings=notes, joint_names=joints, start_ns=self._start_ns)
 
 
 def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
