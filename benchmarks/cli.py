@@ -328,7 +328,7 @@ def results(
 def time_updates(
     soak: bool = False,
     control: bool = False,
-    loop: float = 0.0,
+    loop: float | None = None,
     scene: bool = False,
     kdl: bool = False,
     ticks: Positive = 1_000_000,
@@ -354,7 +354,7 @@ def time_updates(
         if soak:
             found = run_soak(ticks, update)
             tables, is_met = [soak_table(found, ticks)], found.is_met
-        elif loop > 0.0:
+        elif loop is not None:
             from benchmarks.devices_loop import loop_table
 
             tables, is_met = [loop_table(loop, with_scene=scene, progress=update)], True

@@ -8,11 +8,13 @@ where the system grants it.
 
 import os
 from contextlib import ExitStack, suppress
+from math import inf
 from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
 
+from benchmarks import BenchmarkError
 from benchmarks.benchmark import Progress
 from benchmarks.tables import ResultTable
 from groundtruth import simulate
@@ -28,6 +30,8 @@ QUANTILES = (50.0, 99.0, 99.9, 100.0)
 
 def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
     """Run the loop, alone and, if wanted, with the scene in another process."""
+    if not 0.0 < seconds < inf:
+        raise BenchmarkError(f"--loop {seconds:g}: expected a positive number of seconds")
     run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
     kinds = ("alone", "with the scene") if with_scene else ("alone",)
     lines = []

@@ -12,6 +12,7 @@ from http.client import IncompleteRead
 import numpy as np
 import pytest
 
+from benchmarks.cli import main as measure
 from needleforce.cli import main
 from needleforce.devices import (
     DeviceSettingError,
@@ -383,6 +384,13 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     assert master.report.malformed == len(bad)
     with pytest.raises(LinkError, match="is it running"):
         HaplyMaster("ws://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("seconds", ["nan", "-1", "0", "inf"])
+def test_a_loop_of_no_time_is_refused(seconds, capsys):
+    assert measure(["speed", f"--loop={seconds}"]) == 2
+    said = capsys.readouterr().err
+    assert f"error: --loop {seconds}: expected a positive number of seconds" in said
 
 
 def test_recorded_signals_come_in_real_time():
