@@ -128,7 +128,7 @@ class InsertionSession:
     identification. In other ticks its last estimate stays and time passes: after a longer gap it
     reports ``TIME_GAP`` and starts its local predictions again.
 
-    Depth counts from the tare or the last `begin_insertion` (before both, from the first sample).
+    Depth counts from `zero`: the tare or the last `begin_insertion`, before both the first sample.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle, unless
@@ -161,7 +161,7 @@ class InsertionSession:
                 raise SettingError(f"{given}, expected a {kind.__name__}; {hint}")
         if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
             raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
-        self._sensor = VirtualForceSensor(robot, sensor_config)
+        self._sensor, self.sensor_config = VirtualForceSensor(robot, sensor_config), sensor_config
         self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
@@ -250,7 +250,7 @@ class InsertionSession:
         if entry_m is not None and not (entry_m.shape == (3,) and np.isfinite(entry_m).all()):
             raise SettingError(f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers")
         self._plan = PlanFollower(plan, entry_m)
-        self._plan.begin(*self._zero)
+        self._plan.begin(*self.zero)
 
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
@@ -260,7 +260,7 @@ class InsertionSession:
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
         self._keep_checkpoint(has_events=True)  # nothing before it
-        self._plan.begin(*self._zero)
+        self._plan.begin(*self.zero)
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
@@ -270,7 +270,7 @@ class InsertionSession:
 
     def snapshot(self) -> SessionSnapshot:
         """All that the session remembers; `write_snapshot` stores it."""
-        parts = self._sensor.snapshot(), self._identifier.snapshot(), self._zero, self._travel
+        parts = self._sensor.snapshot(), self._identifier.snapshot(), self.zero, self._travel
         times_s = self._speed_lag_s, self._unused_s, self._time_s
         return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
 
@@ -330,7 +330,7 @@ class InsertionSession:
         self._count_from(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
 
     def _count_from(self, zero: TravelZero) -> None:
-        self._zero, self._start_m = zero, float(zero.axis_in_base.dot(zero.start_in_base_m))
+        self.zero, self._start_m = zero, float(zero.axis_in_base.dot(zero.start_in_base_m))
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
@@ -343,7 +343,7 @@ class InsertionSession:
         else:
             # The sensor's clock counts the time of rejected samples and knows one that was set.
             self._time_s += self._sensor.elapsed_s
-        sensor, tool, axis = self._sensor, self._tool, self._zero.axis_in_base
+        sensor, tool, axis = self._sensor, self._tool, self.zero.axis_in_base
         elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
         tip = axis, tool.pose, tool.axial_jacobian, sensor.velocity_rad_s
         self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)

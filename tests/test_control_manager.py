@@ -1,6 +1,5 @@
 """The manager: every state and event is defined, nothing moves unguarded, logs replay."""
 
-import json
 from itertools import pairwise
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from needleforce.control.manager import (
     write_mcap,
 )
 from needleforce.control.monitors import Beside, SafetyLimits
-from residual import SensorWarning, Status, TareError
+from residual import SensorConfig, SensorWarning, Status, TareError
 from urdf import load_lwr
 
 ROBOT = load_lwr()
@@ -38,10 +37,10 @@ ALL = set(REFUSALS)
 class Sensor:
     """Stands in for a session: what it reports is set by the test."""
 
-    lag_s = 0.014
+    lag_s, sensor_config = 0.014, SensorConfig()
 
     def __init__(self):
-        self.tared, self.estimate, self.refuses = False, FIRST, False
+        self.tared, self.estimate, self.refuses, self.zero = False, FIRST, False, 0
 
     def update(self, q, dq, tau, dt_s):
         return self.estimate
@@ -173,36 +172,6 @@ def test_a_log_replays_to_the_same_states(tmp_path_factory, actions):
     assert all(a.target == b.origin for a, b in pairwise(events))
 
 
-def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
-    path = tmp_path / "events.jsonl"
-    manager, _ = new_manager(limits=None, log=path)
-    run(manager)
-    refused = manager.request("approach", by="someone")
-    assert "SafetyLimits" in refused
-    (row,) = [json.loads(line) for line in path.read_text().splitlines()]
-    assert list(row) == ["seq", "t_s", "from", "event", "to", "refused", "data"]
-    assert (row["from"], row["to"], row["refused"]) == ("idle", "idle", refused)
-    assert row["data"]["by"] == "someone"
-    assert run(manager).reason == refused
-
-
-@pytest.mark.parametrize("line", ["{", "[]", '{"seq": 0}', '{"seq": 3}'])
-def test_a_damaged_log_is_refused(tmp_path, line):
-    path = tmp_path / "events.jsonl"
-    path.write_text(line + "\n")
-    with pytest.raises(SettingError, match="line 1 is no event"):
-        read_events(path)
-
-
-def test_a_log_out_of_order_is_refused(tmp_path):
-    path = tmp_path / "events.jsonl"
-    manager, _ = new_manager(log=path)
-    manager.request("stop")
-    path.write_text(path.read_text().replace('"seq":0', '"seq":2'))
-    with pytest.raises(SettingError, match="event 2 is out of order"):
-        read_events(path)
-
-
 @pytest.mark.parametrize(
     ("change", "state", "reason"),
     [
@@ -263,6 +232,53 @@ def test_a_force_against_the_withdrawal_counts_there_and_the_other_does_not():
     assert run(manager, 0.1).state is State.WITHDRAW
     sensor.reads(axial=-2.5)
     assert run(manager, 0.1).state is State.STOPPED
+
+
+def test_what_spoils_the_force_stops_an_insertion_but_no_withdrawal():
+    manager, sensor = inserting()
+    sensor.reads(warnings=SensorWarning.TARE_EXPIRED, message="the tare has expired")
+    assert run(manager, 0.01).state is State.STOPPED
+    assert manager.request("withdraw") == ""
+    assert run(manager, 0.1).state is State.WITHDRAW
+
+
+def test_a_new_zero_of_depth_moves_the_entry_along_and_stops_a_motion():
+    manager, sensor = inserting()
+    for depth_m, in_contact in ((0.039, False), (0.041, True), (0.03, True)):
+        sensor.reads(depth_m=depth_m, in_contact=in_contact)
+        run(manager)
+    manager.request("stop")
+    manager.request("release")
+    sensor.zero = "the tip was at 0.03 m"
+    sensor.reads(depth_m=0.0)
+    assert manager.request("insert") == ""
+    assert run(manager).state is State.INSERTION  # begun at the new zero
+    sensor.reads(depth_m=0.0105)
+    run(manager)
+    manager.request("stop")
+    manager.request("release")
+    assert "in tissue" in manager.request("guide")
+    assert manager.request("insert") == ""
+    sensor.zero = "moved in the insertion"
+    assert run(manager).state is State.STOPPED
+
+
+def test_a_sample_that_is_none_and_an_axis_that_is_not_the_tools_are_reported():
+    manager, sensor = new_manager()
+    assert manager.update(None).time_s > 0.0
+    sensor.sensor_config = SensorConfig(insertion_axis=(1.0, 0.0, 0.0))
+    with pytest.raises(SettingError, match="along z"):
+        Manager(sensor)
+
+
+def test_an_approach_stops_at_the_axial_limit_once_the_force_is_tared():
+    for status, state in ((Status.OK, State.STOPPED), (Status.NOT_TARED, State.APPROACH)):
+        manager, sensor = new_manager()
+        run(manager)
+        assert manager.request("approach") == ""
+        run(manager)
+        sensor.reads(status, axial=2.5)
+        assert run(manager, 0.01).state is state
 
 
 def test_single_bad_samples_do_not_stop():
@@ -409,23 +425,6 @@ def test_who_does_not_know_where_the_needle_is_refuses_guidance():
     assert manager.request("guide") == ""
 
 
-def test_a_log_that_cannot_be_written_is_refused_at_first_and_reported_later(tmp_path):
-    with pytest.raises(OSError, match="No such file"):
-        new_manager(log=tmp_path / "missing" / "log.jsonl")
-    log = tmp_path / "log.jsonl"
-    manager, _ = inserting(log=log)
-    written = log.read_bytes()
-    log.unlink()
-    log.mkdir()  # as a disk that is full
-    assert manager.request("stop") == ""
-    now = run(manager)
-    assert (now.state, "cannot be written" in now.reason) == (State.STOPPED, True)
-    log.rmdir()
-    log.write_bytes(written)
-    manager.request("release")
-    assert read_events(log) == manager.events
-
-
 def test_data_that_no_log_can_hold_are_refused_and_change_nothing():
     manager, circle = inserting()[0], []
     circle.append(circle)
@@ -439,10 +438,3 @@ def test_a_manager_needs_a_session_and_limits():
     for arguments in ((None,), (Sensor(), 5.0)):
         with pytest.raises(SettingError, match="expected an InsertionSession and SafetyLimits"):
             Manager(*arguments)
-
-
-def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
-    for event in ("stop", "release"):
-        inserting(log=tmp_path / "two.jsonl")[0].request(event)
-    events = read_events(tmp_path / "two.jsonl")
-    assert replay(events) == [event.target for event in events]

@@ -116,6 +116,34 @@ def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
     )
 
 
+@pytest.mark.parametrize(
+    ("states", "offered"),
+    [
+        ("idle approach approach idle tare tare idle insertion idle", "aatai"),
+        ("idle idle idle", "a"),  # refused
+        ("idle approach idle idle", "a"),  # released half-way
+        ("idle approach stopped idle idle", "a"),
+        ("idle approach approach idle tare tare stopped idle", "aata"),  # the tare was refused
+        ("guidance idle approach approach idle", "aat"),
+    ],
+)
+def test_a_program_goes_on_as_planned_or_not_at_all(states, offered):
+    plan = InsertionPlan(speed_m_s=0.01, depth_m=0.1, approach_m=0.02, stroke_s=1.0)
+    profile, events = InsertionProfile(plan), []
+    names = states.split()
+    for k, (before, name) in enumerate(zip(["", *names], names, strict=False)):
+        now = situation(State(name), 0.0, k, 5.0 if name == before else 0.0)
+        events.append(profile.update(now).event)
+    assert "".join(event[:1] for event in events if event) == offered
+
+
+def test_a_needle_above_its_zero_is_withdrawn_and_no_hold_is_faster_than_the_plan():
+    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1))
+    assert profile.update(situation(State.WITHDRAW, -0.035, 1, 1.0)) == (0.0, "arrived")
+    profile.update(situation(State.INSERTION, 0.025, 2, 1.0))
+    assert profile.update(situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S
+
+
 def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
     profile, depth_m, events = (
         InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1)),
@@ -154,6 +182,8 @@ def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
 
 def test_a_target_is_a_depth_where_the_needle_points_at_it():
     axis = np.array((0.0, 0.0, -1.0))
+    with pytest.raises(SettingError, match="expected a direction"):
+        depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), np.zeros(3))
     assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
     for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
         with pytest.raises(SettingError, match="align the needle"):

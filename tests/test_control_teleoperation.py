@@ -119,6 +119,29 @@ def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
     )
 
 
+def test_a_needle_that_is_behind_stands_once_the_clutch_is_open():
+    tele, depth, speed = Teleoperation(motion_scale=1.0), 0.0, 0.0
+    for k in range(1500):
+        place = (0.0, 0.0, 0.15 * min(k * DT, 0.5))  # 75 mm in half a second
+        rate = (0.0, 0.0, 0.15 * (k < 500))
+        handle = SimpleNamespace(position_m=place, velocity_m_s=rate, clutch=k < 500)
+        speed = tele.update(handle, estimate(1.0, None, depth, speed), DT).speed_m_s
+        depth += speed * DT
+    assert depth == pytest.approx(0.01, abs=1e-4)  # at 20 mm/s
+
+
+@pytest.mark.parametrize("every", [1, 2, 5])
+def test_a_device_may_send_less_often_than_it_is_read(every):
+    rng = np.random.default_rng(2)
+    master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)), position_step_m=0.0)
+    tele, read, count = Teleoperation(shown="raw"), master.read, iter(range(10**6))
+    master.read = lambda: (read(), None)[next(count) % every > 0]
+    depth = drive(PLANTS["spring"], tele, master, 2.0, rng)
+    assert depth == pytest.approx(0.4 * master.position_m[2], abs=3e-4)
+    assert tele.device.port.net_J == pytest.approx(master.port_energy_J, abs=1e-4)
+    assert master.least_energy_J >= -0.1e-3
+
+
 def test_noise_is_not_shown_and_a_rupture_is_at_once():
     tele, rng, shown = Teleoperation(), np.random.default_rng(4), []
     for noise_N in rng.normal(0.0, 0.1, 2000):

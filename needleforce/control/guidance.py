@@ -67,7 +67,9 @@ class Guidance:
     """
 
     def __init__(self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None) -> None:
-        given = LWR_DAMPING_Nms if damping_Nms_per_rad is None else damping_Nms_per_rad
+        given = damping_Nms_per_rad
+        if given is None and robot.joint_names[0].startswith("lwr"):
+            given = LWR_DAMPING_Nms
         self._damping = np.array(given, dtype=np.float64)
         is_positive = np.isfinite(self._damping).all() and (self._damping > 0.0).all()
         if self._damping.shape != (robot.nv,) or not is_positive:

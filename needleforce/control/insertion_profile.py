@@ -63,6 +63,8 @@ def depth_of(
 
     `SettingError` where it lies behind the tip, or off the needle's line by more than a tolerance.
     """
+    if not np.linalg.norm(axis) > 0.0:
+        raise SettingError(f"axis is {axis!r}, expected a direction of three numbers")
     way, axis = np.subtract(target_m, tip_m), axis / np.linalg.norm(axis)
     depth_m = float(axis @ way)
     miss_m = float(np.linalg.norm(way - depth_m * axis))
@@ -133,8 +135,10 @@ class Step(NamedTuple):
 class InsertionProfile:
     """Runs a plan once; call `update` after every `Manager.update`.
 
-    What is commanded lies ahead of the tip of a soft arm, which would follow when the force falls.
-    So a rupture takes the command back to where the tip is; then the tip is held there.
+    What is refused, released or stopped before the insertion ends the plan: nothing moves by itself
+    from where it should not begin. What is commanded lies ahead of the tip of a soft arm, which
+    would follow when the force falls. So a rupture takes the command back to where the tip is; then
+    the tip is held there.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
@@ -144,6 +148,7 @@ class InsertionProfile:
             self._step_s
         ) = 0.0
         self._held_m: float | None = None  # where an insertion has ended
+        self._state, self._asked = "", ""  # of the last call: the state, and the event requested
         self._is_slack = False
 
     def update(
@@ -161,16 +166,28 @@ class InsertionProfile:
         force_N = now.estimate.wrench.axial if axial_N is None else axial_N
         if now.is_moving and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
+        self._follow_program(now.state.value)
         step = self._step(now, dt_s, found, force_N)
-        self._speed_m_s = step.speed_m_s
+        self._speed_m_s, self._asked = step.speed_m_s, step.event
         self._asked_m += dt_s * step.speed_m_s
         return step
+
+    def _follow_program(self, state: str) -> None:
+        """Strike out what has begun; a program that does not go on as planned ends."""
+        before, self._state = self._state, state
+        has_begun = bool(self._program) and state.startswith(self._program[0])
+        is_refused = state == before == "idle" and self._asked != ""
+        is_arrival = state == "idle" and self._asked == "arrived"
+        if is_refused or (state != before and before in ("approach", "tare") and not is_arrival):
+            self._program = []
+        elif has_begun:
+            self._program = self._program[1:]
 
     def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
-                return Step(0.0, self._program.pop(0))
+                return Step(0.0, self._program[0])
             case "approach":
                 return self._stroke(now, (plan.approach_m,))
             case "tare":
@@ -181,7 +198,7 @@ class InsertionProfile:
                 is_over = now.state_s >= plan.dwell_s
                 return Step(0.0, "arrived") if is_over else Step(self._hold(depth_m))
             case "withdraw":
-                return self._travel(-depth_m, dt_s)
+                return self._travel(-max(depth_m, 0.0), dt_s)
             case _:
                 self._held_m = None
         return Step(0.0)
@@ -207,7 +224,8 @@ class InsertionProfile:
         ahead_m = self._asked_m - depth_m
         self._is_slack = self._is_slack or ahead_m < _NEAR_M
         if self._is_slack:
-            return _HOLD_PER_S * (self._held_m - depth_m)
+            most = self._plan.speed_m_s
+            return min(max(_HOLD_PER_S * (self._held_m - depth_m), -most), most)
         return -math.sqrt(2.0 * _BACK_m_s2 * ahead_m)
 
     def _travel(self, left_m: float, dt_s: float) -> Step:
@@ -230,4 +248,5 @@ class InsertionProfile:
         way_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
         rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / seconds
         off_m = self._from_m + way_m - now.estimate.depth_m
-        return Step(rate_m_s + _TRACK_PER_S * off_m)
+        most = 4.0 * abs(length_m) / seconds  # twice the fastest of the course
+        return Step(min(max(rate_m_s + _TRACK_PER_S * off_m, -most), most))

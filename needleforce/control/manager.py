@@ -41,6 +41,7 @@ class State(StrEnum):
 
 MOVING = frozenset(State) - {State.IDLE, State.DWELL, State.STOPPED, State.FAULTED}
 """States in which the arm is commanded to move; in the others it is commanded to rest."""
+_PLACED = MOVING | {State.DWELL}  # States whose motions depend on the depth
 
 
 class Rule(NamedTuple):
@@ -205,6 +206,11 @@ _LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time th
 _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
 
 
+def _signals(sample: Any) -> Any:
+    """What a sample holds of positions, velocities, torques and time step, None for what is not."""
+    return (getattr(sample, name, None) for name in ("q_rad", "dq_rad_s", "tau_Nm", "dt_s"))
+
+
 class Manager:
     """Schedules the modes of the arm, watches them, and logs why.
 
@@ -237,6 +243,12 @@ class Manager:
         if not (hasattr(session, "start_tare_recording") and isinstance(limits, _LIMITS)):
             what = f"{session!r:.80} and {limits!r}"
             raise SettingError(f"got {what}, expected an InsertionSession and SafetyLimits or None")
+        config = session.sensor_config
+        if config.frame is not None or tuple(config.insertion_axis) != (0.0, 0.0, 1.0):
+            raise SettingError(
+                f"the session's needle is {config.insertion_axis} of frame {config.frame}; motions "
+                "are along z of the robot's tool frame: load the robot with such a tool frame"
+            )
         if log is not None:
             Path(log).open("ab").close()
         self.session = session
@@ -246,6 +258,7 @@ class Manager:
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
         self._depth_m = self._entry_m = math.inf  # nobody knows where the needle is
+        self._zero = self._entered_zero = session.zero
 
     def heartbeat(self) -> None:
         """The program in charge is alive."""
@@ -253,12 +266,16 @@ class Manager:
 
     def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
-        since_s = as_float(sample.dt_s)
+        q_rad, dq_rad_s, tau_Nm, dt_s = _signals(sample)
+        since_s = as_float(dt_s)
         usable = 0.0 < since_s <= _LONGEST_STEP_S
         self._last_step_s = step_s = since_s if usable else self._last_step_s
         self._time_s += step_s
-        estimate = self.session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-        is_first, self._depth_m = self._depth_m == math.inf, estimate.depth_m
+        estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
+        is_first = self._depth_m == math.inf
+        if self.session.zero is not self._zero and not is_first:
+            self._entry_m += estimate.depth_m - self._depth_m
+        self._zero, self._depth_m = self.session.zero, estimate.depth_m
         is_inside = estimate.identification.layer > 0
         if is_inside and self._entry_m == math.inf:
             self._entry_m = -math.inf if is_first else self._depth_m  # who begins inside knows none
@@ -266,6 +283,8 @@ class Manager:
             self._entry_m = self._depth_m
         watched, times = (estimate, sample, beside), (step_s, since_s, self.session.lag_s)
         event, reason = self._monitors.update(self._state, watched, times)
+        if not event and self.session.zero is not self._entered_zero and self._state in _PLACED:
+            event, reason = "limit", "depth counts from elsewhere: begin_insertion() only at idle"
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._is_led:
@@ -303,7 +322,7 @@ class Manager:
         self.events.append(row)
         self._state, self._reason = after, refused or str(data.get("reason", "")) or self._reason
         if after is not before:
-            self._entered_s = self._time_s
+            self._entered_s, self._entered_zero = self._time_s, self.session.zero
             self._monitors.enter()
         if self._log is not None:
             self._write(self._log)

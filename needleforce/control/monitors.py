@@ -145,6 +145,8 @@ class Monitors:
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
+        if command is None:  # the arm may go where others lead it
+            self._position = None
         if command is None or estimate.status is Status.REJECTED:
             return ""
         position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
@@ -170,11 +172,15 @@ class Monitors:
     ) -> str:
         limits, wrench = self._limits, estimate.wrench
         if state in _IN_AIR:
+            is_known = (
+                state != "guidance" and estimate.status is Status.OK
+            )  # else a hand's, or bias
+            most_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
             change_N = abs(wrench.axial - self._entry_axial_N)
-            return f"axial force changed by {change_N:.1f} N" if change_N > limits.free_N else ""
+            return f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""
         if state not in _AT_TISSUE:
             return ""
-        if estimate.warnings & _UNUSABLE:
+        if estimate.warnings & _UNUSABLE and state != "withdraw":  # it must come out all the same
             return wrench.message
         inwards_N, outwards_N = max(axial_N, ahead_N), -min(axial_N, ahead_N)
         most_N = outwards_N if state == "withdraw" else inwards_N

@@ -116,6 +116,11 @@ class HandPort(Port):
         self._force_N, self._position_m = force_N + self._damping_N, position_m
         return self._force_N
 
+    def release(self, travel_m: float) -> None:
+        """No force is held any more, after so much travel since the last update."""
+        self.observe(self._force_N, travel_m)
+        self._force_N = self._damping_N = 0.0
+
 
 class NeedlePort(Port):
     """Observer and controller at the port where a robot moves a needle against a force.

@@ -29,6 +29,7 @@ LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
 _REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
 _AT_LIMIT_rad_s = 1e-6
 _NO_WAY = 1e-13  # A direction that moves a row of length one by less does not move it
+_BEYOND_rad_s = 1e-8  # By so much a joint may pass its bound, within the slack
 _MOST_CHANGES = 60  # Of the joints held at a bound, in one level; what is found by then is kept
 _GAIN = 1e-12  # Letting go of a joint that gains less by it is not worth while
 
@@ -231,15 +232,20 @@ def null_space(rows: Matrix) -> Matrix:
 
 @compiled
 def blocking(velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector) -> tuple[float, int]:
-    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none."""
-    part, joint = 1.0, -1
+    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none.
+
+    Of joints that meet their bounds almost at once the one that moves most, so that near a singular
+    posture none is held for a motion that is rounding (Harris, Math. Programming 1973).
+    """
+    part, joint, most = 1.0, -1, 0.0
+    ends = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
     for k in range(step.size):
-        if is_held[k] == 0.0 and abs(step[k]) > 1e-12:
-            bound = bounds[1, k] if step[k] > 0.0 else bounds[0, k]
-            until = max((bound - velocity[k]) / step[k], 0.0)
-            if until < part:
-                part, joint = until, k
-    return part, joint
+        if is_held[k] == 0.0 and step[k] != 0.0:
+            part = min(part, max(ends[k] / step[k], 0.0) + _BEYOND_rad_s / abs(step[k]))
+    for k in range(step.size if part < 1.0 else 0):
+        if is_held[k] == 0.0 and abs(step[k]) > most and ends[k] / step[k] <= part:
+            joint, most = k, abs(step[k])
+    return (max(ends[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
 
 
 @compiled
@@ -265,7 +271,6 @@ def serve_level(
             part, joint = blocking(velocity, step, bounds, is_held)
             velocity += part * step
             if joint >= 0:
-                velocity[joint] = bounds[1 if step[joint] > 0.0 else 0, joint]
                 is_held[joint] = 1.0 if step[joint] > 0.0 else -1.0
                 continue
         if not len(held):

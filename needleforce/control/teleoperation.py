@@ -43,6 +43,7 @@ _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
+_HELD_S = 0.02  # Between two samples of the device its force stays; without one for so long it ends
 _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 
 
@@ -52,6 +53,7 @@ class HandPacket(NamedTuple):
     travel_m: float  # of the handle along the needle while coupled, scaled to the needle
     speed_m_s: float  # its rate, scaled
     energy_J: float  # that the hand has put in
+    is_coupled: bool  # whether the hand moves the needle, which stands otherwise
 
 
 class NeedlePacket(NamedTuple):
@@ -105,24 +107,30 @@ class DeviceSide:
         self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m * motion_scale)
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
-        self._packet = HandPacket(0.0, 0.0, 0.0)
+        self._packet = HandPacket(0.0, 0.0, 0.0, False)
         self._coupled = 0.0  # 0 to 1
-        self._rate_m_s = self._steady_m_s = self._still_s = 0.0
+        self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = self._force_N = 0.0
 
     def update(
         self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
     ) -> tuple[float, HandPacket]:
         """The force to render, positive against insertion, and the packet to send.
 
-        Without a sample of the device its force goes to zero.
+        Between samples it stays: then the energy through the port is known exactly.
         """
+        self._since_s += dt_s
+        if sample is None and self._since_s < _HELD_S:
+            return self._force_N, self._packet
         is_coupled = sample is not None and bool(sample.clutch)
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         before_m, self.position_m = self.position_m, None
         if sample is None:
-            if self._packet.speed_m_s != 0.0:  # the same packet again is no news
-                self._packet = self._packet._replace(speed_m_s=0.0)
+            if before_m is not None:  # the same packet again is no news
+                self.port.release(self._rate_m_s * self._since_s)
+                self._force_N = 0.0
+                self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
             return 0.0, self._packet
+        dt_s, self._since_s = min(self._since_s, _HELD_S), 0.0
         self.position_m = position_m = float(self._axis @ sample.position_m)
         speed_m_s = float(self._axis @ sample.velocity_m_s)
         # A handle that moves changes its place; one that only says so repeats an old sample.
@@ -133,13 +141,13 @@ class DeviceSide:
         wanted_N, incoming_J = news or (0.0, 0.0)
         wanted_N *= self._coupled
         wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
-        force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
+        self._force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
         travel_m, rate_m_s = self._packet.travel_m, 0.0
         if is_coupled:
             rate_m_s = self._scale * self._rate_m_s
             travel_m += 0.0 if before_m is None else self._scale * (position_m - before_m)
-        self._packet = HandPacket(travel_m, rate_m_s, self.port.in_J)
-        return force_N, self._packet
+        self._packet = HandPacket(travel_m, rate_m_s, self.port.in_J, is_coupled)
+        return self._force_N, self._packet
 
 
 class NeedleSide:
@@ -167,7 +175,7 @@ class NeedleSide:
         self._last = news
         wanted_m_s, incoming_J = 0.0, 0.0
         if news is not None:
-            if self.start_m is None:
+            if self.start_m is None or not news.is_coupled:
                 self.start_m = depth_m - news.travel_m
             incoming_J = news.energy_J
             if self._silent_s < _SILENCE_S:
@@ -240,6 +248,7 @@ class Teleoperation:
         hand has moved meanwhile.
         """
         self.device.position_m = self.needle.start_m = None
+        self.device.port.release(0.0)
 
     def update(
         self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float

@@ -1,0 +1,78 @@
+"""The manager's log: what it holds, what of it is refused, and that it replays."""
+
+import json
+
+import numpy as np
+import pytest
+
+from groundtruth.rig_arm import ArmSample
+from needleforce import InsertionSession
+from needleforce.control import Manager, SafetyLimits, SettingError, State, read_events, replay
+from urdf import load_lwr
+
+ROBOT = load_lwr()
+SAMPLE = ArmSample(1e-3, np.zeros(7), np.zeros(7), np.zeros(7))
+
+
+def new_manager(log):
+    manager = Manager(InsertionSession(ROBOT), SafetyLimits(axial_N=2.0), log=log)
+    manager.update(SAMPLE)
+    manager.heartbeat()
+    return manager
+
+
+def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
+    path = tmp_path / "events.jsonl"
+    manager = Manager(InsertionSession(ROBOT), log=path)
+    manager.update(SAMPLE)
+    refused = manager.request("approach", by="someone")
+    assert "SafetyLimits" in refused
+    (row,) = [json.loads(line) for line in path.read_text().splitlines()]
+    assert list(row) == ["seq", "t_s", "from", "event", "to", "refused", "data"]
+    assert (row["from"], row["to"], row["refused"]) == ("idle", "idle", refused)
+    assert row["data"]["by"] == "someone"
+    assert manager.update(SAMPLE).reason == refused
+
+
+@pytest.mark.parametrize("line", ["{", "[]", '{"seq": 0}', '{"seq": 3}'])
+def test_a_damaged_log_is_refused(tmp_path, line):
+    path = tmp_path / "events.jsonl"
+    path.write_text(line + "\n")
+    with pytest.raises(SettingError, match="line 1 is no event"):
+        read_events(path)
+
+
+def test_a_log_out_of_order_is_refused(tmp_path):
+    path = tmp_path / "events.jsonl"
+    manager = new_manager(path)
+    manager.request("stop")
+    path.write_text(path.read_text().replace('"seq":0', '"seq":2'))
+    with pytest.raises(SettingError, match="event 2 is out of order"):
+        read_events(path)
+
+
+def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
+    for event in ("stop", "release"):
+        manager = new_manager(tmp_path / "two.jsonl")
+        assert manager.request("approach") == ""
+        manager.request(event)
+    events = read_events(tmp_path / "two.jsonl")
+    assert replay(events) == [event.target for event in events]
+
+
+def test_a_log_that_cannot_be_written_is_refused_at_first_and_reported_later(tmp_path):
+    with pytest.raises(OSError, match="No such file"):
+        new_manager(tmp_path / "missing" / "log.jsonl")
+    log = tmp_path / "log.jsonl"
+    manager = new_manager(log)
+    assert manager.request("approach") == ""
+    written = log.read_bytes()
+    log.unlink()
+    log.mkdir()  # as a disk that is full
+    assert manager.request("stop") == ""
+    now = manager.update(SAMPLE)
+    assert (now.state, "cannot be written" in now.reason) == (State.STOPPED, True)
+    log.rmdir()
+    log.write_bytes(written)
+    manager.request("release")
+    assert read_events(log) == manager.events
