@@ -14,7 +14,6 @@ import numpy as np
 import pink  # pyright: ignore[reportMissingImports]
 import qpsolvers  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
-from pink.limits import Limit  # pyright: ignore[reportMissingImports]
 from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 
 from benchmarks.control_published import published
@@ -150,20 +149,6 @@ class Rows(PinkTask):
         return self.jacobian
 
 
-class Box(Limit):
-    """Bounds of joint velocities as a limit of pink."""
-
-    def __init__(self, bounds: Array) -> None:
-        self.bounds = bounds
-
-    def compute_qp_inequalities(
-        self, configuration: pink.Configuration, dt: float
-    ) -> tuple[Array, Array]:
-        """G dq <= h."""
-        identity = np.eye(self.bounds.shape[1])
-        return np.vstack((identity, -identity)), np.concatenate((self.bounds[1], -self.bounds[0]))
-
-
 def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """How much better than ours each level can be, given what ours leaves to it."""
     stacks = RandomStacks(robot, rng)
@@ -172,9 +157,8 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         tasks, last = stacks.draw(bool(index % 2))
         stack, velocity = solved(stacks, tasks, last)
         configuration = pink.Configuration(robot.model, robot.create_data(), stacks.tool.q_rad)
-        box = Box(
-            np.array((np.fmin(stack.bounds[0], velocity), np.fmax(stack.bounds[1], velocity)))
-        )
+        low, high = stack.bounds
+        room = np.array((np.fmin(low - velocity, 0.0), np.fmax(high - velocity, 0.0)))
         rows = np.vstack((stack.rows, np.eye(velocity.size)))
         scale = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
         rows = rows / scale[:, None]
@@ -183,12 +167,16 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         for size in (*(part.size for _, part in stack.levels), velocity.size):
             free, end = _free(rows[:first]), first + size
             level, first = Rows(rows[first:end], rates[first:end]), end
-            qp = pink.build_ik(configuration, [level], 1.0, 1e-12, [box])
-            reduced = (free.T @ qp.P @ free, free.T @ (qp.P @ velocity + qp.q), qp.G @ free)
-            problem = qpsolvers.Problem(*reduced, qp.h - qp.G @ velocity)
+            qp = pink.build_ik(configuration, [level], 1.0, 1e-12, [])
+            problem = qpsolvers.Problem(
+                free.T @ qp.P @ free,
+                free.T @ (qp.P @ velocity + qp.q),
+                np.vstack((free, -free)),
+                np.concatenate((room[1], -room[0])),
+            )
             found = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-9) if free.size else None
             if found is not None and found.x is not None:
-                best = velocity + _within(box.bounds - velocity, free @ found.x)
+                best = velocity + _within(room, free @ found.x)
                 ours, theirs = (
                     np.linalg.norm(level.jacobian @ x - level.rates) for x in (velocity, best)
                 )
