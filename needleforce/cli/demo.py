@@ -113,7 +113,12 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
         return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)  # type: ignore[arg-type]
 
     ends = tuple((item.onset_s, item.end_s) for item in made.ruptures if item.layer)
-    marks = (Shading("a layer ruptures", palette.TRUE_RUPTURE, ends, 1.5),)
+    turns = np.flatnonzero(np.diff(made.rows("is_open"), prepend=False, append=False))
+    back = tuple((float(t_s[k]), float(t_s[n - 1])) for k, n in turns.reshape(-1, 2))
+    marks = (
+        Shading("a layer ruptures", palette.TRUE_RUPTURE, ends, 1.5),
+        Shading("clutch open: the hand goes back", palette.TARE, back),
+    )
     forces = (
         curve("raw_N", "without compensation: force at the base", palette.READING),
         curve("shown_N", "with compensation: shown to the hand", palette.OURS),

@@ -65,6 +65,7 @@ class Teleinsertion:
     shown_N: list[float] = field(default_factory=list)  # what is sent to be felt
     hand_N: list[float] = field(default_factory=list)  # what the device renders
     energy_J: list[float] = field(default_factory=list)  # true, at the hand's port
+    is_open: list[bool] = field(default_factory=list)  # the clutch: the hand goes back
     alarms_s: list[float] = field(default_factory=list)
     least_energy_J: float = 0.0
     drift_m: float = 0.0
@@ -149,6 +150,7 @@ def _note(
     found.shown_N.append(tele.shown_N)
     found.hand_N.append(hand_N)
     found.energy_J.append(master.port_energy_J)
+    found.is_open.append(not master.clutch)
     if estimate.used_for_identification and estimate.identification.rupture is not None:
         found.alarms_s.append(truth.t_s)
 
