@@ -86,32 +86,6 @@ def inserting(**kwargs):
     return manager, sensor
 
 
-@pytest.mark.parametrize("state", State)
-@pytest.mark.parametrize("event", EVENTS)
-def test_every_state_and_event_is_defined_once(state, event):
-    rules = [r for r in TABLE if r.event == event and state in r.sources.split()]
-    assert len(rules) <= 1
-    target, refused = transition(state, event, ALL)
-    assert bool(refused) == (not rules)
-    assert refused == "" or (target is state and event in refused)
-    nothing, why = transition(state, event, ())
-    guards = rules[0].guards.split() if rules else []
-    assert set(guards) <= ALL
-    assert bool(why) == (not rules or bool(guards))
-    assert nothing is (state if why else target)
-
-
-def test_an_unknown_event_is_an_error():
-    with pytest.raises(SettingError, match=r"unknown event 'jump', expected one of guide"):
-        transition(State.IDLE, "jump", ALL)
-
-
-@pytest.mark.parametrize("state", [state for state in State if state is not State.FAULTED])
-def test_stop_and_fault_are_possible_everywhere(state):
-    assert transition(state, "stop", ()) == (State.STOPPED, "")
-    assert transition(state, "fault", ()) == (State.FAULTED, "")
-
-
 def test_faulted_is_left_by_reset_when_healthy_only():
     for event in EVENTS:
         assert transition(State.FAULTED, event, ALL - {"healthy"})[0] is State.FAULTED
@@ -244,23 +218,51 @@ def test_what_spoils_the_force_stops_an_insertion_but_no_withdrawal():
 
 def test_a_new_zero_of_depth_moves_the_entry_along_and_stops_a_motion():
     manager, sensor = inserting()
-    for depth_m, in_contact in ((0.039, False), (0.041, True), (0.03, True)):
+    for depth_m, in_contact in ((0.039, False), (0.041, True), (0.045, True)):
         sensor.reads(depth_m=depth_m, in_contact=in_contact)
         run(manager)
     manager.request("stop")
     manager.request("release")
-    sensor.zero = "the tip was at 0.03 m"
+    sensor.zero = "4 mm deep"
     sensor.reads(depth_m=0.0)
     assert manager.request("insert") == ""
     assert run(manager).state is State.INSERTION  # begun at the new zero
-    sensor.reads(depth_m=0.0105)
+    sensor.zero = "moved in the insertion"
+    assert run(manager).state is State.STOPPED
+    assert manager.request("withdraw") == ""
+    assert run(manager).state is State.STOPPED  # its zero is not the insertion's
+    manager.request("release")
+    assert "in tissue" in manager.request("guide")
+    sensor.reads(depth_m=-0.006)
     run(manager)
+    assert manager.request("guide") == ""
+
+
+def test_at_another_place_nobody_knows_where_tissue_begins():
+    manager, sensor = inserting()
+    for depth_m, in_contact in ((0.041, True), (-0.02, False)):
+        sensor.reads(depth_m=depth_m, in_contact=in_contact)
+        run(manager)
+    sensor.zero = "above another place"
+    for depth_m, in_contact in ((0.0, False), (0.011, True), (0.05, True)):
+        sensor.reads(depth_m=depth_m, in_contact=in_contact)
+        run(manager)
     manager.request("stop")
     manager.request("release")
     assert "in tissue" in manager.request("guide")
-    assert manager.request("insert") == ""
-    sensor.zero = "moved in the insertion"
-    assert run(manager).state is State.STOPPED
+
+
+@pytest.mark.parametrize("is_restored", [True, False])
+def test_who_is_inside_behind_a_new_zero_knows_no_entry(is_restored):
+    manager, sensor = new_manager()
+    sensor.tared = True
+    sensor.reads(depth_m=0.03, in_contact=not is_restored)
+    run(manager)
+    sensor.zero = "elsewhere"
+    for depth_m in (0.03, 0.028):
+        sensor.reads(depth_m=depth_m, in_contact=is_restored)
+        run(manager)
+    assert "in tissue" in manager.request("guide")
 
 
 def test_a_sample_that_is_none_and_an_axis_that_is_not_the_tools_are_reported():

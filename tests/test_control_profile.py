@@ -123,6 +123,8 @@ def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
         ("idle idle idle", "a"),  # refused
         ("idle approach idle idle", "a"),  # released half-way
         ("idle approach stopped idle idle", "a"),
+        ("idle stopped idle idle", "a"),  # stopped in the very cycle
+        ("stopped idle idle", ""),
         ("idle approach approach idle tare tare stopped idle", "aata"),  # the tare was refused
         ("guidance idle approach approach idle", "aat"),
     ],

@@ -142,6 +142,39 @@ def test_a_device_may_send_less_often_than_it_is_read(every):
     assert master.least_energy_J >= -0.1e-3
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("delay_s", [0.0, 0.05])
+@pytest.mark.parametrize(("chance", "least", "most"), [(0.3, 1, 4), (0.01, 10, 18)])
+def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, seed):
+    rng = np.random.default_rng([seed, least])
+    master = HapticMaster(random_operator(advancing(20e-3, 30e-3), rng))
+    read, silent = master.read, iter(())
+
+    def read_with_gaps():
+        nonlocal silent
+        sample = read()
+        if rng.random() < chance:
+            silent = iter(range(rng.integers(least, most + 1)))
+        return sample if next(silent, None) is None else None
+
+    master.read = read_with_gaps
+    tele = Teleoperation(lines=(line(delay_s, rng), line(delay_s, rng)), shown="raw")
+    drive(PLANTS["wall"], tele, master, 2.0, rng)
+    assert master.least_energy_J >= LEAST_J["wall"]
+
+
+def test_after_a_reset_nothing_goes_on_until_the_device_has_sent():
+    tele, handle = Teleoperation(), {"velocity_m_s": (0.0, 0.0, 0.04), "clutch": True}
+    for k in range(500):
+        sample = SimpleNamespace(position_m=(0.0, 0.0, 4e-5 * k), **handle)
+        move = tele.update(sample, estimate(2.0), DT)
+    assert move.speed_m_s > 0.01
+    assert abs(move.force_N[2]) > 0.5
+    tele.reset()
+    move = tele.update(None, estimate(2.0), DT)
+    assert (move.speed_m_s, *move.force_N) == (0.0, 0.0, 0.0, 0.0)
+
+
 def test_noise_is_not_shown_and_a_rupture_is_at_once():
     tele, rng, shown = Teleoperation(), np.random.default_rng(4), []
     for noise_N in rng.normal(0.0, 0.1, 2000):
@@ -217,9 +250,9 @@ def test_a_free_device_never_gets_out_what_was_not_put_in(steps):
     """Whatever force is wanted and however the handle is hit between the samples."""
     port, position_m, mass_kg = HandPort(), 0.0, 0.25
     for wanted_N, speed_m_s in steps:
-        force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, DT)
+        force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, (DT, DT))
         position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
-        port.update(0.0, position_m, 0.0, 1e9, DT)
+        port.update(0.0, position_m, 0.0, 1e9, (DT, DT))
         assert port.net_J >= -1e-12
 
 

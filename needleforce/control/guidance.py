@@ -60,7 +60,7 @@ class Guidance:
 
     Args:
         robot: The arm; its torque limits set the dead zone.
-        damping_Nms_per_rad: D of every joint, shape (n,); those of an LWR where None.
+        damping_Nms_per_rad: D of every joint, shape (n,); None for those of an LWR (`lwr...`).
 
     Raises:
         SettingError: A damping is not positive, or the robot is no LWR and has none.

@@ -176,9 +176,10 @@ class InsertionProfile:
         """Strike out what has begun; a program that does not go on as planned ends."""
         before, self._state = self._state, state
         has_begun = bool(self._program) and state.startswith(self._program[0])
-        is_refused = state == before == "idle" and self._asked != ""
         is_arrival = state == "idle" and self._asked == "arrived"
-        if is_refused or (state != before and before in ("approach", "tare") and not is_arrival):
+        is_refused = before == "idle" and self._asked != "" and not has_begun
+        is_left = state != before and before in ("approach", "tare") and not is_arrival
+        if is_refused or is_left or state in ("stopped", "faulted"):
             self._program = []
         elif has_begun:
             self._program = self._program[1:]
@@ -248,5 +249,5 @@ class InsertionProfile:
         way_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
         rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / seconds
         off_m = self._from_m + way_m - now.estimate.depth_m
-        most = 4.0 * abs(length_m) / seconds  # twice the fastest of the course
+        most = 3.75 * abs(length_m) / seconds  # twice the fastest of the course
         return Step(min(max(rate_m_s + _TRACK_PER_S * off_m, -most), most))

@@ -41,7 +41,7 @@ class State(StrEnum):
 
 MOVING = frozenset(State) - {State.IDLE, State.DWELL, State.STOPPED, State.FAULTED}
 """States in which the arm is commanded to move; in the others it is commanded to rest."""
-_PLACED = MOVING | {State.DWELL}  # States whose motions depend on the depth
+_PLACED = MOVING - {State.GUIDANCE} | {State.DWELL}  # States whose motions depend on the depth
 
 
 class Rule(NamedTuple):
@@ -229,7 +229,7 @@ class Manager:
             so, is written with the next event.
 
     Raises:
-        SettingError: The session or the limits are none.
+        SettingError: The session or the limits are none, or the session names a frame or an axis.
         OSError: The log cannot be written.
     """
 
@@ -240,11 +240,12 @@ class Manager:
         *,
         log: str | Path | None = None,
     ) -> None:
-        if not (hasattr(session, "start_tare_recording") and isinstance(limits, _LIMITS)):
+        if not (hasattr(session, "sensor_config") and isinstance(limits, _LIMITS)):
             what = f"{session!r:.80} and {limits!r}"
             raise SettingError(f"got {what}, expected an InsertionSession and SafetyLimits or None")
         config = session.sensor_config
-        if config.frame is not None or tuple(config.insertion_axis) != (0.0, 0.0, 1.0):
+        x, y, z = config.insertion_axis
+        if config.frame is not None or x != 0.0 or y != 0.0 or z <= 0.0:
             raise SettingError(
                 f"the session's needle is {config.insertion_axis} of frame {config.frame}; motions "
                 "are along z of the robot's tool frame: load the robot with such a tool frame"
@@ -258,7 +259,7 @@ class Manager:
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
         self._depth_m = self._entry_m = math.inf  # nobody knows where the needle is
-        self._zero = self._entered_zero = session.zero
+        self._zero = self._lost_zero = self._entered_zero = session.zero
 
     def heartbeat(self) -> None:
         """The program in charge is alive."""
@@ -272,15 +273,7 @@ class Manager:
         self._last_step_s = step_s = since_s if usable else self._last_step_s
         self._time_s += step_s
         estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
-        is_first = self._depth_m == math.inf
-        if self.session.zero is not self._zero and not is_first:
-            self._entry_m += estimate.depth_m - self._depth_m
-        self._zero, self._depth_m = self.session.zero, estimate.depth_m
-        is_inside = estimate.identification.layer > 0
-        if is_inside and self._entry_m == math.inf:
-            self._entry_m = -math.inf if is_first else self._depth_m  # who begins inside knows none
-        elif not is_inside and self._entry_m == -math.inf:
-            self._entry_m = self._depth_m
+        self._find_entry(estimate)
         watched, times = (estimate, sample, beside), (step_s, since_s, self.session.lag_s)
         event, reason = self._monitors.update(self._state, watched, times)
         if not event and self.session.zero is not self._entered_zero and self._state in _PLACED:
@@ -291,6 +284,23 @@ class Manager:
             self._apply("stop", {"reason": f"no heartbeat for {_HEARTBEAT_S:g} s"})
         state_s = self._time_s - self._entered_s
         return Situation(self._state, state_s, self._time_s, self._reason, estimate)
+
+    def _find_entry(self, estimate: "SessionEstimate") -> None:
+        """Where tissue begins: infinitely deep before it is met, -inf for who begins inside it."""
+        is_first, is_inside = self._depth_m == math.inf, estimate.identification.layer > 0
+        is_new = is_first or self.session.zero is not self._zero
+        if is_new and not is_first:  # outside the next insertion may be at another place
+            moved_m = estimate.depth_m - self._depth_m
+            self._entry_m = math.inf if self._is_outside else self._entry_m + moved_m
+        self._zero, self._depth_m = self.session.zero, estimate.depth_m
+        if is_inside and self._entry_m == math.inf:
+            self._entry_m, self._lost_zero = -math.inf if is_new else self._depth_m, self._zero
+        elif not is_inside and self._entry_m == -math.inf and self._lost_zero is self._zero:
+            self._entry_m = self._depth_m
+
+    @property
+    def _is_outside(self) -> bool:
+        return self._depth_m < self._entry_m - _ENTRY_MARGIN_M
 
     def request(self, event: str, **data: Any) -> str:
         """Ask for a transition; returns why it is refused, empty if it is not.
@@ -322,7 +332,8 @@ class Manager:
         self.events.append(row)
         self._state, self._reason = after, refused or str(data.get("reason", "")) or self._reason
         if after is not before:
-            self._entered_s, self._entered_zero = self._time_s, self.session.zero
+            self._entered_s = self._time_s
+            self._entered_zero = self.session.zero if before is State.IDLE else self._entered_zero
             self._monitors.enter()
         if self._log is not None:
             self._write(self._log)
@@ -343,7 +354,7 @@ class Manager:
             "limit": self._limits is not None,
             "heartbeat": self._is_led,
             "tared": self.session.tared,
-            "outside": self._depth_m < self._entry_m - _ENTRY_MARGIN_M,
+            "outside": self._is_outside,
             "device": self._monitors.has_device,
             "healthy": self._monitors.is_healthy,
         }

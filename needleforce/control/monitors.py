@@ -74,7 +74,8 @@ class Monitors:
         self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
         self._position: Array | None = None
         self._step_s = math.inf
-        self._last_N = 0.0, 0.0  # of the session, along the needle and across it
+        self._last_N = 0.0  # of the session, across the needle
+        self._entry_axial_N: float | None
         self.enter()
 
     @property
@@ -93,7 +94,7 @@ class Monitors:
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
         self._side_Ns = self._fading_s = 0.0
-        self._entry_axial_N, self._entry_lateral_N = self._last_N
+        self._entry_axial_N, self._entry_lateral_N = None, self._last_N
 
     def update(
         self,
@@ -108,7 +109,7 @@ class Monitors:
         and the lag of the session's force.
         """
         (estimate, _, beside), (step_s, since_s, lag_s) = watched, times
-        self._last_N = estimate.wrench.axial, estimate.wrench.lateral
+        self._last_N = estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
         fault = f"no sample for {1e3 * since_s:.0f} ms"
@@ -146,7 +147,8 @@ class Monitors:
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
         if command is None:  # the arm may go where others lead it
-            self._position = None
+            self._position, self._path_rad = None, 0.0
+            self._made_rad = self._asked_rad = np.zeros(1)
         if command is None or estimate.status is Status.REJECTED:
             return ""
         position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
@@ -172,9 +174,10 @@ class Monitors:
     ) -> str:
         limits, wrench = self._limits, estimate.wrench
         if state in _IN_AIR:
-            is_known = (
-                state != "guidance" and estimate.status is Status.OK
-            )  # else a hand's, or bias
+            if self._entry_axial_N is None:
+                self._entry_axial_N = wrench.axial
+            # In guidance it is the hand's, before a tare it holds the bias.
+            is_known = state != "guidance" and estimate.status is Status.OK
             most_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
             change_N = abs(wrench.axial - self._entry_axial_N)
             return f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""

@@ -91,34 +91,41 @@ class HandPort(Port):
         self._force_N = self._damping_N = self._damped_J = self._position_m = 0.0
 
     def update(
-        self, wanted_N: float, position_m: float, speed_m_s: float, incoming_J: float, dt_s: float
+        self,
+        wanted_N: float,
+        position_m: float,
+        speed_m_s: float,
+        incoming_J: float,
+        times_s: tuple[float, float],
     ) -> float:
         """The force to hold over the coming interval, positive against positive motion.
 
         It is what should be shown, the handle's place and rate and what has entered at the other
-        side, as far as known here, that decide.
+        side, as far as known here, that decide. Times are the interval that has passed, and the
+        longest that may come.
         """
+        dt_s, ahead_s = times_s
         travel_m = position_m - self._position_m  # means nothing at first, when no force is held
         self.observe(self._force_N, travel_m)
         # What damping has taken is paid back; not to count it would damp for ever after.
         self._damped_J += self._damping_N * travel_m
         owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
-        force_N = wanted_N * passive_part(-wanted_N * speed_m_s * dt_s, owed_J)
+        force_N = wanted_N * passive_part(-wanted_N * speed_m_s * ahead_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
         root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg)
-        most_N = HANDLE_kg / dt_s * (against_m_s + root_m_s)
+        most_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
         self._damping_N = 0.0
         missing_J = -min(owed_J, self.net_J)
         if missing_J > 0.0:
-            most_J = MOST_DAMPING_Ns_m * speed_m_s * speed_m_s * dt_s
+            most_J = MOST_DAMPING_Ns_m * speed_m_s * speed_m_s * ahead_s
             self._damping_N = passive_part(most_J, missing_J) * MOST_DAMPING_Ns_m * speed_m_s
         self._force_N, self._position_m = force_N + self._damping_N, position_m
         return self._force_N
 
     def release(self, travel_m: float) -> None:
-        """No force is held any more, after so much travel since the last update."""
-        self.observe(self._force_N, travel_m)
+        """No force is held any more, after about so much travel, which is not believed to give."""
+        self.observe(min(self._force_N * travel_m, 0.0), 1.0)
         self._force_N = self._damping_N = 0.0
 
 

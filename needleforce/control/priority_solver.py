@@ -241,7 +241,7 @@ def blocking(velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector) ->
     ends = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
     for k in range(step.size):
         if is_held[k] == 0.0 and step[k] != 0.0:
-            part = min(part, max(ends[k] / step[k], 0.0) + _BEYOND_rad_s / abs(step[k]))
+            part = min(part, max(ends[k] / step[k] + _BEYOND_rad_s / abs(step[k]), 0.0))
     for k in range(step.size if part < 1.0 else 0):
         if is_held[k] == 0.0 and abs(step[k]) > most and ends[k] / step[k] <= part:
             joint, most = k, abs(step[k])

@@ -43,7 +43,9 @@ _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
-_HELD_S = 0.02  # Between two samples of the device its force stays; without one for so long it ends
+_HELD_S, _GAP_MEMORY_S = 0.02, 1.0
+"""Between two samples of the device its force stays; without one for so long it ends. For so long
+a gap between two of them may come again."""
 _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 
 
@@ -110,6 +112,13 @@ class DeviceSide:
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
         self._coupled = 0.0  # 0 to 1
         self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = self._force_N = 0.0
+        self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
+
+    def release(self, travel_m: float = 0.0) -> None:
+        """No force is held any more, after about so much travel; begin from where the handle is."""
+        self.port.release(travel_m)
+        self.position_m, self._force_N, self._since_s = None, 0.0, _HELD_S
+        self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
         self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
@@ -121,17 +130,17 @@ class DeviceSide:
         self._since_s += dt_s
         if sample is None and self._since_s < _HELD_S:
             return self._force_N, self._packet
+        if sample is not None:
+            dt_s, self._since_s = min(self._since_s, _HELD_S), 0.0
         is_coupled = sample is not None and bool(sample.clutch)
         self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
-        before_m, self.position_m = self.position_m, None
         if sample is None:
-            if before_m is not None:  # the same packet again is no news
-                self.port.release(self._rate_m_s * self._since_s)
-                self._force_N = 0.0
-                self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
+            if self.position_m is not None:  # the same packet again is no news
+                self.release(self._rate_m_s * self._since_s)
             return 0.0, self._packet
-        dt_s, self._since_s = min(self._since_s, _HELD_S), 0.0
-        self.position_m = position_m = float(self._axis @ sample.position_m)
+        self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
+        before_m, self.position_m = self.position_m, float(self._axis @ sample.position_m)
+        position_m = self.position_m
         speed_m_s = float(self._axis @ sample.velocity_m_s)
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
@@ -141,7 +150,8 @@ class DeviceSide:
         wanted_N, incoming_J = news or (0.0, 0.0)
         wanted_N *= self._coupled
         wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
-        self._force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, dt_s)
+        times_s = dt_s, self._gap_s
+        self._force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
         travel_m, rate_m_s = self._packet.travel_m, 0.0
         if is_coupled:
             rate_m_s = self._scale * self._rate_m_s
@@ -175,7 +185,7 @@ class NeedleSide:
         self._last = news
         wanted_m_s, incoming_J = 0.0, 0.0
         if news is not None:
-            if self.start_m is None or not news.is_coupled:
+            if self.start_m is None or not news.is_coupled or self._silent_s >= _SILENCE_S:
                 self.start_m = depth_m - news.travel_m
             incoming_J = news.energy_J
             if self._silent_s < _SILENCE_S:
@@ -247,8 +257,8 @@ class Teleoperation:
         Call it after a pause or a new zero of depth: else the needle makes up for all that the
         hand has moved meanwhile.
         """
-        self.device.position_m = self.needle.start_m = None
-        self.device.port.release(0.0)
+        self.device.release()
+        self.needle.start_m = None
 
     def update(
         self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float

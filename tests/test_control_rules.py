@@ -1,4 +1,4 @@
-"""The manager's log: what it holds, what of it is refused, and that it replays."""
+"""The manager's table of rules, and its log: what it holds, what of it is refused."""
 
 import json
 
@@ -8,9 +8,11 @@ import pytest
 from groundtruth.rig_arm import ArmSample
 from needleforce import InsertionSession
 from needleforce.control import Manager, SafetyLimits, SettingError, State, read_events, replay
+from needleforce.control.manager import EVENTS, REFUSALS, TABLE, transition
 from urdf import load_lwr
 
 ROBOT = load_lwr()
+ALL = set(REFUSALS)
 SAMPLE = ArmSample(1e-3, np.zeros(7), np.zeros(7), np.zeros(7))
 
 
@@ -19,6 +21,32 @@ def new_manager(log):
     manager.update(SAMPLE)
     manager.heartbeat()
     return manager
+
+
+@pytest.mark.parametrize("state", State)
+@pytest.mark.parametrize("event", EVENTS)
+def test_every_state_and_event_is_defined_once(state, event):
+    rules = [r for r in TABLE if r.event == event and state in r.sources.split()]
+    assert len(rules) <= 1
+    target, refused = transition(state, event, ALL)
+    assert bool(refused) == (not rules)
+    assert refused == "" or (target is state and event in refused)
+    nothing, why = transition(state, event, ())
+    guards = rules[0].guards.split() if rules else []
+    assert set(guards) <= ALL
+    assert bool(why) == (not rules or bool(guards))
+    assert nothing is (state if why else target)
+
+
+def test_an_unknown_event_is_an_error():
+    with pytest.raises(SettingError, match=r"unknown event 'jump', expected one of guide"):
+        transition(State.IDLE, "jump", ALL)
+
+
+@pytest.mark.parametrize("state", [state for state in State if state is not State.FAULTED])
+def test_stop_and_fault_are_possible_everywhere(state):
+    assert transition(state, "stop", ()) == (State.STOPPED, "")
+    assert transition(state, "fault", ()) == (State.FAULTED, "")
 
 
 def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
