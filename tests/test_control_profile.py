@@ -161,6 +161,15 @@ def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
     assert events["rupture"] == pytest.approx(1205, abs=10)
 
 
+def test_a_jerk_of_the_arm_is_no_rupture():
+    profile, depth_m = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)), 0.0
+    for k in range(6000):
+        axial_N = 2.9 + 0.5 * (k % 1000 in (998, 999))  # 1.6 m/s² for two samples
+        step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
+        depth_m += DT * step.speed_m_s
+        assert step.event == ""
+
+
 def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
     profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1))
     asked_m = tip_m = 0.0

@@ -30,6 +30,7 @@ ruptures. A heartbeat is, once the needle has been in tissue for a second."""
 _LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.04, 0.15, 0.1, 2.0, 0.03, 1.5e-3
 """A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
 one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
+_MOST_RISE_N_per_s = 30.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
 _GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
 """A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
@@ -101,7 +102,8 @@ class RuptureCount:
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
         if self._block_s < 0.0 or not is_steady:  # what falls then is that rupture, or the start
             self._peak_N = self._force_N
-        self._peak_N, alarm = max(self._peak_N, self._force_N), found.rupture
+        rise_N = min(max(self._force_N - self._peak_N, 0.0), _MOST_RISE_N_per_s * dt_s)
+        self._peak_N, alarm = self._peak_N + rise_N, found.rupture
         self._block_s += dt_s
         seen_N = self._peak_N - self._force_N
         self._newest_N = max(self._newest_N, seen_N if found.in_contact else min(seen_N, _LARGE_N))
