@@ -123,8 +123,8 @@ def replayed(
     """Rows of the session over a recording of joint signals; says what is wrong with it."""
     tare, session, rows = SessionTare(options.tare), InsertionSession(model), []
     rejected, mapping = Counter[str](), load_mapping(options.mapping) if options.mapping else None
-    channels = {"required": ["q", "tau"], "optional": ["dq"]}
-    log = read_log(recording, mapping, **channels, joints=model.joint_names)
+    joints, known = model.joint_names, (recording, mapping)
+    log = read_log(*known, required=["q", "tau"], optional=["dq"], joints=joints)
     require_joints(log["q_rad"], model)
     if plan is not None:
         session.follow(plan.match, plan.entry_in_base_m)
