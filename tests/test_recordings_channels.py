@@ -48,7 +48,7 @@ def detected(table, channel):
         ("N·m", "tau", "Nm"),
         ("°/s", "dq", "deg/s"),
         ("n", "force", None),
-        ("inch", "depth", None),
+        ("inch", "depth", "inch"),
     ],
 )
 def test_units_are_known_in_their_usual_spellings(written, channel, unit):
@@ -245,7 +245,7 @@ def test_a_wrong_toml_is_refused_with_the_file_named(tmp_path, text, message):
         ("z:2.5", ColumnSpec(columns="z", scale=2.5)),
         ("a, b", ColumnSpec(columns=("a", "b"))),
         ("ns::z:um", ColumnSpec(columns="ns::z", unit="um")),
-        ("z:inch", ColumnSpec(columns="z:inch")),
+        ("z:furlong", ColumnSpec(columns="z:furlong")),
     ],
 )
 def test_the_short_form_means_the_same_specification(text, spec):
@@ -294,7 +294,7 @@ def test_a_suggested_mapping_takes_units_and_what_is_known(tmp_path):
     assert content["time"]["unit"] == "ms"
     assert content["q"] == {"columns": ["a_deg", "b_rad"], "scale": 1.0}
     assert content["force"] == {"columns": "Kraft", "unit": "N", "scale": -1.0}
-    assert 'unit = "N"  # assumed; of N, mN' in text.splitlines()
+    assert 'unit = "N"  # assumed; of N, mN, kN, lbf' in text.splitlines()
     with pytest.raises(FileAccessError, match="cannot read the mapping"):
         load_mapping(tmp_path / "none.toml")
     for name in ("no.mcap", "no.csv"):

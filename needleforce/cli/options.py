@@ -60,9 +60,9 @@ class JointColumns(Columns):
     dq: Annotated[str | None, _COLUMN] = None
     """Joint velocity (rad/s, deg/s)."""
     tau: Annotated[str | None, _COLUMN] = None
-    """Measured joint torque (Nm, mNm)."""
+    """Measured joint torque (Nm, mNm, Ncm, kNm)."""
     tau_ext: Annotated[str | None, _COLUMN] = None
-    """External joint torque as the robot estimates it (Nm, mNm)."""
+    """External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm)."""
 
 
 @Parameter(name="*", group=COLUMNS)
@@ -71,11 +71,11 @@ class DepthColumns(Columns):
     """Channels of `identify`."""
 
     depth: Annotated[str | None, _COLUMN] = None
-    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm, um)."""
+    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm, um, inch)."""
     speed: Annotated[str | None, _COLUMN] = None
     """Rate of depth (m/s, cm/s, mm/s, um/s)."""
     force: Annotated[str | None, _COLUMN] = None
-    """Axial force, positive when tissue pushes back (N, mN)."""
+    """Axial force, positive when tissue pushes back (N, mN, kN, lbf)."""
 
 
 @Parameter(name="*", group=COLUMNS)

@@ -18,10 +18,10 @@ Units = Mapping[str, float]  # Units that may stand in a file, with factors to S
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ANGLE = {"rad": 1.0, "deg": pi / 180.0}
 _ANGULAR_SPEED = {"rad/s": 1.0, "deg/s": pi / 180.0}
-_TORQUE = {"Nm": 1.0, "mNm": 1e-3}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6}
+_TORQUE = {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3}
+_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
 _SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6}
-_FORCE = {"N": 1.0, "mN": 1e-3}
+_FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605}
 _CODE = {"1": 1.0}
 
 # How people write the same unit; applied in this order.
