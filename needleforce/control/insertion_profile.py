@@ -27,7 +27,7 @@ _SMOOTH_S, _PEAK_S = 3e-3, 0.1  # Time constants: of the force, and of the memor
 _BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
 """Ordinary is the largest fall of the last seconds, without those newer than a block and of counted
 ruptures. A heartbeat is, once the needle has been in tissue for a second."""
-_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.04, 0.15, 0.1, 2.0, 0.03, 1.5e-3
+_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.03, 0.15, 0.08, 2.0, 0.03, 1.5e-3
 """A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
 one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
 _MOST_RISE_N_per_s = 30.0  # A force that rises more quickly is a jerk of the arm, no push of tissue

@@ -57,6 +57,7 @@ _UNUSABLE = (
     | SensorWarning.TARE_EXPIRED
 )
 _IN_AIR, _AT_TISSUE = ("guidance", "approach", "tare"), ("teleop", "insertion", "dwell", "withdraw")
+_DRIVEN = "teleop", "insertion"  # Without the force a needle can be held, and must come out
 _RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
 _TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
 """Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
@@ -183,7 +184,7 @@ class Monitors:
             return f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""
         if state not in _AT_TISSUE:
             return ""
-        if estimate.warnings & _UNUSABLE and state != "withdraw":  # it must come out all the same
+        if estimate.warnings & _UNUSABLE and state in _DRIVEN:
             return wrench.message
         inwards_N, outwards_N = max(axial_N, ahead_N), -min(axial_N, ahead_N)
         most_N = outwards_N if state == "withdraw" else inwards_N
