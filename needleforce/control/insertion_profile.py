@@ -30,7 +30,7 @@ ruptures. A heartbeat is, once the needle has been in tissue for a second."""
 _LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.03, 0.15, 0.08, 2.0, 0.03, 1.5e-3
 """A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
 one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
-_MOST_RISE_N_per_s = 30.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
+_MOST_RISE_N_per_s = 15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
 _GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
 """A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
