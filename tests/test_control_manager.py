@@ -208,9 +208,12 @@ def test_a_force_against_the_withdrawal_counts_there_and_the_other_does_not():
     assert run(manager, 0.1).state is State.STOPPED
 
 
-def test_what_spoils_the_force_stops_an_insertion_but_no_withdrawal():
+def test_what_spoils_the_force_stops_an_insertion_but_no_dwell_and_no_withdrawal():
     manager, sensor = inserting()
+    manager.request("arrived")
     sensor.reads(warnings=SensorWarning.TARE_EXPIRED, message="the tare has expired")
+    assert run(manager, 0.01).state is State.DWELL
+    assert manager.request("insert") == ""
     assert run(manager, 0.01).state is State.STOPPED
     assert manager.request("withdraw") == ""
     assert run(manager, 0.1).state is State.WITHDRAW
