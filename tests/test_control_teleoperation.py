@@ -42,7 +42,7 @@ def estimate(
         stiffness_N_per_m=stiffness,
     )
     return SimpleNamespace(
-        wrench=SimpleNamespace(axial=axial_N),
+        wrench=SimpleNamespace(axial_unsmoothed=axial_N),
         identification=found,
         depth_m=depth_m,
         speed_m_s=speed_m_s,

@@ -79,7 +79,7 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
     of a jump would else pull the hand, with energy that no tissue has given.
     """
-    axial_N = estimate.wrench.axial
+    axial_N = estimate.wrench.axial_unsmoothed  # as the tip force, which is made of it
     if shown == "raw":
         return axial_N
     found = estimate.identification
