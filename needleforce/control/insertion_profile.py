@@ -7,17 +7,15 @@ rest at once, and the controller brakes with all that the limits of the arm allo
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.estimate import Estimate, RuptureState
 from needleforce.control.errors import SettingError, require_positive
+from needleforce.control.manager import Situation
 from needleforce.control.ports import Array
-
-if TYPE_CHECKING:
-    from needleforce.control.manager import Situation
 
 _TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
 _BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
@@ -154,7 +152,7 @@ class InsertionProfile:
         self._is_slack = False
 
     def update(
-        self, now: "Situation", identification: Estimate | None = None, axial_N: float | None = None
+        self, now: Situation, identification: Estimate | None = None, axial_N: float | None = None
     ) -> Step:
         """Speed and event that follow from what is known now.
 
@@ -186,7 +184,7 @@ class InsertionProfile:
         elif has_begun:
             self._program = self._program[1:]
 
-    def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
+    def _step(self, now: Situation, dt_s: float, found: Estimate, axial_N: float) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
@@ -241,7 +239,7 @@ class InsertionProfile:
         low, high = self._speed_m_s - most * dt_s, self._speed_m_s + most * dt_s
         return Step(min(max(wish, low), high))
 
-    def _stroke(self, now: "Situation", legs_m: tuple[float, ...]) -> Step:
+    def _stroke(self, now: Situation, legs_m: tuple[float, ...]) -> Step:
         """Speed on quintic strokes from rest to rest, one after another."""
         seconds = self._plan.stroke_s
         index = int(now.state_s / seconds)

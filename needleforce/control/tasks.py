@@ -75,8 +75,7 @@ class ToolState:
 class Task(Protocol):
     """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s."""
 
-    size: int
-    """Number of rows m."""
+    size: int  # number of rows m
 
     @abstractmethod
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
@@ -160,8 +159,6 @@ def _tip_task(
 class Fixture(TipTask):
     """The needle moves along a line fixed in space and keeps its orientation; five rows.
 
-    S takes two directions across the line, of the rotation also the third, about the line.
-
     Args:
         origin_m: A point g of the line, shape (3,).
         rotation: Axes R_d of the tool in the base, shape (3, 3); the third is the line.
@@ -176,9 +173,9 @@ class Fixture(TipTask):
         if not (is_turn and np.linalg.det(axes) > 0.0):
             what = "right-handed orthonormal axes in columns"
             raise SettingError(f"rotation is {rotation!r}, expected {what}")
-        across = np.zeros((6, 6))  # place and direction, each along the three axes
-        across[:3, :3] = across[3:, 3:] = axes.T
-        super().__init__(across[[0, 1, 3, 4, 5]], gain_per_s)
+        along = np.zeros((6, 6))  # place and direction, each along the three axes
+        along[:3, :3] = along[3:, 3:] = axes.T
+        super().__init__(np.delete(along, 2, axis=0), gain_per_s)  # all but the place on the line
         self.goal_m, self.rotation = vector(origin_m, 3, "origin_m"), axes
 
     @classmethod
