@@ -108,8 +108,8 @@ class DeviceSide:
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
-        self._coupled = 0.0  # 0 to 1
         self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = self._force_N = 0.0
+        self._coupled = 0.0  # 0 to 1
         self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
 
     def release(self, travel_m: float = 0.0) -> None:
@@ -137,24 +137,22 @@ class DeviceSide:
                 self.release(self._rate_m_s * self._since_s)
             return 0.0, self._packet
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
-        before_m, self.position_m = self.position_m, float(self._axis @ sample.position_m)
-        position_m = self.position_m
-        speed_m_s = float(self._axis @ sample.velocity_m_s)
+        before_m, position_m = self.position_m, float(self._axis @ sample.position_m)
+        self.position_m = position_m
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
-        speed_m_s = 0.0 if self._still_s > _SILENCE_S else speed_m_s
+        is_still = self._still_s > _SILENCE_S
+        speed_m_s = 0.0 if is_still else float(self._axis @ sample.velocity_m_s)
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
-        wanted_N, incoming_J = news or (0.0, 0.0)
-        wanted_N *= self._coupled
-        wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
-        times_s = dt_s, self._gap_s
+        known_N, incoming_J = news or (0.0, 0.0)
+        damping_N = self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
+        wanted_N, times_s = known_N * self._coupled + damping_N, (dt_s, self._gap_s)
         self._force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
-        travel_m, rate_m_s = self._packet.travel_m, 0.0
-        if is_coupled:
-            rate_m_s = self._scale * self._rate_m_s
-            travel_m += 0.0 if before_m is None else self._scale * (position_m - before_m)
-        self._packet = HandPacket(travel_m, rate_m_s, self.port.in_J, is_coupled)
+        scale = self._scale * is_coupled
+        moved_m = 0.0 if before_m is None else position_m - before_m
+        travel_m = self._packet.travel_m + scale * moved_m
+        self._packet = HandPacket(travel_m, scale * self._rate_m_s, self.port.in_J, is_coupled)
         return self._force_N, self._packet
 
 
@@ -278,11 +276,9 @@ class Teleoperation:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
         sample = sample if _is_sound(sample) else None
         force_N, sent = self.device.update(sample, self._from_needle, dt_s)
-        lines = self._lines
+        lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
-        speed_m_s, answer = self.needle.update(
-            arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
-        )
+        speed_m_s, answer = self.needle.update(arrived, self.shown_N, *travel, dt_s)
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         self._last = TeleopCommand(speed_m_s, -force_N * self._axis)
         return self._last
