@@ -173,9 +173,11 @@ def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
     Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its i-th
     direction meets row i and leaves the rows before it met.
     """
-    joints, is_met = velocity.size, rates.size <= velocity.size
+    joints = velocity.size
+    if rates.size > joints:
+        return False
     basis = np.empty((joints, joints))
-    for i in range(rates.size if is_met else 0):
+    for i in range(rates.size):
         new = basis[i]
         new[:] = rows[i]
         for j in range(2 * i):
@@ -184,12 +186,12 @@ def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
                 new[k] -= part * basis[j % i, k]
         size = math.sqrt(dot(new, new))
         if size < _REGULAR:
-            is_met = False
-            break
+            return False
         new /= size
         part = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], new)
         for k in range(joints):
             velocity[k] += part * new[k]
+    is_met = True
     for k in range(joints):
         is_met = is_met and bounds[0, k] < velocity[k] < bounds[1, k]
     return is_met
