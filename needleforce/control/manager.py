@@ -10,16 +10,18 @@ from collections.abc import Collection, Iterable
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
 from needleforce.control.errors import SettingError
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
-from needleforce.session import InsertionSession, SessionEstimate
 from residual.errors import TareError
 from residual.input_validation import as_float
+
+if TYPE_CHECKING:
+    from needleforce.session import InsertionSession, SessionEstimate
 
 
 class State(StrEnum):
@@ -190,7 +192,7 @@ class Situation(NamedTuple):
     state_s: float  # time in this state
     time_s: float  # sum of the time steps since the start, bad samples included
     reason: str  # why it was stopped, faulted or refused last; empty if it never was
-    estimate: SessionEstimate
+    estimate: "SessionEstimate"
 
     @property
     def is_moving(self) -> bool:
@@ -228,7 +230,7 @@ class Manager:
 
     def __init__(
         self,
-        session: InsertionSession,
+        session: "InsertionSession",
         limits: SafetyLimits | None = None,
         *,
         log: str | Path | None = None,
@@ -278,7 +280,7 @@ class Manager:
         state_s = self._time_s - self._entered_s
         return Situation(self._state, state_s, self._time_s, self._reason, estimate)
 
-    def _find_entry(self, estimate: SessionEstimate) -> None:
+    def _find_entry(self, estimate: "SessionEstimate") -> None:
         """Where tissue begins: infinitely deep before it is met, -inf for who begins inside it."""
         is_first, is_inside = self._depth_m == math.inf, estimate.identification.layer > 0
         is_new = is_first or self.session.zero is not self._zero

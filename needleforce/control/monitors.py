@@ -6,15 +6,17 @@ have come to rest. A stiff contact is then noticed while its force is still smal
 
 import math
 from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from needleforce.control.errors import require_positive
 from needleforce.control.ports import ArmSample, Array
-from needleforce.session import SessionEstimate
 from residual.estimate import SensorWarning, Status
 from residual.input_validation import as_float
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -96,7 +98,7 @@ class Monitors:
     def update(
         self,
         state: str,
-        watched: tuple[SessionEstimate, ArmSample, Beside],
+        watched: "tuple[SessionEstimate, ArmSample, Beside]",
         times: tuple[float, float, float],
     ) -> tuple[str, str]:
         """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
@@ -128,7 +130,7 @@ class Monitors:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
         return ("limit", stop) if stop else ("", "")
 
-    def _signals(self, estimate: SessionEstimate, axial_N: float, step_s: float) -> str:
+    def _signals(self, estimate: "SessionEstimate", axial_N: float, step_s: float) -> str:
         is_bad, has_force = estimate.status is Status.REJECTED, math.isfinite(axial_N)
         self._bad_s = max(self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0)
         if self._bad_s > self._limits.lost_s:
@@ -137,7 +139,7 @@ class Monitors:
         return estimate.wrench.message if estimate.warnings & _BROKEN and not is_bad else ""
 
     def _commands(
-        self, estimate: SessionEstimate, sample: ArmSample, beside: Beside, step_s: float
+        self, estimate: "SessionEstimate", sample: ArmSample, beside: Beside, step_s: float
     ) -> str:
         command = beside.command_rad_s
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
@@ -166,7 +168,9 @@ class Monitors:
             return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
         return ""
 
-    def _forces(self, state: str, estimate: SessionEstimate, axial_N: float, ahead_N: float) -> str:
+    def _forces(
+        self, state: str, estimate: "SessionEstimate", axial_N: float, ahead_N: float
+    ) -> str:
         limits, wrench = self._limits, estimate.wrench
         if state in _IN_AIR:
             if self._entry_axial_N is None:

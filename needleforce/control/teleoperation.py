@@ -9,7 +9,7 @@ one way, scaled; force comes back, scaled and kept passive at both ends, see `pa
 """
 
 import math
-from typing import Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,11 @@ from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.passivity import HandPort, NeedlePort
 from needleforce.control.ports import Array, MasterSample
 from needleforce.control.tasks import vector
-from needleforce.session import SessionEstimate
 from residual.estimate import Status
 from residual.input_validation import as_float
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
 
 Shown = Literal["tip", "enhanced", "raw"]
 Packet = TypeVar("Packet")
@@ -71,7 +73,7 @@ class Line(Protocol[Packet]):
         ...
 
 
-def shown_force(estimate: SessionEstimate, shown: Shown = "tip") -> float:
+def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     """The force to be felt [N], positive against insertion.
 
     Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
@@ -257,7 +259,7 @@ class Teleoperation:
         self.needle.start_m = None
 
     def update(
-        self, sample: MasterSample | None, estimate: SessionEstimate, dt_s: float
+        self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float
     ) -> TeleopCommand:
         """Take the device's newest sample and the newest force; never raises.
 
@@ -282,7 +284,7 @@ class Teleoperation:
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
         return TeleopCommand(speed_m_s, -self.device.force_N * self._axis)
 
-    def _smoothed(self, estimate: SessionEstimate, dt_s: float) -> float:
+    def _smoothed(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """The force to be felt, less its noise; the raw one as it is."""
         known_N = shown_force(estimate, self._shown)
         if self._shown == "raw":
