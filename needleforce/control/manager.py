@@ -288,8 +288,10 @@ class Manager:
             moved_m = estimate.depth_m - self._depth_m
             self._entry_m = math.inf if self._is_outside else self._entry_m + moved_m
         self._zero, self._depth_m = self.session.zero, estimate.depth_m
-        if is_inside and self._entry_m == math.inf:
-            self._entry_m, self._lost_zero = -math.inf if is_new else self._depth_m, self._zero
+        if is_inside and math.isinf(self._entry_m):
+            self._lost_zero = self._zero
+            if self._entry_m > 0.0:
+                self._entry_m = -math.inf if is_new else self._depth_m
         elif not is_inside and self._entry_m == -math.inf and self._lost_zero is self._zero:
             self._entry_m = self._depth_m
 
