@@ -21,7 +21,7 @@ LIMITS = {
     "product": (19_000, 96),
     "benchmarks": (6_500, 30),
     "tests": (13_000, 72),
-    "control": (2_242, 11),
+    "control": (2_244, 11),
     "anatomy": (1_499, 9),
     "scene": (700, 6),
     "devices": (1_200, 7),
