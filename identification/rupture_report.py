@@ -195,7 +195,9 @@ def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
     return (bank.facts[:, law.KIND] == law.MEMBRANE) & (bank.facts[:, law.IS_HELD] > 0.0)
 
 
-def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[float, float] | None:
+def friction_left(
+    bank: Bank, known: int, force_variance: float, *, before: bool = False
+) -> tuple[float, float] | None:
     """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
@@ -212,7 +214,7 @@ def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[floa
     values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
     mean = float(fraction @ values)
     variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
-    return mean, math.sqrt(variance)
+    return mean, math.sqrt(math.sqrt(variance) ** 2 + force_variance)
 
 
 def layer_left(

@@ -42,7 +42,7 @@ def is_at_work(state):
     """Whether the work of a block or the wait for a force drop has begun and not ended."""
     if isinstance(state, PublishedState):
         return state.ruptured is not None
-    return state.is_due
+    return state.stage != 0
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
