@@ -49,7 +49,8 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
     """
     bank = memory.bank
-    weights = _shown(bank.log_weights)
+    weights = np.where(bank.weights > _LEAST_WEIGHT, bank.weights, 0.0)
+    weights /= weights.sum()
     answer, best = NO_ANSWER.copy(), int(weights.argmax())
     answer[1], answer[2:], all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
     diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
@@ -60,15 +61,6 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
         answer[0, :3] = 1.0, ruptures + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed
     return answer
-
-
-@compiled
-def _shown(log_weights: Vector) -> Vector:
-    """Probabilities, but for those that do not show in an answer."""
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
-    return weights / weights.sum()
 
 
 class Evaluation(NamedTuple):
@@ -97,14 +89,14 @@ def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
     limits = float(known), least, law.LAYER
-    found = Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT))
+    found = Evaluation(*_counted(bank.weights, bank.facts, bank.means, most, limits, _OF_COUNT))
     lower = force[found.pick] - bank.records[found.pick, law.LEAST_FORCE]
     return found if lower > _VISIBLE * least else found._replace(more=0.0)
 
 
 @compiled
 def _counted(
-    log_weights: Vector,
+    weights: Vector,
     facts: Matrix,
     means: Matrix,
     most: Vector,
@@ -116,8 +108,6 @@ def _counted(
     A rupture releases `most`: no more than the force there was, nothing where the force is back.
     """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
@@ -214,7 +204,7 @@ def friction_left(
     values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
     mean = float(fraction @ values)
     variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
-    return mean, math.sqrt(math.sqrt(variance) ** 2 + force_variance)
+    return mean, math.sqrt(variance + force_variance)
 
 
 def layer_left(
