@@ -49,7 +49,8 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
     """
     bank = memory.bank
-    weights = np.where(bank.weights > _LEAST_WEIGHT, bank.weights, 0.0)
+    weights = bank.weights
+    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
     weights /= weights.sum()
     answer, best = NO_ANSWER.copy(), int(weights.argmax())
     answer[1], answer[2:], all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
