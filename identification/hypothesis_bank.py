@@ -122,11 +122,6 @@ class BankMemory:
         """Unknowns of the likeliest hypothesis, and what it takes for certain."""
         return self.store[0][0].tolist(), self.store[3][0].tolist()
 
-    def weigh(self, place: Place, *, is_advancing: bool) -> None:
-        """Weigh down what no tissue does, see `hypothesis_filter`."""
-        now = (place.depth, place.speed, place.dt_s, place.noise)
-        law.weigh(self.store, self.size, now, is_advancing)
-
     def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.
 

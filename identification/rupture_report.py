@@ -186,6 +186,11 @@ def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
     return (bank.facts[:, law.KIND] == law.MEMBRANE) & (bank.facts[:, law.IS_HELD] > 0.0)
 
 
+def _weights_of(bank: Bank, known: int) -> Array:
+    """Probabilities of the hypotheses that know of so many ruptures, of others 0, shape (n,)."""
+    return np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
+
+
 def friction_left(
     bank: Bank, known: int, force_variance: float, *, before: bool = False
 ) -> tuple[float, float] | None:
@@ -193,15 +198,14 @@ def friction_left(
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
     """
-    mine, weights = bank.facts[:, law.RUPTURES] == known, bank.weights
-    place = np.where(_is_meeting(bank), law.EARLIER, law.LEFT)
+    weights, is_meeting = _weights_of(bank, known), _is_meeting(bank)
     if before:
-        mine &= ~_is_meeting(bank)
-        place = np.full_like(place, law.EARLIER)
-    total = float(weights[mine].sum())
+        weights[is_meeting] = 0.0
+    total = float(weights.sum())
     if total < _LEAST_PROBABILITY:
         return None
-    rows, place, fraction = np.flatnonzero(mine), place[mine], weights[mine] / total
+    rows, fraction = np.arange(len(weights)), weights / total
+    place = np.where(is_meeting | before, law.EARLIER, law.LEFT)
     values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
     mean = float(fraction @ values)
     variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
@@ -215,10 +219,10 @@ def layer_left(
 
     None where no hypothesis knows of it.
     """
-    mine = (bank.facts[:, law.RUPTURES] == known) & ~_is_meeting(bank)
-    if not mine.any():
+    weights = np.where(_is_meeting(bank), 0.0, _weights_of(bank, known))
+    if not weights.any():
         return None
-    best = int(np.argmax(np.where(mine, bank.weights, 0.0)))
+    best = int(np.argmax(weights))
     record = bank.records[best]
     thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
@@ -262,6 +266,6 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
 
 def partial_rupture_probability(bank: Bank, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
-    weights = np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
+    weights = _weights_of(bank, known)
     total = float(weights.sum())
     return float(weights @ bank.records[:, law.WAS_PARTIAL]) / total if total > 0.0 else 0.0

@@ -188,7 +188,7 @@ class SwitchingMethod:
             # A speed is as late as its filter: where it changes it is off by a block's change.
             law_std = math.hypot(2.0 * speed_std, own - last.speed)
             _learn(bank, place, left, self._resumed, (depth_std, law_std))
-            bank.weigh(place, is_advancing=is_advancing)
+            law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
             self._stage = _BRANCH if is_advancing else _PRUNE
         else:
             self._resumed, self._levels = 1.0, self._levels.restarted()
