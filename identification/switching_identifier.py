@@ -92,14 +92,14 @@ class SwitchingMethod:
 
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
-        (bank, memory, answer, self._levels, self._tissue, self._trend, *_) = state
-        (*_, self._ruptures, self._alarm, layers, self._rupture_state) = state
+        self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
+        self._answer, self._events = working_copy(state.answer), Events()
+        self._levels, self._tissue, self._trend = state.levels, state.tissue, state.trend
         self._place, self._stage, self._resumed = state.place, state.stage, state.resumed
         self._deepest, self._spawned = state.deepest, state.spawned
-        self._force_std_in_air, self._events = state.force_std_in_air, Events()
-        self._bank, self._memory = BankMemory(bank), working_copy(memory)
-        self._answer = working_copy(answer)
-        self._keep(layers)
+        self._force_std_in_air, self._rupture_state = state.force_std_in_air, state.rupture_state
+        self._ruptures, self._alarm = state.ruptures, state.alarm
+        self._keep(state.layers)
 
     def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those left, with what every sample needs of them."""
