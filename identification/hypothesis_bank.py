@@ -40,6 +40,12 @@ _OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
 Rows = NDArray[np.int64]  # Of hypotheses, shape (m,)
 
 
+@compiled
+def _probabilities(log_weights: Vector) -> Array:
+    weights = np.exp(log_weights - log_weights.max())
+    return weights / weights.sum()
+
+
 class Bank(NamedTuple):
     """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
 
@@ -67,8 +73,7 @@ class Bank(NamedTuple):
     @property
     def weights(self) -> Array:
         """Probabilities, shape (n,)."""
-        weights = np.exp(self.log_weights - self.log_weights.max())
-        return weights / weights.sum()
+        return _probabilities(self.log_weights)
 
     def copied(self) -> "Bank":
         """The same, in memory of its own."""
