@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import Array, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
-from residual.wrench_estimator import WrenchEstimator, unusual_change
+from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
 TRAVEL_S = 1.0  # in which travel fades: shorter makes slow strokes short, longer adds up bias
@@ -66,6 +66,9 @@ down to the second; up to the third it is learnt as usual. From the last on, of 
 explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
 LEARNED_S = 1.0  # before anything is called unusual
+LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
+"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
+joint's sensor, or an error of the lever arms."""
 
 
 class VelocityMatch(NamedTuple):
@@ -217,6 +220,75 @@ class TorqueChange(NamedTuple):
     pushed_s: float = 0.0  # time since the arm is pushed
 
 
+@compiled
+def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tuple[float, Array]:
+    """Mean square of a change of torque that no wrench explains, and what the likeliest explains.
+
+    Unknowns make torque [Nm] by ``rows``, (k, n), k < n; the covariance [Nm^2], shape (n, n), is
+    the unit of the mean square. The change, and what is explained of it, have shape (n,).
+    """
+    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
+    weighted = rows.dot(precision)
+    information = weighted.dot(rows.T)
+    # What no joint feels is left at zero.
+    least = 1e-12 * np.trace(information) + 1e-30
+    wrench = np.linalg.solve(information + least * np.eye(len(rows)), weighted.dot(change))
+    explained = wrench.dot(rows)
+    left = change - explained
+    return left.dot(precision).dot(left) / (len(change) - len(rows)), explained
+
+
+@compiled
+def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
+    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
+
+    Unknowns make torque by ``rows``, (k, n); 0 where there are as many as joints. In units of what
+    is usual: the mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its
+    diagonal; and of what sensors and lever arms may be wrong by in what is explained. Up to
+    ``enough`` without the latter, which only lowers it.
+    """
+    if len(rows) >= len(change):
+        return 0.0
+    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
+    square, explained = unexplained_change(rows, covariance, change)
+    if square > enough:
+        error_Nm = CHANGE_ERROR * np.abs(explained).max()
+        covariance = covariance + error_Nm**2 * np.eye(len(change))
+        square, explained = unexplained_change(rows, covariance, change)
+    return square
+
+
+@compiled
+def change_step(
+    rows: Matrix,
+    residual: Vector,
+    last_now: Vector,
+    last_before: Vector,
+    last_usual: Matrix,
+    learned_s: float,
+    pushed_s: float,
+    dt_s: float,
+) -> tuple[Array, Array, Array, float, float]:
+    """The next `TorqueChange`, from the last one and a residual [Nm] a time ``dt_s`` > 0 later.
+
+    Unknowns of the wrench make torque by ``rows``, shape (k, n).
+    """
+    now = last_now - math.expm1(-dt_s / NOW_S) * (residual - last_now)
+    before, usual, square = last_before.copy(), last_usual.copy(), 0.0
+    change = now - before
+    if learned_s >= LEARNED_S:
+        square = unusual_change(rows, change, usual, USUAL)
+    if square > (LET_GO if pushed_s > 0.0 else PUSHED):
+        if pushed_s < LONGEST_PUSH_S:
+            return now, before, usual, learned_s, pushed_s + dt_s
+        before = now.copy()
+    if square < USUAL:
+        learned_s += dt_s
+        usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (np.outer(change, change) - usual)
+    before -= math.expm1(-dt_s / BEFORE_S) * (now - before)
+    return now, before, usual, learned_s, 0.0
+
+
 class MonitorState(NamedTuple):
     """All that a `ConsistencyMonitor` remembers."""
 
@@ -293,21 +365,7 @@ class ConsistencyMonitor:
         last = self.state.change
         if last is None or dt_s <= 0.0:
             return last or TorqueChange(residual, residual, np.zeros((len(residual),) * 2))
-        _, before, usual, learned_s, pushed_s = last
-        now = last.now - math.expm1(-dt_s / NOW_S) * (residual - last.now)
-        change, square = now - before, 0.0
-        if learned_s >= LEARNED_S:
-            square = unusual_change(self._wrench.rows, change, usual)
-        if square > (LET_GO if pushed_s else PUSHED):
-            if pushed_s < LONGEST_PUSH_S:
-                return TorqueChange(now, before, usual, learned_s, pushed_s + dt_s)
-            before = now
-        if square < USUAL:
-            learned_s += dt_s
-            part = dt_s / min(learned_s, USUAL_S)
-            usual = usual + min(part, 1.0) * (np.outer(change, change) - usual)
-        before = before - math.expm1(-dt_s / BEFORE_S) * (now - before)
-        return TorqueChange(now, before, usual, learned_s)
+        return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
 
     @property
     def _wanted(self) -> float:
@@ -344,7 +402,7 @@ class ConsistencyMonitor:
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
             axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
-            if unusual_change(axial, change.now - change.before, change.usual) > BESIDE:
+            if unusual_change(axial, change.now - change.before, change.usual, BESIDE) > BESIDE:
                 found |= SensorWarning.ARM_PUSHED
         reasons = [text for one, text in _REASONS.items() if one in found]
         message = "; ".join(filter(None, (last.message, *reasons)))

@@ -37,6 +37,7 @@ from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
 
+_CHECK, _WEIGHTS = 1, 2  # stages of the work of every 20 ms, after the renewal
 _OK = Status.OK  # names of an enumeration take as long to find as a call
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
@@ -56,6 +57,7 @@ class SensorState(NamedTuple):
     followed_N: Array  # Force followed for the uncertainty that the lag adds [N], shape (3,)
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
+    stage: int  # Of the work of every 20 ms, see `VirtualForceSensor._stage`
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -226,6 +228,9 @@ class VirtualForceSensor:
         self._monitor.restore(MonitorState())
         self._followed_N, self._follows = np.zeros(3), False
         self._unchecked_s = 0.0
+        # Ticks since bias and joint states were renewed: the consistency check is in the one after,
+        # the weights in the second.
+        self._stage = 0
 
     @property
     def filter_lag_s(self) -> float:
@@ -250,6 +255,7 @@ class VirtualForceSensor:
                 followed_N=self._followed_N,
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
+                stage=self._stage,
                 last=self._last,
                 missed_s=self._clock.missed_s,
                 rejected=self.rejected,
@@ -290,6 +296,7 @@ class VirtualForceSensor:
         self._monitor.restore(state.monitor)
         self._followed_N, self._follows = state.followed_N, state.follows
         self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
+        self._stage = state.stage
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -331,7 +338,11 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        if renewed and (offset.is_covariance_due or monitor.wants_widening):
+        # The next renewal finds work undone where the clock is slow, and in the first tick.
+        is_late = renewed and self._stage < _WEIGHTS
+        stage = self._stage = 0 if renewed else self._stage + 1
+        is_due = is_late or stage == _WEIGHTS
+        if is_due and (offset.is_covariance_due or monitor.wants_widening):
             self._weigh()
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
@@ -340,7 +351,7 @@ class VirtualForceSensor:
             fraction = -math.expm1(-elapsed_s / lag_s)
         found = wrench.solve(q, residual, bias.bias, self._followed_N, fraction)
         self._follows = True
-        if renewed:
+        if is_late or stage == _CHECK:
             sent = dq if stream.has_velocity else None
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0

@@ -23,9 +23,6 @@ _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
-LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
-"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
-joint's sensor, or an error of the lever arms."""
 
 
 class WrenchGain(NamedTuple):
@@ -170,23 +167,6 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
     inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
     left = precision - weighted.T.dot(inverse).dot(weighted)
     return weakest_m, left / (joints - count)
-
-
-@compiled
-def unusual_change(rows: Matrix, change: Vector, usual: Matrix) -> float:
-    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
-
-    Unknowns make torque by ``rows``, (k, n), as in `unexplained`. In units of what is usual: the
-    mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and
-    of what sensors and lever arms may be wrong by in what is explained.
-    """
-    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
-    weighted = rows.dot(np.linalg.inv(covariance))
-    inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
-    explained = inverse.dot(weighted.dot(change)).dot(rows)
-    covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
-    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
-    return float(change.dot(unexplained(rows, precision)[1]).dot(change))
 
 
 @compiled
