@@ -1,6 +1,5 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
-import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -24,9 +23,6 @@ WEIGH_S = 0.25
 """So often the covariance is renewed: it changes with pose and age, both slowly. At once where
 motion lets a variance grow by `MOST_GROWTH` of itself."""
 MOST_GROWTH = 0.1
-SMOOTHING_S = 0.05
-"""Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
-then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
 
 
 @dataclass(slots=True, eq=False)
@@ -91,12 +87,10 @@ class BiasState:
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
     motion_Nm2: Array  # Variance of the residual's error by motion, shape (n,)
-    # The same, and all of the variance, when the covariance was asked for last, shape (2, n)
-    weighed_Nm2: Array
-    weighed_s: float = -WEIGH_S  # When that was [s]
+    most_motion_Nm2: Array  # Beyond it the covariance is renewed at once, shape (n,)
+    weighed_s: float = -WEIGH_S  # When it was renewed last [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
-    smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
     tare: Tare  # The tare in force, the prior's before the first
     started: bool = False  # Whether a sample has come
     tared: bool = False  # Whether it is the current one
@@ -184,17 +178,18 @@ class BiasEstimator:
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
         if not memory.started:
-            memory.joint_memory[-2:] = torque, q
-            memory.smooth_dq, memory.started = memory.dq, True
+            memory.joint_memory[-3:] = torque, q, memory.dq
+            memory.started = True
+        acceleration = np.zeros(self._joints)
         if dt_s > 0.0:
-            followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
-            follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
+            acceleration = follow_joints(
+                *(memory.joint_memory, memory.states, q, memory.dq, torque),
+                *(self._half_widths, basis.loops, basis.prior.stribeck_rad_s, dt_s),
+            )
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
         # A tare is of slow motion. It corrects masses and first moments as far as gravity shows
         # them; what turns and accelerates the links is still as uncertain as the prior says.
-        behind = memory.dq - memory.smooth_dq
-        memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
-        motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)
+        motion = pin.rnea(self._weightless, self._data, q, memory.dq, acceleration)
         memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
 
     def sum_torques(self) -> None:
@@ -219,8 +214,7 @@ class BiasEstimator:
         memory = self.memory
         if memory.now_s - memory.weighed_s >= WEIGH_S - ROUNDING_S:
             return True
-        motion_Nm2, variance_Nm2 = memory.weighed_Nm2
-        return bool((memory.motion_Nm2 > motion_Nm2 + MOST_GROWTH * variance_Nm2).any())
+        return bool((memory.motion_Nm2 > memory.most_motion_Nm2).any())
 
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
@@ -228,7 +222,7 @@ class BiasEstimator:
         covariance = self._basis.covariance_Nm2(memory.tare, memory.q, memory.states, self._age_s)
         covariance += np.diag(memory.motion_Nm2)
         memory.weighed_s = memory.now_s
-        memory.weighed_Nm2 = np.stack((memory.motion_Nm2, np.diag(covariance)))
+        memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * np.diag(covariance)
         return covariance
 
     @property
@@ -282,15 +276,14 @@ class BiasEstimator:
         self.restore(
             BiasState(
                 recorder=TareRecorder.of_size(self._joints, states),
-                joint_memory=np.zeros((states, self._joints)),
+                joint_memory=np.zeros((states + 1, self._joints)),
                 states=np.zeros((states, self._joints)),
                 torque_sum=still,
                 bias=still,
                 motion_Nm2=still,
-                weighed_Nm2=np.zeros((2, self._joints)),
+                most_motion_Nm2=still,
                 q=still,
                 dq=still,
-                smooth_dq=still,
                 tare=self._basis.prior_tare,
             )
         )

@@ -18,6 +18,7 @@ COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
 EXPECTED_TORQUE_NM = 10.0  # of the full mode: as `SensorConfig`'s ``expected_force_N``
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
+_UNTURNED = np.eye(3)
 # What is compiled uses constants of its own file only.
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
@@ -54,6 +55,19 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
     scale = seen / np.where(seen, values, 1.0)
     unseen = (vectors * vectors).dot(1.0 - seen)
     return (vectors * scale).dot(vectors.T), unseen > 1e-18
+
+
+@compiled
+def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
+    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric, positive, finite."""
+    asymmetry = np.abs(covariance - covariance.T).sum()
+    # Written so that a NaN is none either.
+    if not asymmetry <= 1e-6 * abs(np.trace(covariance)):
+        return covariance.copy(), False
+    values, vectors = np.linalg.eigh(covariance)
+    if not values[0] > 0.0:
+        return covariance.copy(), False
+    return (vectors / values).dot(vectors.T), True
 
 
 @compiled
@@ -182,6 +196,47 @@ def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
     return axis.dot(covariance).dot(axis), lateral
 
 
+@compiled
+def weigh_joints(
+    q: Vector,
+    jacobian: Matrix,
+    turn: Matrix,
+    axis_in_tool: Vector,
+    error_covariance: Matrix,
+    error_precision: Matrix,
+    is_weighted: bool,
+    damping: Vector,
+) -> tuple[Array, Array, tuple[Array, float, Array], float, Array]:
+    """The numbers of a `WrenchGain`, in its order.
+
+    Args:
+        q: Configuration [rad], shape (n,).
+        jacobian: Of the tool there, in its own axes, shape (6, n).
+        turn: Rotates these into the axes asked for, shape (3, 3).
+        axis_in_tool: Insertion direction in them, shape (3,).
+        error_covariance: Of the residual's error [Nm^2], shape (n, n).
+        error_precision: Its inverse.
+        is_weighted: Whether joints are weighed by it; all are equal otherwise.
+        damping: As in `weighted_inverse`; of as many unknowns as the mode has, 1, 3 or 6.
+    """
+    axis, size = turn.dot(axis_in_tool), max(len(damping), 3)
+    directions = np.eye(6)[: len(damping)]
+    if len(damping) == 1:
+        directions[0, :3] = axis
+    turned = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
+    rows = directions.dot(turned)
+    precision = error_precision.copy() if is_weighted else np.eye(len(q))
+    gain, covariance, conditioning, removed = weighted_inverse(
+        rows, error_covariance, precision, damping
+    )
+    told = np.concatenate((axis, np.array([covariance[0, 0], _UNSEEN])))
+    if len(damping) > 1:
+        told[3], told[4] = _variances(axis, covariance[:3, :3].copy())
+    makes = np.vstack((q.reshape(1, -1), directions[:, :size].copy().T.dot(gain)))
+    weakest_m, left = unexplained(rows, error_precision)
+    return makes, told, (covariance, conditioning, removed), weakest_m, left
+
+
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
@@ -236,15 +291,13 @@ class WrenchEstimator:
             raise ConfigurationError(
                 f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
-        asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
-        # Written so that a NaN is refused too.
-        if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
-            raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
-        values, vectors = np.linalg.eigh(covariance)
-        if not values[0] > 0.0:
-            raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self.torque_covariance, self._inverse = covariance, (vectors / values).dot(vectors.T)
+        inverse, is_valid = inverse_of(covariance)
+        if not is_valid:
+            raise ConfigurationError(
+                "covariance_Nm2 must be finite, symmetric and positive definite"
+            )
+        self.torque_covariance, self._inverse = covariance, inverse
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -259,31 +312,16 @@ class WrenchEstimator:
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
-        tool, directions = self.kinematics, self._directions
+        tool = self.kinematics
         tool.update(q)
-        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, max(len(directions), 3)
-        if self._in_base:
-            turn = tool.rotation_tool_to_base
-            jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
-            axis = turn.dot(axis)
-        if len(directions) == 1:
-            directions = np.concatenate((axis, _NOTHING))[None]
-        rows, inverse = directions.dot(jacobian), self._inverse
-        precision = inverse if self._weighted else np.eye(self._joints)
-        gain, covariance, conditioning, removed = weighted_inverse(
-            rows, self.torque_covariance, precision, self._damping
-        )
-        variances = (covariance[0, 0], UNSEEN_STD**2)
-        if len(directions) > 1:
-            variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
-        self.gain = WrenchGain(
-            np.vstack((q, directions[:, :size].T.dot(gain))),
-            np.append(axis, variances),
-            (covariance, conditioning, removed),
-            *unexplained(rows, inverse),
-        )
-        for array in (covariance, removed):
-            array.setflags(write=False)
+        turn = np.ascontiguousarray(tool.rotation_tool_to_base) if self._in_base else _UNTURNED
+        covariances = self.torque_covariance, self._inverse, self._weighted
+        pose = q, tool.jacobian, turn, tool.axis_in_tool
+        rows, axis, reported, weakest_m, left = weigh_joints(*pose, *covariances, self._damping)
+        self.gain = WrenchGain(rows, axis, reported, weakest_m, left)
+        covariance, _, removed = reported
+        covariance.setflags(write=False)
+        removed.setflags(write=False)
 
     def solve(
         self, q: Array, residual: Array, offset: Array, followed_N: Array, fraction: float
