@@ -95,6 +95,12 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
 
 
 @compiled
+def is_outside(q: Vector, lower: Vector, upper: Vector) -> bool:
+    """Whether any joint [rad] is at or beyond its bounds, shape (n,)."""
+    return bool((np.minimum(q - lower, upper - q) <= 0.0).any())
+
+
+@compiled
 def travels(motion: Matrix) -> NDArray[np.bool_]:
     """Which joints have moved far enough to be judged, shape (n,)."""
     most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
@@ -332,9 +338,9 @@ class ConsistencyMonitor:
         check [s], ``tared`` says whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        outside = (q <= self._lower) | (q >= self._upper)
-        at_limit = tuple(np.flatnonzero(outside).tolist()) if outside.any() else ()
-        if at_limit:
+        at_limit: tuple[int, ...] = ()
+        if is_outside(q, self._lower, self._upper):
+            at_limit = tuple(np.flatnonzero((q <= self._lower) | (q >= self._upper)).tolist())
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR

@@ -90,6 +90,12 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     return bool(is_explained and force.dot(force) <= MOST_STEP_N**2)
 
 
+@compiled
+def is_loaded(torque: Vector, loaded_Nm: Vector) -> bool:
+    """Whether any joint's torque is as large as that, both of shape (n,)."""
+    return bool((np.abs(torque) >= loaded_Nm).any())
+
+
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
     """All that a `FaultDetector` remembers."""
@@ -110,7 +116,8 @@ class GuardState:
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
     # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = 0.0  # Time since each torque was checked by itself [s]
+    # Time since each torque was checked by itself [s]: half way between renewals of the bias
+    age_s: float = 0.5 * CHECK_S
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     question: str = ""  # What may be missing: it has not changed for long
@@ -143,6 +150,7 @@ class FaultDetector:
         self._has_velocity, self._delay_s = has_velocity, velocity_delay_s
         # Infinite, or those of a large arm, where the description gives none.
         self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
+        self._loaded_Nm = LOADED_RATIO * self._limit_Nm
         self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self._tool = tool
         self.restore(
@@ -262,7 +270,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
+        memory.is_loaded = is_loaded(torque, self._loaded_Nm)
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:
@@ -271,8 +279,9 @@ class FaultDetector:
             memory.warning = (
                 "all joints still repeat bit for bit; no longer held back, the arm may rest"
             )
-        elif (still := np.flatnonzero(memory.alone.still_s >= STILL_S)).size:
-            is_all = memory.held_s >= STILL_S and still.size == self._joints
+        elif memory.alone.longest_s >= STILL_S:
+            still = np.flatnonzero(memory.alone.still_s >= STILL_S)
+            is_all = memory.held_s >= STILL_S and len(still) == self._joints
             what = "neither q nor tau has" if is_all else f"tau at {named_joints(still)} has not"
             memory.question = f"{what} changed for a second: is it stale?"
 
