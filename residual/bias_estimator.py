@@ -173,17 +173,19 @@ class BiasEstimator:
         """Renew what changes slowly: hysteresis, friction, the offset, and the error by motion."""
         memory, basis, q = self.memory, self._basis, self.memory.q
         dt_s = memory.now_s - memory.renewed_s
-        self.sum_torques()
-        torque = memory.torque_sum / memory.summed
+        # Added up one after the other: the sum is the same bit for bit wherever it is interrupted.
+        torques, summed = np.array([memory.torque_sum, *self._torques]), memory.summed
+        summed += len(self._torques)
+        self._torques.clear()
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
         if not memory.started:
-            memory.joint_memory[-3:] = torque, q, memory.dq
+            memory.joint_memory[-3:] = torques[-1], q, memory.dq
             memory.started = True
         acceleration = np.zeros(self._joints)
         if dt_s > 0.0:
             acceleration = follow_joints(
-                *(memory.joint_memory, memory.states, q, memory.dq, torque),
+                *(memory.joint_memory, memory.states, q, memory.dq, torques, summed),
                 *(self._half_widths, basis.loops, basis.prior.stribeck_rad_s, dt_s),
             )
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)

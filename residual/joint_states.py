@@ -38,13 +38,17 @@ def follow_joints(
     states: WrittenMatrix,
     q: Vector,
     dq: Vector,
-    torque: Vector,
+    torques: Matrix,
+    samples: int,
     half_widths: Matrix,
     loops: int,
     stribeck_rad_s: float,
     dt_s: float,
 ) -> Array:
-    """Follow position [rad], velocity [rad/s] and torque [Nm], (n,), a time > 0 [s] after the last.
+    """Follow position [rad], velocity [rad/s] and torque [Nm] a time > 0 [s] after the last ones.
+
+    Position and velocity have the shape (n,). The torque is the mean over that time: rows of
+    ``torques`` add up to the sum over so many samples.
 
     The memory is brought up to date: states of the torques' loops and of the bearings' elements,
     then torque [Nm], position [rad] and velocity [rad/s] with their lags; shape
@@ -54,6 +58,7 @@ def follow_joints(
     (loops + elements + 2, n). Half widths are those of loops [Nm] and elements [rad].
     """
     plays = len(half_widths)
+    torque = torques.sum(axis=0) / samples
     twist = (torque - memory[plays]) * (dt_s / (TORQUE_LAG_S + dt_s))
     way = (q - memory[plays + 1]) * (dt_s / (POSITION_LAG_S + dt_s))
     memory[:loops] = play_operator(memory[:loops], twist, half_widths[:loops])
