@@ -228,18 +228,13 @@ class TorqueChange(NamedTuple):
 
 @compiled
 def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tuple[float, Array]:
-    """Mean square of a change of torque that no wrench explains, and what the likeliest explains.
-
-    Unknowns make torque [Nm] by ``rows``, (k, n), k < n; the covariance [Nm^2], shape (n, n), is
-    the unit of the mean square. The change, and what is explained of it, have shape (n,).
-    """
+    """As `unusual_change`, in units of a covariance [Nm^2], and what is explained [Nm], (n,)."""
     precision = np.linalg.inv(covariance).T  # the same, with its rows in order
     weighted = rows.dot(precision)
     information = weighted.dot(rows.T)
     # What no joint feels is left at zero.
-    least = 1e-12 * np.trace(information) + 1e-30
-    wrench = np.linalg.solve(information + least * np.eye(len(rows)), weighted.dot(change))
-    explained = wrench.dot(rows)
+    information += (1e-12 * np.trace(information) + 1e-30) * np.eye(len(rows))
+    explained = np.linalg.solve(information, weighted.dot(change)).dot(rows)
     left = change - explained
     return left.dot(precision).dot(left) / (len(change) - len(rows)), explained
 
@@ -248,18 +243,17 @@ def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tupl
 def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
     """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
 
-    Unknowns make torque by ``rows``, (k, n); 0 where there are as many as joints. In units of what
-    is usual: the mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its
-    diagonal; and of what sensors and lever arms may be wrong by in what is explained. Up to
-    ``enough`` without the latter, which only lowers it.
+    Unknowns make torque by ``rows``, (k, n); 0 where k is not below n. In units of what is usual:
+    the mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its diagonal;
+    and, beyond ``enough``, of what sensors and lever arms may be wrong by in what is explained,
+    which can only lower it.
     """
     if len(rows) >= len(change):
         return 0.0
     covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
     square, explained = unexplained_change(rows, covariance, change)
     if square > enough:
-        error_Nm = CHANGE_ERROR * np.abs(explained).max()
-        covariance = covariance + error_Nm**2 * np.eye(len(change))
+        covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
         square, explained = unexplained_change(rows, covariance, change)
     return square
 
@@ -275,13 +269,9 @@ def change_step(
     pushed_s: float,
     dt_s: float,
 ) -> tuple[Array, Array, Array, float, float]:
-    """The next `TorqueChange`, from the last one and a residual [Nm] a time ``dt_s`` > 0 later.
-
-    Unknowns of the wrench make torque by ``rows``, shape (k, n).
-    """
+    """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` > 0 later."""
     now = last_now - math.expm1(-dt_s / NOW_S) * (residual - last_now)
-    before, usual, square = last_before.copy(), last_usual.copy(), 0.0
-    change = now - before
+    change, before, usual, square = now - last_before, last_before.copy(), last_usual.copy(), 0.0
     if learned_s >= LEARNED_S:
         square = unusual_change(rows, change, usual, USUAL)
     if square > (LET_GO if pushed_s > 0.0 else PUSHED):

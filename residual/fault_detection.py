@@ -90,12 +90,6 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     return bool(is_explained and force.dot(force) <= MOST_STEP_N**2)
 
 
-@compiled
-def is_loaded(torque: Vector, loaded_Nm: Vector) -> bool:
-    """Whether any joint's torque is as large as that, both of shape (n,)."""
-    return bool((np.abs(torque) >= loaded_Nm).any())
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
     """All that a `FaultDetector` remembers."""
@@ -270,7 +264,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = is_loaded(torque, self._loaded_Nm)
+        memory.is_loaded = bool((np.abs(torque) >= self._loaded_Nm).any())
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:

@@ -18,7 +18,6 @@ COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
 EXPECTED_TORQUE_NM = 10.0  # of the full mode: as `SensorConfig`'s ``expected_force_N``
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
-_UNTURNED = np.eye(3)
 # What is compiled uses constants of its own file only.
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 MOST_TURN_RAD = 1e-3
@@ -200,41 +199,34 @@ def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
 def weigh_joints(
     q: Vector,
     jacobian: Matrix,
-    turn: Matrix,
-    axis_in_tool: Vector,
+    axis: Vector,
     error_covariance: Matrix,
     error_precision: Matrix,
-    is_weighted: bool,
+    weights: Matrix,
     damping: Vector,
 ) -> tuple[Array, Array, tuple[Array, float, Array], float, Array]:
-    """The numbers of a `WrenchGain`, in its order.
+    """The numbers of a `WrenchGain`; Jacobian and insertion direction are in the axes asked for.
 
-    Args:
-        q: Configuration [rad], shape (n,).
-        jacobian: Of the tool there, in its own axes, shape (6, n).
-        turn: Rotates these into the axes asked for, shape (3, 3).
-        axis_in_tool: Insertion direction in them, shape (3,).
-        error_covariance: Of the residual's error [Nm^2], shape (n, n).
-        error_precision: Its inverse.
-        is_weighted: Whether joints are weighed by it; all are equal otherwise.
-        damping: As in `weighted_inverse`; of as many unknowns as the mode has, 1, 3 or 6.
+    ``weights`` is the precision in `weighted_inverse`; the damping is that of all unknowns.
     """
-    axis, size = turn.dot(axis_in_tool), max(len(damping), 3)
-    directions = np.eye(6)[: len(damping)]
-    if len(damping) == 1:
+    count = len(damping)
+    directions = np.eye(6)[:count]
+    if count == 1:
         directions[0, :3] = axis
-    turned = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
-    rows = directions.dot(turned)
-    precision = error_precision.copy() if is_weighted else np.eye(len(q))
+    rows = directions.dot(jacobian)
     gain, covariance, conditioning, removed = weighted_inverse(
-        rows, error_covariance, precision, damping
+        rows, error_covariance, weights, damping
     )
-    told = np.concatenate((axis, np.array([covariance[0, 0], _UNSEEN])))
-    if len(damping) > 1:
-        told[3], told[4] = _variances(axis, covariance[:3, :3].copy())
-    makes = np.vstack((q.reshape(1, -1), directions[:, :size].copy().T.dot(gain)))
-    weakest_m, left = unexplained(rows, error_precision)
-    return makes, told, (covariance, conditioning, removed), weakest_m, left
+    variance, lateral = covariance[0, 0], _UNSEEN
+    if count > 1:
+        variance, lateral = _variances(axis, covariance[:3, :3].copy())
+    made = np.ascontiguousarray(directions[:, : max(count, 3)].T).dot(gain)
+    return (
+        np.concatenate((q, made.ravel())).reshape(-1, len(q)),
+        np.concatenate((axis, np.array([variance, lateral]))),
+        (covariance, conditioning, removed),
+        *unexplained(rows, error_precision),
+    )
 
 
 class WrenchEstimator:
@@ -314,12 +306,18 @@ class WrenchEstimator:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
         tool = self.kinematics
         tool.update(q)
-        turn = np.ascontiguousarray(tool.rotation_tool_to_base) if self._in_base else _UNTURNED
-        covariances = self.torque_covariance, self._inverse, self._weighted
-        pose = q, tool.jacobian, turn, tool.axis_in_tool
-        rows, axis, reported, weakest_m, left = weigh_joints(*pose, *covariances, self._damping)
-        self.gain = WrenchGain(rows, axis, reported, weakest_m, left)
-        covariance, _, removed = reported
+        jacobian, axis, inverse = tool.jacobian, tool.axis_in_tool, self._inverse
+        if self._in_base:
+            turn = tool.rotation_tool_to_base
+            jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
+            axis = turn.dot(axis)
+        weights = inverse if self._weighted else np.eye(self._joints)
+        self.gain = WrenchGain(
+            *weigh_joints(
+                q, jacobian, axis, self.torque_covariance, inverse, weights, self._damping
+            )
+        )
+        covariance, _, removed = self.gain.reported
         covariance.setflags(write=False)
         removed.setflags(write=False)
 
