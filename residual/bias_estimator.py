@@ -1,5 +1,6 @@
 """Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -23,6 +24,9 @@ WEIGH_S = 0.25
 """So often the covariance is renewed: it changes with pose and age, both slowly. At once where
 motion lets a variance grow by `MOST_GROWTH` of itself."""
 MOST_GROWTH = 0.1
+SMOOTHING_S = 0.05
+"""Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
+then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
 
 
 @dataclass(slots=True, eq=False)
@@ -91,6 +95,7 @@ class BiasState:
     weighed_s: float = -WEIGH_S  # When it was renewed last [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
+    smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
     tare: Tare  # The tare in force, the prior's before the first
     started: bool = False  # Whether a sample has come
     tared: bool = False  # Whether it is the current one
@@ -173,31 +178,28 @@ class BiasEstimator:
         """Renew what changes slowly: hysteresis, friction, the offset, and the error by motion."""
         memory, basis, q = self.memory, self._basis, self.memory.q
         dt_s = memory.now_s - memory.renewed_s
-        # Added up one after the other: the sum is the same bit for bit wherever it is interrupted.
-        torques, summed = np.array([memory.torque_sum, *self._torques]), memory.summed
-        summed += len(self._torques)
-        self._torques.clear()
+        self.sum_torques()
+        torque = memory.torque_sum / memory.summed
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
         if not memory.started:
-            memory.joint_memory[-3:] = torques[-1], q, memory.dq
-            memory.started = True
-        acceleration = np.zeros(self._joints)
+            memory.joint_memory[-2:] = torque, q
+            memory.smooth_dq, memory.started = memory.dq, True
         if dt_s > 0.0:
-            acceleration = follow_joints(
-                *(memory.joint_memory, memory.states, q, memory.dq, torques, summed),
-                *(self._half_widths, basis.loops, basis.prior.stribeck_rad_s, dt_s),
-            )
+            followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
+            follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
         # A tare is of slow motion. It corrects masses and first moments as far as gravity shows
         # them; what turns and accelerates the links is still as uncertain as the prior says.
-        motion = pin.rnea(self._weightless, self._data, q, memory.dq, acceleration)
+        behind = memory.dq - memory.smooth_dq
+        memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
+        motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)
         memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
 
     def sum_torques(self) -> None:
         """Keep the sum of the torques only: `memory` is then complete."""
         memory = self.memory
-        memory.torque_sum = np.add.reduce([memory.torque_sum, *self._torques])
+        memory.torque_sum = np.array([memory.torque_sum, *self._torques]).sum(axis=0)
         memory.summed += len(self._torques)
         self._torques.clear()
 
@@ -224,7 +226,7 @@ class BiasEstimator:
         covariance = self._basis.covariance_Nm2(memory.tare, memory.q, memory.states, self._age_s)
         covariance += np.diag(memory.motion_Nm2)
         memory.weighed_s = memory.now_s
-        memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * np.diag(covariance)
+        memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * covariance.diagonal()
         return covariance
 
     @property
@@ -278,7 +280,7 @@ class BiasEstimator:
         self.restore(
             BiasState(
                 recorder=TareRecorder.of_size(self._joints, states),
-                joint_memory=np.zeros((states + 1, self._joints)),
+                joint_memory=np.zeros((states, self._joints)),
                 states=np.zeros((states, self._joints)),
                 torque_sum=still,
                 bias=still,
@@ -286,6 +288,7 @@ class BiasEstimator:
                 most_motion_Nm2=still,
                 q=still,
                 dq=still,
+                smooth_dq=still,
                 tare=self._basis.prior_tare,
             )
         )

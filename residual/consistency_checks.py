@@ -95,12 +95,6 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
 
 
 @compiled
-def is_outside(q: Vector, lower: Vector, upper: Vector) -> bool:
-    """Whether any joint [rad] is at or beyond its bounds, shape (n,)."""
-    return bool((np.minimum(q - lower, upper - q) <= 0.0).any())
-
-
-@compiled
 def travels(motion: Matrix) -> NDArray[np.bool_]:
     """Which joints have moved far enough to be judged, shape (n,)."""
     most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
@@ -310,11 +304,12 @@ class ConsistencyMonitor:
     """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
-        self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
-        self._upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
+        lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
+        upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
         # A joint without a range has no limit: descriptions write 0 and 0 for "unknown".
-        free = self._upper <= self._lower
-        self._lower[free], self._upper[free] = -np.inf, np.inf
+        free = upper <= lower
+        self._lower = np.where(free, -np.inf, lower).tolist()
+        self._upper = np.where(free, np.inf, upper).tolist()
         self._wrench = wrench
         self.restore(MonitorState())
 
@@ -328,9 +323,10 @@ class ConsistencyMonitor:
         check [s], ``tared`` says whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        at_limit: tuple[int, ...] = ()
-        if is_outside(q, self._lower, self._upper):
-            at_limit = tuple(np.flatnonzero((q <= self._lower) | (q >= self._upper)).tolist())
+        # Over seven numbers plain Python is faster than numpy, which was last used a while ago.
+        ranges = enumerate(zip(self._lower, q.tolist(), self._upper, strict=True))
+        at_limit = tuple(i for i, (lower, at, upper) in ranges if not lower < at < upper)
+        if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR

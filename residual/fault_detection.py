@@ -144,7 +144,7 @@ class FaultDetector:
         self._has_velocity, self._delay_s = has_velocity, velocity_delay_s
         # Infinite, or those of a large arm, where the description gives none.
         self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
-        self._loaded_Nm = LOADED_RATIO * self._limit_Nm
+        self._loaded_Nm = (LOADED_RATIO * self._limit_Nm).tolist()
         self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self._tool = tool
         self.restore(
@@ -264,7 +264,8 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = bool((np.abs(torque) >= self._loaded_Nm).any())
+        loads = zip(torque.tolist(), self._loaded_Nm, strict=True)
+        memory.is_loaded = any(abs(load) >= most for load, most in loads)
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:

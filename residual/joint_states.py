@@ -6,8 +6,6 @@ tare distinguishes them afterwards. A bearing between torque sensor and link run
 sensor: its friction reads as an external torque against the motion, and it stays at rest.
 """
 
-import math
-
 import numpy as np
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
@@ -17,9 +15,6 @@ TORQUE_LAG_S, POSITION_LAG_S = 0.05, 0.01
 """Lags of the torque and the position that are followed [s]. The residual is 14 ms late: states
 that are much later than it turn round too late in each stroke, and hysteresis and friction are
 confused."""
-VELOCITY_LAG_S = 0.05
-"""Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
-then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
 
 
 @compiled
@@ -37,28 +32,21 @@ def follow_joints(
     memory: WrittenMatrix,
     states: WrittenMatrix,
     q: Vector,
-    dq: Vector,
-    torques: Matrix,
-    samples: int,
+    torque: Vector,
     half_widths: Matrix,
     loops: int,
     stribeck_rad_s: float,
     dt_s: float,
-) -> Array:
-    """Follow position [rad], velocity [rad/s] and torque [Nm] a time > 0 [s] after the last ones.
-
-    Position and velocity have the shape (n,). The torque is the mean over that time: rows of
-    ``torques`` add up to the sum over so many samples.
+) -> None:
+    """Follow position [rad] and torque [Nm], both (n,), a time > 0 [s] after the last ones.
 
     The memory is brought up to date: states of the torques' loops and of the bearings' elements,
-    then torque [Nm], position [rad] and velocity [rad/s] with their lags; shape
-    (loops + elements + 3, n). Returns the acceleration [rad/s^2], shape (n,). The states
-    are written: what `residual.bias_model.BiasModel` has columns for, loops, elements, what
-    friction has more at low speed (see its prior), and speed [rad/s]; shape
-    (loops + elements + 2, n). Half widths are those of loops [Nm] and elements [rad].
+    then torque [Nm] and position [rad] with their lags; shape (loops + elements + 2, n). The states
+    are written, of the same shape: what `residual.bias_model.BiasModel` has columns for, loops,
+    elements, what friction has more at low speed (see its prior), and speed [rad/s]. Half widths
+    are those of loops [Nm] and elements [rad], shape (loops + elements, n).
     """
     plays = len(half_widths)
-    torque = torques.sum(axis=0) / samples
     twist = (torque - memory[plays]) * (dt_s / (TORQUE_LAG_S + dt_s))
     way = (q - memory[plays + 1]) * (dt_s / (POSITION_LAG_S + dt_s))
     memory[:loops] = play_operator(memory[:loops], twist, half_widths[:loops])
@@ -70,6 +58,3 @@ def follow_joints(
     states[:plays] = memory[:plays]
     states[plays] = sliding * np.exp(-np.abs(speed) / stribeck_rad_s)
     states[plays + 1] = speed
-    behind = dq - memory[plays + 2]
-    memory[plays + 2] -= math.expm1(-dt_s / VELOCITY_LAG_S) * behind
-    return behind / VELOCITY_LAG_S

@@ -144,7 +144,7 @@ def try_out(twin: Any, state: Any) -> None:
         _run(twin, state, still, still, still)
         check_form(state, twin.snapshot())
         twin._take(deepcopy(state))
-        _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-3])
+        _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2])
     except Exception as error:  # whatever a damaged state makes of its parts
         raise SnapshotError(f"the snapshot is damaged: {error}") from error
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.jit import Vector, compiled
 from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
@@ -117,13 +116,6 @@ class StuckSignalDetector:
             self.usual_s = min(max(self.usual_s, self.repeat_s), LONGEST_USUAL_S)
 
 
-@compiled
-def still_times(values: Vector, last: Vector, still_s: Vector, dt_s: float) -> tuple[Array, float]:
-    """For how long each signal has been the same, shape (n,), and the longest of these [s]."""
-    times = np.where(values == last, still_s + dt_s, 0.0)
-    return times, float(times.max())
-
-
 @dataclass(slots=True, eq=False)
 class SingleSignalDetector:
     """Checks now and then whether one signal repeats while the others go on; all it remembers."""
@@ -141,6 +133,6 @@ class SingleSignalDetector:
 
     def check(self, values: Array, dt_s: float) -> list[int]:
         """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
-        self.still_s, self.longest_s = still_times(values, self.values, self.still_s, dt_s)
-        self.values = values
+        self.still_s = (values == self.values) * (self.still_s + dt_s)
+        self.values, self.longest_s = values, max(self.still_s.tolist())
         return np.flatnonzero(self.still_s >= self.limit_s).tolist() if self.longest_s else []

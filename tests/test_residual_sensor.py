@@ -217,7 +217,7 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
         state._replace(offset=replace(state.offset, recorder=None)),
         state._replace(torque_covariance=-np.eye(7)),
         state._replace(monitor=None),
-        state._replace(offset=replace(state.offset, joint_memory=np.full((9, 7), np.nan))),
+        state._replace(offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))),
     ):
         with pytest.raises(SnapshotError, match="damaged"):
             sensor.restore(damaged)
