@@ -338,7 +338,7 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        # The next renewal finds work undone where the clock is slow, and in the first tick.
+        # A slow clock, and the first tick, find work undone at the next renewal: all is done then.
         is_late = renewed and self._stage < _WEIGHTS
         stage = self._stage = 0 if renewed else self._stage + 1
         is_due = is_late or stage == _WEIGHTS
