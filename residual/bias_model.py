@@ -115,27 +115,22 @@ class Tare(NamedTuple):
 
 
 @compiled
-def own_rows(
-    q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
+def all_columns(
+    links: Matrix, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
 ) -> Array:
-    """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""
-    count = len(states)
-    rows = np.ones((count + (5 if len(ripple_per_rad) else 3), len(q)))
-    rows[1 : count + 1], rows[count + 1] = states, age_s
-    rows[count + 2] = -fading_s * math.expm1(-age_s / fading_s)
+    """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
+    (joints, first), count = links.shape, len(states)
+    # What each joint's own parameters are multiplied with, a row each.
+    own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
+    own[:count], own[count] = states, age_s
+    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
     if len(ripple_per_rad):
-        rows[-2], rows[-1] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
-    return rows
-
-
-@compiled
-def own_torque(
-    mean: Vector, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
-) -> Array:
-    """What all parameters but the links' make of the residual [Nm], shape (n,)."""
-    joints, rows = len(q), own_rows(q, states, age_s, fading_s, ripple_per_rad)
-    rest = mean[len(mean) - rows.size + joints :].reshape(-1, joints)
-    return mean[:joints] + (rows[1:] * rest).sum(axis=0)
+        own[count + 2], own[count + 3] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
+    columns = np.zeros((joints, joints + first + own.size))
+    columns[:, joints : joints + first] = links
+    for k in range(joints):
+        columns[k, k], columns[k, joints + first + k :: joints] = 1.0, own[:, k]
+    return columns
 
 
 class BiasModel:
@@ -155,11 +150,8 @@ class BiasModel:
         self.kind: TareKind = kind
         self.prior = prior
         self._model, self._data = robot.model, robot.create_data()
-        self._errors, self._weighed = pin.Model(robot.model), None
         self._still = np.zeros(n)
         self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
-        bodies = self._model.njoints - 1
-        self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
         ratio = prior.gear_ratio if kind == "model" else ()
         if ratio and len(ratio) != n:
             raise ConfigurationError(
@@ -172,10 +164,6 @@ class BiasModel:
         self.std = np.concatenate(list(std.values()))
         ends = np.cumsum([len(values) for values in std.values()]).tolist()
         self.groups = dict(zip(std, map(slice, [0, *ends], ends), strict=True))
-        # Where the numbers of one joint each stand in H.
-        linked = self.groups.get("links", slice(n, n))
-        own = np.r_[0 : linked.start, linked.stop : ends[-1]]
-        self._own = (np.tile(np.arange(n), len(own) // n), own)
 
     def _prior_std(self) -> dict[str, Array]:
         """Of every group of columns, in order."""
@@ -209,35 +197,19 @@ class BiasModel:
         """Static torque per mass and first moment of every link, shape (n, 4 links)."""
         still = self._still
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
-        # Of a single joint it comes as a vector.
-        return full.reshape(self.joints, -1)[:, self._static]
+        # Of ten parameters per link the first four; of a single joint it comes as a vector.
+        return full.reshape(self.joints, -1, 10)[:, :, :4].reshape(self.joints, -1)
 
     def columns(self, q: Array, states: Array, age_s: float) -> Array:
         """H at a position [rad], states and age of the tare [s], shape (n, m)."""
         if self.kind == "constant":
             return np.eye(self.joints)
-        columns = np.zeros((self.joints, len(self.std)))
-        columns[:, self.groups["links"]] = self.regressor(q)
-        own = own_rows(q, states, age_s, self.prior.fading_s, self.ripple_per_rad)
-        columns[self._own] = own.ravel()
-        return columns
+        fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
+        return all_columns(self.regressor(q), q, states, age_s, fading_s, ripple_per_rad)
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
-        """Residual without contact at a position, states and age: H theta, H not made, (n,)."""
-        if self.kind == "constant":
-            return tare.mean
-        if tare is not self._weighed:
-            self._weigh(tare)
-        links = pin.computeGeneralizedGravity(self._errors, self._data, q)
-        fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
-        return links + own_torque(tare.mean, q, states, age_s, fading_s, ripple_per_rad)
-
-    def _weigh(self, tare: Tare) -> None:
-        """Give links that weigh what masses and first moments of a tare's are off by: an arm."""
-        self._weighed = tare
-        for k, (mass, *moment) in enumerate(tare.mean[self.groups["links"]].reshape(-1, 4), 1):
-            mass = mass or 1e-12  # what gravity does not show is 0, and has no centre of mass
-            self._errors.inertias[k] = pin.Inertia(mass, np.array(moment) / mass, np.zeros((3, 3)))
+        """Residual without contact at a position, states and age: H theta, shape (n,)."""
+        return self.columns(q, states, age_s).dot(tare.mean)
 
     def covariance_Nm2(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""

@@ -211,11 +211,11 @@ def _factor(match: VelocityMatch, i: int) -> str:
 
 
 class TorqueChange(NamedTuple):
-    """Joint torque without its offset [Nm], now and before, both smoothed."""
+    """Joint torque without its offset, now and before, both smoothed."""
 
-    now: Array  # shape (n,)
-    before: Array  # the same while the arm is pushed, shape (n,)
-    usual: Array  # mean product of their differences [Nm^2], shape (n, n)
+    # Torque now, and before, the same while the arm is pushed [Nm]; then the mean product of their
+    # differences [Nm^2]; shape (n + 2, n)
+    torques: Array
     learned_s: float = 0.0  # time over which that was learned
     pushed_s: float = 0.0  # time since the arm is pushed
 
@@ -237,10 +237,9 @@ def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tupl
 def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
     """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
 
-    Unknowns make torque by ``rows``, (k, n); 0 where k is not below n. In units of what is usual:
-    the mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its diagonal;
-    and, beyond ``enough``, of what sensors and lever arms may be wrong by in what is explained,
-    which can only lower it.
+    Unknowns make torque by ``rows``, (k, n). In units of what is usual: the mean product of changes
+    that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and, beyond ``enough``, of
+    what sensors and lever arms may be wrong by in what is explained, which only lowers it.
     """
     if len(rows) >= len(change):
         return 0.0
@@ -254,29 +253,24 @@ def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -
 
 @compiled
 def change_step(
-    rows: Matrix,
-    residual: Vector,
-    last_now: Vector,
-    last_before: Vector,
-    last_usual: Matrix,
-    learned_s: float,
-    pushed_s: float,
-    dt_s: float,
-) -> tuple[Array, Array, Array, float, float]:
+    rows: Matrix, residual: Vector, last: Matrix, learned_s: float, pushed_s: float, dt_s: float
+) -> tuple[Array, float, float]:
     """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` > 0 later."""
-    now = last_now - math.expm1(-dt_s / NOW_S) * (residual - last_now)
-    change, before, usual, square = now - last_before, last_before.copy(), last_usual.copy(), 0.0
+    torques, square = last.copy(), 0.0
+    now, before, usual = torques[0], torques[1], torques[2:]
+    now -= math.expm1(-dt_s / NOW_S) * (residual - now)
+    change = now - before
     if learned_s >= LEARNED_S:
         square = unusual_change(rows, change, usual, USUAL)
     if square > (LET_GO if pushed_s > 0.0 else PUSHED):
         if pushed_s < LONGEST_PUSH_S:
-            return now, before, usual, learned_s, pushed_s + dt_s
-        before = now.copy()
+            return torques, learned_s, pushed_s + dt_s
+        before[:] = now
     if square < USUAL:
         learned_s += dt_s
         usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (np.outer(change, change) - usual)
     before -= math.expm1(-dt_s / BEFORE_S) * (now - before)
-    return now, before, usual, learned_s, 0.0
+    return torques, learned_s, 0.0
 
 
 class MonitorState(NamedTuple):
@@ -323,9 +317,8 @@ class ConsistencyMonitor:
         check [s], ``tared`` says whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        # Over seven numbers plain Python is faster than numpy, which was last used a while ago.
-        ranges = enumerate(zip(self._lower, q.tolist(), self._upper, strict=True))
-        at_limit = tuple(i for i, (lower, at, upper) in ranges if not lower < at < upper)
+        lower, upper = self._lower, self._upper
+        at_limit = tuple(i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i])
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
@@ -335,7 +328,10 @@ class ConsistencyMonitor:
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
-        change = self._changed(residual, dt_s) if tared else None
+        change = self.state.change if tared else None
+        if tared and dt_s > 0.0:
+            last = change or TorqueChange(np.vstack((residual, residual, np.zeros((len(q),) * 2))))
+            change = TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
         if change is not None and change.pushed_s > 0.0:
             found |= SensorWarning.ARM_PUSHED
         match = self.state.match
@@ -351,13 +347,6 @@ class ConsistencyMonitor:
         if match is None or last_match is None or match.beyond is not last_match.beyond:
             fault = "" if match is None else velocity_fault(match)
         self._report(fault)
-
-    def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
-        """How far torques are from what they were, in directions that no wrench makes."""
-        last = self.state.change
-        if last is None or dt_s <= 0.0:
-            return last or TorqueChange(residual, residual, np.zeros((len(residual),) * 2))
-        return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
 
     @property
     def _wanted(self) -> float:
@@ -394,7 +383,8 @@ class ConsistencyMonitor:
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
             axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
-            if unusual_change(axial, change.now - change.before, change.usual, BESIDE) > BESIDE:
+            now, before, *usual = change.torques
+            if unusual_change(axial, now - before, np.array(usual), BESIDE) > BESIDE:
                 found |= SensorWarning.ARM_PUSHED
         reasons = [text for one, text in _REASONS.items() if one in found]
         message = "; ".join(filter(None, (last.message, *reasons)))

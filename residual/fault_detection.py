@@ -110,8 +110,7 @@ class GuardState:
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
     # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    # Time since each torque was checked by itself [s]: half way between renewals of the bias
-    age_s: float = 0.5 * CHECK_S
+    age_s: float = 0.5 * CHECK_S  # Time since each torque was checked; not when bias is renewed [s]
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     question: str = ""  # What may be missing: it has not changed for long
@@ -144,7 +143,6 @@ class FaultDetector:
         self._has_velocity, self._delay_s = has_velocity, velocity_delay_s
         # Infinite, or those of a large arm, where the description gives none.
         self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
-        self._loaded_Nm = (LOADED_RATIO * self._limit_Nm).tolist()
         self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self._tool = tool
         self.restore(
@@ -264,8 +262,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        loads = zip(torque.tolist(), self._loaded_Nm, strict=True)
-        memory.is_loaded = any(abs(load) >= most for load, most in loads)
+        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:

@@ -59,14 +59,11 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
 @compiled
 def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
     """Inverse of a covariance, shape (n, n), and whether it is one: symmetric, positive, finite."""
-    asymmetry = np.abs(covariance - covariance.T).sum()
     # Written so that a NaN is none either.
-    if not asymmetry <= 1e-6 * abs(np.trace(covariance)):
+    if not np.abs(covariance - covariance.T).sum() <= 1e-6 * abs(np.trace(covariance)):
         return covariance.copy(), False
     values, vectors = np.linalg.eigh(covariance)
-    if not values[0] > 0.0:
-        return covariance.copy(), False
-    return (vectors / values).dot(vectors.T), True
+    return (vectors / values).dot(vectors.T), bool(values[0] > 0.0)
 
 
 @compiled
@@ -195,40 +192,6 @@ def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
     return axis.dot(covariance).dot(axis), lateral
 
 
-@compiled
-def weigh_joints(
-    q: Vector,
-    jacobian: Matrix,
-    axis: Vector,
-    error_covariance: Matrix,
-    error_precision: Matrix,
-    weights: Matrix,
-    damping: Vector,
-) -> tuple[Array, Array, tuple[Array, float, Array], float, Array]:
-    """The numbers of a `WrenchGain`; Jacobian and insertion direction are in the axes asked for.
-
-    ``weights`` is the precision in `weighted_inverse`; the damping is that of all unknowns.
-    """
-    count = len(damping)
-    directions = np.eye(6)[:count]
-    if count == 1:
-        directions[0, :3] = axis
-    rows = directions.dot(jacobian)
-    gain, covariance, conditioning, removed = weighted_inverse(
-        rows, error_covariance, weights, damping
-    )
-    variance, lateral = covariance[0, 0], _UNSEEN
-    if count > 1:
-        variance, lateral = _variances(axis, covariance[:3, :3].copy())
-    made = np.ascontiguousarray(directions[:, : max(count, 3)].T).dot(gain)
-    return (
-        np.concatenate((q, made.ravel())).reshape(-1, len(q)),
-        np.concatenate((axis, np.array([variance, lateral]))),
-        (covariance, conditioning, removed),
-        *unexplained(rows, error_precision),
-    )
-
-
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
@@ -286,9 +249,7 @@ class WrenchEstimator:
         covariance = np.array(covariance_Nm2, order="C")
         inverse, is_valid = inverse_of(covariance)
         if not is_valid:
-            raise ConfigurationError(
-                "covariance_Nm2 must be finite, symmetric and positive definite"
-            )
+            raise ConfigurationError("covariance_Nm2 is not finite, symmetric, positive definite")
         self.torque_covariance, self._inverse = covariance, inverse
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
@@ -304,22 +265,31 @@ class WrenchEstimator:
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
-        tool = self.kinematics
+        tool, directions = self.kinematics, self._directions
         tool.update(q)
-        jacobian, axis, inverse = tool.jacobian, tool.axis_in_tool, self._inverse
+        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, max(len(directions), 3)
         if self._in_base:
             turn = tool.rotation_tool_to_base
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
             axis = turn.dot(axis)
-        weights = inverse if self._weighted else np.eye(self._joints)
-        self.gain = WrenchGain(
-            *weigh_joints(
-                q, jacobian, axis, self.torque_covariance, inverse, weights, self._damping
-            )
+        if len(directions) == 1:
+            directions = np.concatenate((axis, _NOTHING))[None]
+        rows, inverse = directions.dot(jacobian), self._inverse
+        precision = inverse if self._weighted else np.eye(self._joints)
+        gain, covariance, conditioning, removed = weighted_inverse(
+            rows, self.torque_covariance, precision, self._damping
         )
-        covariance, _, removed = self.gain.reported
-        covariance.setflags(write=False)
-        removed.setflags(write=False)
+        variances = (covariance[0, 0], UNSEEN_STD**2)
+        if len(directions) > 1:
+            variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
+        self.gain = WrenchGain(
+            np.vstack((q, directions[:, :size].T.dot(gain))),
+            np.append(axis, variances),
+            (covariance, conditioning, removed),
+            *unexplained(rows, inverse),
+        )
+        for array in (covariance, removed):
+            array.setflags(write=False)
 
     def solve(
         self, q: Array, residual: Array, offset: Array, followed_N: Array, fraction: float
