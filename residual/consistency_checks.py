@@ -328,10 +328,7 @@ class ConsistencyMonitor:
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
             found |= SensorWarning.MODEL_MISMATCH
-        change = self.state.change if tared else None
-        if tared and dt_s > 0.0:
-            last = change or TorqueChange(np.vstack((residual, residual, np.zeros((len(q),) * 2))))
-            change = TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
+        change = self._changed(residual, dt_s) if tared else None
         if change is not None and change.pushed_s > 0.0:
             found |= SensorWarning.ARM_PUSHED
         match = self.state.match
@@ -347,6 +344,13 @@ class ConsistencyMonitor:
         if match is None or last_match is None or match.beyond is not last_match.beyond:
             fault = "" if match is None else velocity_fault(match)
         self._report(fault)
+
+    def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
+        """How far torques are from what they were, in directions that no wrench makes."""
+        last, n = self.state.change, len(residual)
+        if last is None or dt_s <= 0.0:
+            return last or TorqueChange(np.vstack((residual, residual, np.zeros((n, n)))))
+        return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
 
     @property
     def _wanted(self) -> float:

@@ -37,7 +37,7 @@ from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
 
-_CHECK, _WEIGHTS = 1, 2  # stages of the work of every 20 ms, after the renewal
+_CHECK, _WEIGHTS = 1, 2  # ticks after a renewal in which these have their turn
 _OK = Status.OK  # names of an enumeration take as long to find as a call
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
@@ -228,9 +228,7 @@ class VirtualForceSensor:
         self._monitor.restore(MonitorState())
         self._followed_N, self._follows = np.zeros(3), False
         self._unchecked_s = 0.0
-        # Ticks since bias and joint states were renewed: the consistency check is in the one after,
-        # the weights in the second.
-        self._stage = 0
+        self._stage = 0  # Ticks since bias and joint states were renewed
 
     @property
     def filter_lag_s(self) -> float:
@@ -341,8 +339,7 @@ class VirtualForceSensor:
         # A slow clock, and the first tick, find work undone at the next renewal: all is done then.
         is_late = renewed and self._stage < _WEIGHTS
         stage = self._stage = 0 if renewed else self._stage + 1
-        is_due = is_late or stage == _WEIGHTS
-        if is_due and (offset.is_covariance_due or monitor.wants_widening):
+        if (is_late or stage == _WEIGHTS) and (offset.is_covariance_due or monitor.wants_widening):
             self._weigh()
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
