@@ -23,6 +23,7 @@ from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedCon
 from needleforce import InsertionSession
 from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
+from residual.bias_estimator import BiasEstimator
 from urdf import Robot
 
 Update = Callable[[int], object]
@@ -175,14 +176,19 @@ def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
 
 
 def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
-    """Mass and Coriolis matrix, gravity and Jacobian."""
-    model, data, positions = robot.model, robot.create_data(), list(signals.q_rad)
+    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the bias is due."""
+    model, data = robot.model, robot.create_data()
+    positions, still = list(signals.q_rad), np.zeros(robot.nv)
     frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
     observer = _bare_observer(robot, signals)
+    ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
 
     def update(k: int) -> None:
         observer(k)
-        pin.computeFrameJacobian(model, data, positions[k], frame, axes)
+        q = positions[k]
+        pin.computeFrameJacobian(model, data, q, frame, axes)
+        if k % ticks == 0:
+            pin.computeJointTorqueRegressor(model, data, q, still, still)
 
     return update
 

@@ -37,7 +37,6 @@ from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import COMPONENTS, WrenchEstimator
 from urdf import Robot
 
-_CHECK, _WEIGHTS = 1, 2  # ticks after a renewal in which these have their turn
 _OK = Status.OK  # names of an enumeration take as long to find as a call
 _new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
@@ -57,7 +56,7 @@ class SensorState(NamedTuple):
     followed_N: Array  # Force followed for the uncertainty that the lag adds [N], shape (3,)
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
-    stage: int  # Of the work of every 20 ms, see `VirtualForceSensor._stage`
+    waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -228,7 +227,7 @@ class VirtualForceSensor:
         self._monitor.restore(MonitorState())
         self._followed_N, self._follows = np.zeros(3), False
         self._unchecked_s = 0.0
-        self._stage = 0  # Ticks since bias and joint states were renewed
+        self._waiting = 2
 
     @property
     def filter_lag_s(self) -> float:
@@ -253,7 +252,7 @@ class VirtualForceSensor:
                 followed_N=self._followed_N,
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
-                stage=self._stage,
+                waiting=self._waiting,
                 last=self._last,
                 missed_s=self._clock.missed_s,
                 rejected=self.rejected,
@@ -294,7 +293,7 @@ class VirtualForceSensor:
         self._monitor.restore(state.monitor)
         self._followed_N, self._follows = state.followed_N, state.follows
         self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
-        self._stage = state.stage
+        self._waiting = state.waiting
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -336,11 +335,14 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        # A slow clock, and the first tick, find work undone at the next renewal: all is done then.
-        is_late = renewed and self._stage < _WEIGHTS
-        stage = self._stage = 0 if renewed else self._stage + 1
-        if (is_late or stage == _WEIGHTS) and (offset.is_covariance_due or monitor.wants_widening):
-            self._weigh()
+        waiting, checks = self._waiting, False
+        if renewed or waiting:
+            # The tick after a renewal checks, the next one weighs; what waits still, as with a slow
+            # clock and in the first tick, is done with the next renewal.
+            checks, weighs = waiting == 2, waiting == 1 or (renewed and waiting == 2)
+            self._waiting = 2 if renewed else waiting - 1
+            if weighs and (offset.is_covariance_due or monitor.wants_widening):
+                self._weigh()
         wrench.kinematics.update(q, data)
         # One more lag follows the force; it begins where the force is.
         fraction, lag_s = 1.0, stream.lag_s
@@ -348,7 +350,7 @@ class VirtualForceSensor:
             fraction = -math.expm1(-elapsed_s / lag_s)
         found = wrench.solve(q, residual, bias.bias, self._followed_N, fraction)
         self._follows = True
-        if is_late or stage == _CHECK:
+        if checks:
             sent = dq if stream.has_velocity else None
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0
