@@ -56,6 +56,7 @@ class SensorState(NamedTuple):
     wrench: Array  # Memory of `wrench_step`, shape (2, 3) or (2, 6)
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
+    waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -236,6 +237,7 @@ class VirtualForceSensor:
         self._monitor.restore(MonitorState())
         self._followed, self._follows = np.zeros((2, self._wrench.size)), False
         self._unchecked_s = 0.0
+        self._waiting = 2
 
     @property
     def filter_lag_s(self) -> float:
@@ -260,6 +262,7 @@ class VirtualForceSensor:
                 wrench=self._followed,
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
+                waiting=self._waiting,
                 last=self._last,
                 missed_s=self._clock.missed_s,
                 rejected=self.rejected,
@@ -301,6 +304,7 @@ class VirtualForceSensor:
         self._monitor.restore(state.monitor)
         self._followed, self._follows = state.wrench, state.follows
         self._unchecked_s = state.unchecked_s
+        self._waiting = state.waiting
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -342,8 +346,14 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        if renewed and (offset.is_covariance_due or monitor.wants_widening):
-            self._weigh()
+        waiting, checks = self._waiting, False
+        if renewed or waiting:
+            # The tick after a renewal checks, the next one weighs; what waits still, as with a slow
+            # clock and in the first tick, is done with the next renewal.
+            checks, weighs = waiting == 2, waiting == 1 or (renewed and waiting == 2)
+            self._waiting = 2 if renewed else waiting - 1
+            if weighs and (offset.is_covariance_due or monitor.wants_widening):
+                self._weigh()
         wrench.kinematics.update(q, data)
         # Smoothing and the lag that follows the force begin where the force is.
         tick, fraction, lag_s = 0.0, 1.0, stream.lag_s
@@ -352,7 +362,7 @@ class VirtualForceSensor:
             fraction = -math.expm1(-elapsed_s / lag_s) if lag_s > 0.0 else 1.0
         found = wrench.solve(q, residual, bias.bias, self._followed, (tick, fraction))
         self._follows = True
-        if renewed:
+        if checks:
             sent = dq if stream.has_velocity else None
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0

@@ -25,9 +25,6 @@ MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
 SMOOTHED_SIGMAS = 2.0  # Distance of the force at which the bandwidth has doubled
-LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
-"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
-joint's sensor, or an error of the lever arms."""
 
 
 class WrenchGain(NamedTuple):
@@ -59,6 +56,16 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
     scale = seen / np.where(seen, values, 1.0)
     unseen = (vectors * vectors).dot(1.0 - seen)
     return (vectors * scale).dot(vectors.T), unseen > 1e-18
+
+
+@compiled
+def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
+    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric, positive, finite."""
+    # Written so that a NaN is none either.
+    if not np.abs(covariance - covariance.T).sum() <= 1e-6 * abs(np.trace(covariance)):
+        return covariance.copy(), False
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors / values).dot(vectors.T), bool(values[0] > 0.0)
 
 
 @compiled
@@ -97,6 +104,27 @@ def weighted_inverse(
 
 
 @compiled
+def smoothing_step(smoothed: WrittenVector, wrench: Vector, axis: Vector, tick: float) -> None:
+    """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
+
+    While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
+    power of the distance to it in deviations of that noise: a rupture passes as it is. As of the
+    momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
+
+    `axis` is that of `WrenchGain`, `tick` the time step in lags within the noise, 0 for none.
+    """
+    behind = wrench - smoothed
+    if tick > 0.0:
+        beside = float(axis[:3].dot(behind[:3])) ** 2
+        # Of the lateral force two components are noisy.
+        beside_across = 0.5 * (float(behind[:3].dot(behind[:3])) - beside)
+        ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
+        tick *= 1.0 + ratio * ratio
+        behind *= tick / (1.0 + tick)
+    smoothed += behind
+
+
+@compiled
 def wrench_step(
     q: Vector,
     residual: Vector,
@@ -109,10 +137,6 @@ def wrench_step(
 ) -> tuple[float, float, float, float, float]:
     """Force from external joint torque, smoothed, with what its lag may hide.
 
-    While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
-    power of the distance to it in deviations of that noise: a rupture passes as it is. As in
-    `residual.momentum_observer.momentum_step`, whose torque is not smoothed, by the implicit step.
-
     One more lag of the observer's length follows the force: what it still misses is about what the
     estimate has missed. Only what stands out of the noise counts as a change.
 
@@ -122,8 +146,8 @@ def wrench_step(
         offset: What it reads without contact [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
-        lags: Length of this tick in lags of the smoothing within the noise, 0 for none; and the
-            fraction of the way that the follower goes in it, 1 where the observer has no lag.
+        lags: The tick of `smoothing_step`, and the fraction of the way that the follower goes in
+            it, 1 where the observer has no lag.
         memory: Smoothed force (and torque), then the follower, brought to the end of the tick
             [N, Nm], shape (2, 3) or (2, 6).
         found: Where force, torque if it is asked for, and the residual less its offset are written
@@ -140,30 +164,21 @@ def wrench_step(
     size = len(rows) - 1
     corrected = residual - offset
     found[size:] = corrected
-    along_needle, (tick, fraction) = axis[:3], lags
-    smoothed, followed = memory[0], memory[1]
-    variance, lateral_variance, noise, lateral_noise = axis[3:]
-    wrench = rows[1:].dot(corrected)
-    behind = wrench - smoothed
-    if tick > 0.0:
-        beside = float(along_needle.dot(behind[:3])) ** 2
-        # Of the lateral force two components are noisy.
-        beside_across = 0.5 * (float(behind[:3].dot(behind[:3])) - beside)
-        ratio = max(beside / noise, beside_across / lateral_noise) / SMOOTHED_SIGMAS**2
-        tick *= 1.0 + ratio * ratio
-        behind *= tick / (1.0 + tick)
-    smoothed += behind
+    along_needle, variance, lateral_variance = axis[:3], axis[3], axis[4]
+    smoothed, followed, wrench = memory[0], memory[1], rows[1:].dot(corrected)
+    smoothing_step(smoothed, wrench, axis, lags[0])
     found[:size] = smoothed
     force = smoothed[:3]
     axial = float(along_needle.dot(force))
     across = force - axial * along_needle
     behind = smoothed - followed
-    followed += fraction * behind
+    followed += lags[1] * behind
     missed = float(along_needle.dot(behind[:3]))
     missed_across = float(behind[:3].dot(behind[:3])) - missed * missed
-    if fraction >= 1.0:
+    if lags[1] >= 1.0:
         missed = missed_across = 0.0
     hidden = max(missed * missed - 4.0 * variance, 0.0)
+    # Of the lateral force two components are noisy.
     hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
     return (
         -axial,
@@ -190,23 +205,6 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
     inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
     left = precision - weighted.T.dot(inverse).dot(weighted)
     return weakest_m, left / (joints - count)
-
-
-@compiled
-def unusual_change(rows: Matrix, change: Vector, usual: Matrix) -> float:
-    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
-
-    Unknowns make torque by ``rows``, (k, n), as in `unexplained`. In units of what is usual: the
-    mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and
-    of what sensors and lever arms may be wrong by in what is explained.
-    """
-    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
-    weighted = rows.dot(np.linalg.inv(covariance))
-    inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
-    explained = inverse.dot(weighted.dot(change)).dot(rows)
-    covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
-    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
-    return float(change.dot(unexplained(rows, precision)[1]).dot(change))
 
 
 @compiled
@@ -285,15 +283,11 @@ class WrenchEstimator:
             raise ConfigurationError(
                 f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
-        asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
-        # Written so that a NaN is refused too.
-        if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
-            raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
-        values, vectors = np.linalg.eigh(covariance)
-        if not values[0] > 0.0:
-            raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self.torque_covariance, self._inverse = covariance, (vectors / values).dot(vectors.T)
+        inverse, is_valid = inverse_of(covariance)
+        if not is_valid:
+            raise ConfigurationError("covariance_Nm2 is not finite, symmetric, positive definite")
+        self.torque_covariance, self._inverse = covariance, inverse
         self.torque_noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed_away = smoothed_away
 
