@@ -275,17 +275,14 @@ class _Window:
         known /= np.array([[FRACTION_STD * slope], [0.3 * slope], [0.3 * most]])
         return np.diag(stds**-2.0) + known.T @ known, known[0] * FRACTION / FRACTION_STD
 
-    def _rows(self, contact: tuple[Array, Array], speed: Array) -> Array:
-        """Rows of the law's linear unknowns, each over its standard deviation, shape (n, 8)."""
-        (w, g), v, (one, y, square) = contact, self.speed - speed, self.powers.T
-        columns = (one, w * one, w * y, v * one, v * y, g * one, g * y, g * square)
-        return np.ascontiguousarray(np.array(columns).T)
-
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
-        rows, force = self._rows(contact_along(self.depth - place), speed), self.force / self.sigma
-        linear, error = _fitted(rows, force, *self.prior)
+        (w, g), v = contact_along(self.depth - place), self.speed - speed
+        one, y, square = self.powers.T
+        columns = (one, w * one, w * y, v * one, v * y, g * one, g * y, g * square)
+        rows = np.ascontiguousarray(np.array(columns).T)  # each over its standard deviation
+        linear, error = _fitted(rows, self.force / self.sigma, *self.prior)
         return rows, linear, float(error @ error), error
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:

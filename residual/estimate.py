@@ -82,8 +82,7 @@ class WrenchEstimate(NamedTuple):
         conditioning: Ratio of the largest to the smallest standard deviation over directions in
             the estimated space; 1e6 where a direction cannot be seen.
         damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
-        axial_unsmoothed: The axial force before it is smoothed [N], for filters that know its
-            noise, as the identification's.
+        axial_unsmoothed: The axial force before it is smoothed [N], for whoever filters further.
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: Whether it may be used.
         message: The reason, when the status is not OK or there is a warning, or a question: may a

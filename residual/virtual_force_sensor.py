@@ -206,11 +206,9 @@ class VirtualForceSensor:
 
     def _trust(self, covariance_Nm2: Array) -> None:
         """Weigh with a covariance of the residual from now on."""
-        away, bandwidth_per_s = 0.0, self._config.force_bandwidth_per_s
-        if bandwidth_per_s is not None:
-            # Noise lasts as long as the filters that it has passed.
-            noise_s = self.lag_s or 1.0 / self._config.slowest_gain_per_s
-            away = 1.0 / (1.0 + bandwidth_per_s * noise_s)
+        # Noise lasts as long as the filters that it has passed.
+        noise_s = self.lag_s or 1.0 / self._config.slowest_gain_per_s
+        away = 1.0 / (1.0 + (self._config.force_bandwidth_per_s or math.inf) * noise_s)
         noise_Nm2 = self._offset.memory.tare.noise_Nm2
         self._wrench.set_torque_covariance(covariance_Nm2, noise_Nm2, away)
 

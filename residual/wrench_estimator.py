@@ -178,7 +178,6 @@ def wrench_step(
     if lags[1] >= 1.0:
         missed = missed_across = 0.0
     hidden = max(missed * missed - 4.0 * variance, 0.0)
-    # Of the lateral force two components are noisy.
     hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
     return (
         -axial,
@@ -320,7 +319,6 @@ class WrenchEstimator:
         gain, covariance, conditioning, removed = weighted_inverse(
             rows, error, precision, self._damping
         )
-        # What is not seen has no noise.
         noise = gain.dot(self.torque_noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
         variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
         if len(directions) > 1:

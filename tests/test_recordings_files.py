@@ -133,13 +133,9 @@ def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
     assert table.warnings == (f"{what}; what follows line 3 is lost",)
 
 
-def long_csv(rows=40_000):
-    noise = np.random.default_rng(0).normal(size=rows)
-    return "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise.tolist()))
-
-
 def test_a_compressed_file_reads_the_same_and_a_cut_one_up_to_the_cut(read):
-    text = long_csv()
+    noise = np.random.default_rng(0).normal(size=40_000).tolist()
+    text = "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise))
     whole, packed = values(read(text)), gzip.compress(text.encode())
     assert values(read(packed, "log.csv.gz")) == whole
     # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.

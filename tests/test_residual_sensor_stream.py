@@ -7,14 +7,7 @@ import pytest
 from guarded_sensor import feed, rows_of, signals, tared, tared_sensor
 from residual_signals import BIAS, external_torque_of, swing
 
-from residual import (
-    DEFAULT,
-    SensorConfig,
-    SensorWarning,
-    Status,
-    TareError,
-    VirtualForceSensor,
-)
+from residual import DEFAULT, SensorConfig, SensorWarning, Status, TareError, VirtualForceSensor
 
 
 def test_a_second_tare_needs_new_motion(lwr):

@@ -164,8 +164,7 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
         torque = 0.02 * rng.normal(size=7) + (pushed if k >= 2000 else 0.0)
         lags = (0.03 if k else 0.0, 1.0)  # of 1 ms at 30 1/s
         found.append(estimator.solve(MIDDLE, torque, np.zeros(7), memory, lags))
-    numbers = [(each[0], each[1], each[-2]) for each in found]
-    axial, stated, unsmoothed = np.array(numbers).T
+    axial, stated, unsmoothed = np.array([(one[0], one[1], one[-2]) for one in found]).T
     at_rest = slice(500, 2000)
     # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let more pass.
     assert np.std(axial[at_rest]) < 0.35 * np.std(unsmoothed[at_rest])
