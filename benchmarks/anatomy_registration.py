@@ -23,7 +23,7 @@ from needleforce.anatomy import (
     Registration,
     RegistrationError,
     Structure,
-    TouchSurface,
+    Surface,
     fit_landmarks,
     fit_surface,
     read_labels,
@@ -171,7 +171,7 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
     }
     for name, (mesh, kept) in forms.items():
         part = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
-        surface, refused = TouchSurface(part.vertices, part.faces), 0
+        surface, refused = Surface(name, part.vertices, part.faces), 0
         for _ in range(SYMMETRIC_FITS):
             points, truth = touch(part, None, rng), pose(rng)
             try:
@@ -187,7 +187,7 @@ def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figu
     errors, inside, refused = [], [], 0
     for _ in range(MODELS):
         truth_mesh, model = truth_and_model(labels, name, rng)
-        surface, center = TouchSurface(model.vertices_m, model.triangles), truth_mesh.center_mass
+        surface, center = model, truth_mesh.center_mass
         for _ in range(FITS // MODELS):
             front = rng.normal(size=3)
             points, truth = touch(truth_mesh, front / np.linalg.norm(front), rng), pose(rng)

@@ -9,7 +9,7 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `surface`, `path_layers`; `landmarks`, `surface_fit`; `plan_match`;
-`file_checks`, `errors`.
+`errors`.
 """
 
 from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError
@@ -17,7 +17,7 @@ from needleforce.anatomy.landmarks import Registration, fit_landmarks
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.surface_fit import TouchSurface, fit_surface
+from needleforce.anatomy.surface_fit import fit_surface
 from needleforce.anatomy.volume import Grid, Labels, Structure, Volume, read_labels, read_volume
 
 __all__ = [
@@ -32,7 +32,6 @@ __all__ = [
     "RegistrationError",
     "Structure",
     "Surface",
-    "TouchSurface",
     "Volume",
     "VolumeError",
     "fit_landmarks",

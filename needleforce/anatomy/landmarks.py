@@ -7,6 +7,7 @@ say how large the error at the target is (Fitzpatrick 2009); they serve to estim
 deviation, and to refuse.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -71,18 +72,32 @@ class Registration:
         """Whether a place in the robot's base lies in the region of that level about a point."""
         error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
         distance = error @ np.linalg.solve(self.covariance_at(point_m), error)
-        # Hotelling's T squared; with a known deviation chi squared.
-        is_known = not np.isfinite(self.degrees)
-        most = chi2.ppf(level, 3) if is_known else 3.0 * f_law.ppf(level, 3, self.degrees)
-        return bool(distance <= most)
+        # Hotelling's T squared; with so many degrees chi squared.
+        return bool(distance <= 3.0 * f_law.ppf(level, 3, min(self.degrees, 1e9)))
 
 
 def point_jacobian(lever_m: Array) -> Array:
     """Displacement of points (..., 3) about a pivot by a small rotation and shift, (..., 3, 6)."""
-    x, y, z = np.moveaxis(lever_m, -1, 0)
-    o, one = np.zeros_like(x), np.ones_like(x)
-    rows = [[o, z, -y, one, o, o], [-z, o, x, o, one, o], [y, -x, o, o, o, one]]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    turned = np.cross(lever_m[..., None, :], np.eye(3))
+    return np.concatenate((turned, np.broadcast_to(np.eye(3), turned.shape)), axis=-1)
+
+
+def rms(vectors: Array) -> float:
+    """Root mean square length of vectors (n, 3)."""
+    return float(np.sqrt((vectors**2).sum(axis=-1).mean()))
+
+
+def widths_m(points_m: Array) -> Array:
+    """Root mean square extents of points (n, 3) about their mean, the largest first, (3,)."""
+    return np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False) / len(points_m) ** 0.5
+
+
+def rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
+    """Rotation and shift with the least squares, and their sum."""
+    one, two = model.mean(axis=0), robot.mean(axis=0)
+    found = Rotation.align_vectors(robot - two, model - one)
+    turn = found[0]
+    return turn.as_matrix(), two - turn.apply(one), float(found[1]) ** 2
 
 
 def fit_landmarks(
@@ -105,10 +120,15 @@ def fit_landmarks(
     """
     require_deviation("std_m", std_m, RegistrationError)
     model, robot = _checked(model_m, robot_m)
-    rotation, translation, squares = _rigid_fit(model, robot)
-    degrees = 3 * len(model) - 6
-    if squares > _limit(len(model), std_m):
-        raise RegistrationError(_why(model, robot, std_m))
+    rotation, translation, squares = rigid_fit(model, robot)
+    degrees, residual_m = 3 * len(model) - 6, float(np.sqrt(squares / len(model)))
+    if not _fits(model, robot, std_m):
+        causes = [why for why, *cured in _explanations(model, robot) if _fits(*cured, std_m)]
+        unknown = (
+            f"the landmarks do not fit: {1e3 * residual_m:.1f} mm rms are left with "
+            f"{1e3 * std_m:g} mm per axis expected; are they the same points, in the same order?"
+        )
+        raise RegistrationError([*causes, unknown][0])
     moved = model @ rotation.T + translation
     pivot = moved.mean(axis=0)
     lever = point_jacobian(moved - pivot).reshape(-1, 6)
@@ -116,19 +136,11 @@ def fit_landmarks(
     return Registration(
         rotation=rotation,
         translation_m=translation,
-        covariance=np.asarray(variance * np.linalg.inv(lever.T @ lever), dtype=float),
+        covariance=variance * np.linalg.inv(lever.T @ lever),
         pivot_m=pivot,
         degrees=np.inf if is_std_known else float(degrees),
-        residual_rms_m=float(np.sqrt(squares / len(model))),
+        residual_rms_m=residual_m,
     )
-
-
-def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
-    """Rotation and shift with the least squares, and their sum."""
-    one, two = model.mean(axis=0), robot.mean(axis=0)
-    found = Rotation.align_vectors(robot - two, model - one)
-    turn = found[0]
-    return turn.as_matrix(), two - turn.apply(one), float(found[1]) ** 2
 
 
 def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
@@ -141,14 +153,14 @@ def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
         raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
     if not np.isfinite([model, robot]).all():
         raise RegistrationError("a landmark is not finite; touch it again")
-    sizes = [np.linalg.svd(p - p.mean(axis=0), compute_uv=False) for p in (model, robot)]
-    scale = sizes[1][0] / max(sizes[0][0], 1e-12)
+    widths = np.array([widths_m(model), widths_m(robot)])
+    scale = widths[1, 0] / max(widths[0, 0], 1e-12)
     if not 1.0 / LARGEST_SCALE < scale < LARGEST_SCALE:
         raise RegistrationError(
             f"the touched landmarks are {scale:.3g} times as far apart as those of the model: "
             "millimetres for metres? Give both in metres"
         )
-    if min(size[1] for size in sizes) < LEAST_WIDTH_m * np.sqrt(len(model)):
+    if widths[:, 1].min() < LEAST_WIDTH_m:
         raise RegistrationError(
             "the landmarks are collinear: the model could turn about their line; touch one that "
             "lies aside"
@@ -156,30 +168,27 @@ def _checked(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
     return model, robot
 
 
-def _limit(count: int, std_m: float) -> float:
-    return std_m**2 * float(chi2.isf(FALSE_REFUSAL, 3 * count - 6))
+def _fits(model: Array, robot: Array, std_m: float) -> bool:
+    limit = std_m**2 * chi2.isf(FALSE_REFUSAL, 3 * len(model) - 6)
+    return bool(rigid_fit(model, robot)[2] <= limit)
 
 
-def _why(model: Array, robot: Array, std_m: float) -> str:
-    """What makes landmarks that do not fit fit: order before mirror before scale before one."""
-    count, limit = len(model), _limit(len(model), std_m)
+def _explanations(model: Array, robot: Array) -> Iterator[tuple[str, Array, Array]]:
+    """What may be wrong, and the landmarks without it: order, mirror, scale, one, in this order."""
+    count = len(model)
     for i, j in combinations(range(count), 2):
         order = np.arange(count)
         order[[i, j]] = j, i
-        if _rigid_fit(model, robot[order])[2] <= limit:
-            return f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order"
-    if _rigid_fit(-model, robot)[2] <= limit:
-        return "the touched landmarks are the mirror image of the model's: left for right?"
-    one, two = (np.linalg.norm(p - p.mean(axis=0)) for p in (model, robot))
-    scale = float(two / one)
-    if _rigid_fit(scale * model, robot)[2] <= limit:
-        return f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
-    for k in range(count if count > 4 else 0):
-        kept = np.arange(count) != k
-        if _rigid_fit(model[kept], robot[kept])[2] <= _limit(count - 1, std_m):
-            return f"landmark {k + 1} lies elsewhere than in the model; touch it again"
-    rms_mm = 1e3 * np.sqrt(_rigid_fit(model, robot)[2] / count)
-    return (
-        f"the landmarks do not fit: {rms_mm:.1f} mm rms are left with {1e3 * std_m:g} mm per axis "
-        "expected; are they the same points, in the same order?"
+        why = f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order"
+        yield why, model, robot[order]
+    yield (
+        "the touched landmarks are the mirror image of the model's: left for right?",
+        -model,
+        robot,
     )
+    scale = rms(robot - robot.mean(axis=0)) / rms(model - model.mean(axis=0))
+    why = f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
+    yield why, scale * model, robot
+    for k in range(count if count > 4 else 0):
+        why = f"landmark {k + 1} lies elsewhere than in the model; touch it again"
+        yield why, np.delete(model, k, axis=0), np.delete(robot, k, axis=0)

@@ -5,9 +5,12 @@ be stored in different orders and still agree, so only places are ever compared.
 and metres, and arrays are (i, j, k) along the axes of their `Grid`.
 """
 
+import gzip
 import json
 import locale
+import os
 import re
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -20,7 +23,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from needleforce.anatomy.errors import Array, VolumeError
-from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.path_layers import layers_on_path
 from needleforce.anatomy.surface import Surface, surface_of
 
@@ -31,6 +33,14 @@ BODY_HU, FAT_HU = -300.0, -30.0
 OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
 OBSTACLES += " scapula clavicula clavicle humerus pelvis skull"
 """Words in the names of structures that stop a needle."""
+NIFTI_SPACING: dict[bytes, dict[str, Any]] = {
+    b"\x5c\1\0\0": {"dtype": "<f4", "offset": 80},
+    b"\0\0\1\x5c": {"dtype": ">f4", "offset": 80},
+    b"\x1c\2\0\0": {"dtype": "<f8", "offset": 104},
+    b"\0\0\2\x1c": {"dtype": ">f8", "offset": 104},
+}
+"""By a NIfTI file's first bytes: type and place of its spacing, in versions 1 and 2."""
+NRRD_SPACES = "left-posterior-superior right-anterior-superior left-anterior-superior lps ras las"
 _COLOURS = {
     OBSTACLES: (241, 214, 145),
     "liver": (221, 130, 101),
@@ -131,16 +141,14 @@ class Labels:
         Raises:
             VolumeError: No structure has a voxel, or two have the same name.
         """
-        boxes = [ndimage.find_objects(volume) for volume in volumes]
+        boxes = [dict(enumerate(ndimage.find_objects(volume), 1)) for volume in volumes]
         found: dict[str, Structure] = {}
         for item in structures:
-            of_volume = boxes[item.volume]
-            box = of_volume[item.value - 1] if 0 < item.value <= len(of_volume) else None
             if item.name in found:
                 raise VolumeError(f"two structures are named {item.name!r}: rename one")
-            if box is not None:
-                voxels = int(np.count_nonzero(volumes[item.volume][box] == item.value))
-                found[item.name] = replace(item, voxels=voxels, box=box)
+            if (box := boxes[item.volume].get(item.value)) is not None:
+                voxels = np.count_nonzero(volumes[item.volume][box] == item.value)
+                found[item.name] = replace(item, voxels=int(voxels), box=box)
         if not found:
             raise VolumeError("no voxel is labelled: expected at least one structure")
         return cls(volumes, grid, tuple(found.values()))
@@ -171,9 +179,8 @@ class Labels:
             VolumeError: Labels that lie elsewhere than the scan, only air, or no air around.
         """
         _require_agreement(self, scan)
-        parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
-        count = ndimage.label(scan.values > BODY_HU, output=parts)
-        inside = parts == np.bincount(parts.ravel())[1:].argmax() + 1 if count else parts > 0
+        parts, count = ndimage.label(scan.values > BODY_HU)
+        inside = (parts == np.bincount(parts[parts > 0], minlength=1).argmax()) & (parts > 0)
         inner = inside[1:-1, 1:-1, 1:-1]
         if not count or inside.sum() - inner.sum() == inside.size - inner.size:
             raise VolumeError(
@@ -200,12 +207,12 @@ class Labels:
         self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None
     ) -> dict[str, Surface]:
         """Closed surfaces by name (`surface.surface_of`); ``progress`` gets the fraction done."""
-        wanted = list(names) if names is not None else [item.name for item in self.structures]
+        wanted = [item.name for item in self.structures] if names is None else list(names)
         found = {}
-        for done, name in enumerate(wanted, 1):
+        for name in wanted:
             found[name] = surface_of(self, name)
             if progress is not None:
-                progress(done / len(wanted))
+                progress(len(found) / len(wanted))
         return found
 
     layers_along = layers_on_path  # it takes the labels first
@@ -283,26 +290,27 @@ def _plain_structures(
 
 def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
     """Return the segments that 3D Slicer described in the file's header, none in other files."""
-    found: list[Structure] = []
+    found: dict[tuple[int, int], Structure] = {}
     count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
-    for key in (f"Segment{k}_" for k in range(count)):
-        if key + "ID" not in header:
-            raise VolumeError(f"{key}ID is not in its header: expected {count} segments from 0 on")
-        name = header.get(key + "Name", header[key + "ID"])
+    for k in range(count):
+        fields = {key.removeprefix(f"Segment{k}_"): text for key, text in header.items()}
+        if "ID" not in fields:
+            raise VolumeError(f"Segment{k}_ID is not in its header: expected {count} from 0 on")
+        name = fields.get("Name", fields["ID"])
         try:
-            value = int(header.get(key + "LabelValue", len(found) + 1))
-            made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
-            colour = tuple(float(part) for part in header.get(key + "Color", "").split())
+            volume, value = int(fields.get("Layer", 0)), int(fields.get("LabelValue", k + 1))
+            colour = tuple(float(part) for part in fields.get("Color", "").split())
             if len(colour) not in (0, 3) or not all(0.0 <= part <= 1.0 for part in colour):
                 raise ValueError(f"colour {colour}: expected three from 0 to 1")
         except ValueError as error:
             raise VolumeError(f"segment {name}: {error}; expected numbers in its header") from error
-        if not 0 <= made.volume < layers:
-            raise VolumeError(f"segment {name} lies in layer {made.volume}; the file has {layers}")
-        if (made.volume, made.value) in ((one.volume, one.value) for one in found):
+        if not 0 <= volume < layers:
+            raise VolumeError(f"segment {name} lies in layer {volume}; the file has {layers}")
+        if (volume, value) in found:
             raise VolumeError(f"segment {name} has the label {value} of another: give it its own")
-        found.append(replace(made, colour=colour or made.colour))
-    return found
+        made = Structure.named(name, value, volume)
+        found[volume, value] = replace(made, colour=colour or made.colour)
+    return list(found.values())
 
 
 @contextmanager
@@ -338,13 +346,64 @@ def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
     values = SimpleITK.GetArrayFromImage(image).T  # it gives (k, j, i), or (k, j, i, component)
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     if header.get("nifti_type") == "1":
-        require_whole_nifti(path, header, np.array(image.GetSpacing()))
+        _require_sound_nifti(path, header, image.GetSpacing())
     elif path.suffix in (".nrrd", ".nhdr"):
-        require_placed_nrrd(path)
+        _require_placed_nrrd(path)
     return [values] if values.ndim == 3 else list(values), grid, header
 
 
+def _require_sound_nifti(
+    path: Path, header: Mapping[str, str], spacing_mm: Sequence[float]
+) -> None:
+    """Refuse a file that is cut short or damaged, or does not say how it lies, or says two things.
+
+    SimpleITK fills what is missing with zeros, and takes spacing and directions from two places.
+    """
+    sizes = [int(header[f"dim[{k}]"]) for k in range(1, int(header["dim[0]"]) + 1)]
+    needed = float(header["vox_offset"]) + np.prod(sizes) * int(header["bitpix"]) / 8
+    try:
+        with path.open("rb") as plain:
+            file = gzip.GzipFile(fileobj=plain) if plain.peek(2)[:2] == b"\x1f\x8b" else plain
+            start, found = file.read(128), file.seek(0, os.SEEK_END)
+        if found < needed:
+            raise EOFError(f"{found} bytes of {needed:.0f}")
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise VolumeError(f"{path} ends early or is damaged: {error}; copy it again") from error
+    has_matrix = header["sform_code"] != "0"
+    if not has_matrix and header["qform_code"] == "0":
+        raise VolumeError(
+            f"{path} does not say how it lies (neither qform nor sform): left and right are "
+            "unknown; export it again"
+        )
+    stated = np.frombuffer(start, count=3, **NIFTI_SPACING[start[:4]])
+    rows = [[float(part) for part in header[f"srow_{axis}"].split()[:3]] for axis in "xyz"]
+    lengths = np.linalg.norm(rows, axis=0) if has_matrix else spacing_mm
+    if not np.allclose([stated, lengths], spacing_mm, rtol=0.01, atol=0.0):
+        raise VolumeError(
+            f"{path}: its header states a spacing of {stated.tolist()} mm (pixdim), and its matrix "
+            f"(sform) one of {np.round(lengths, 4).tolist()}: expected the same; export it again"
+        )
+
+
+def _require_placed_nrrd(path: Path) -> None:
+    """Refuse a file that does not say in millimetres of the patient how it lies."""
+    with path.open("rb") as file:
+        start = re.split(r"\r?\n\r?\n", file.read(1 << 22).decode("latin-1"), maxsplit=1)[0]
+    fields = {key.lower(): text for key, text in re.findall(r"(?m)^([^:\n]+): (.*?)\r?$", start)}
+    space, units = fields.get("space", "none"), fields.get("space units", "")
+    if space.lower() not in NRRD_SPACES.split():
+        why = f"its space is {space!r}: expected left-posterior-superior, or RAS or LAS"
+    elif "space directions" not in fields:
+        why = "it has no `space directions`: spacing and orientation are unknown"
+    elif set(units.replace('"', " ").split()) - {"mm", "millimeter", "millimetre"}:
+        why = f"its space units are {units}: expected mm"
+    else:
+        return
+    raise VolumeError(f"{path}: {why}; export it again")
+
+
 def _read_series(folder: Path) -> Any:
+    """Read a DICOM series after a look at where its slices lie."""
     import SimpleITK
 
     reader = SimpleITK.ImageSeriesReader()
@@ -354,33 +413,35 @@ def _read_series(folder: Path) -> Any:
             f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    headers = np.array([_slice_header(SimpleITK.ImageFileReader(), name) for name in files])
+    headers = np.array([_slice_header(name) for name in files])
     if np.ptp(headers[:, 3:], axis=0).any():
         raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
-    axes, steps = headers[0, 3:9].reshape(2, 3), np.diff(headers[:, :3], axis=0)
-    if len(files) > 1:
-        along = steps @ np.cross(axes[0], axes[1])
-        usual = float(np.median(along))
-        if abs(usual) < 1e-3:
-            raise VolumeError(f"{folder}: slices lie at the same place: expected one scan")
-        worst = int(np.abs(along - usual).argmax())
-        if abs(along[worst] - usual) > 0.01 * abs(usual):
-            raise VolumeError(
-                f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
-                f"{Path(files[worst]).name}: a slice is missing or doubled"
-            )
-        aside = np.abs(steps @ axes.T).max(), np.abs(np.cumsum(steps @ axes.T, axis=0)).max()
-        if aside[0] > 0.01 * abs(usual) or aside[1] > 0.5 * headers[0, 9:11].min():
-            raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan")
+    axes = headers[0, 3:9].reshape(2, 3)
+    steps = np.diff(headers[:, :3], axis=0) @ np.vstack((axes, np.cross(*axes))).T
+    apart = np.abs(steps[:, 2])
+    usual = float(np.median(apart)) if len(apart) else 0.0
+    if usual < 1e-3:
+        raise VolumeError(f"{folder}: one slice, or all at the same place: expected one scan")
+    worst = int(np.abs(apart - usual).argmax())
+    if abs(apart[worst] - usual) > 0.01 * usual:
+        raise VolumeError(
+            f"{folder}: slices are {usual:.3f} mm apart, but {apart[worst]:.3f} mm after "
+            f"{Path(files[worst]).name}: a slice is missing or doubled"
+        )
+    aside = np.abs(steps[:, :2]).max(), np.abs(np.cumsum(steps[:, :2], axis=0)).max()
+    if aside[0] > 0.01 * usual or aside[1] > 0.5 * headers[0, 9:11].min():
+        raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan")
     reader.SetFileNames(files)
     return reader.Execute()
 
 
-def _slice_header(reader: Any, name: str) -> list[float]:
+def _slice_header(name: str) -> list[float]:
     """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
+    import SimpleITK
+
+    reader, found = SimpleITK.ImageFileReader(), []
     reader.SetFileName(name)
     reader.ReadImageInformation()
-    found: list[float] = []
     for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(f"{name} has no DICOM tag {tag}: expected slices of one scan")
