@@ -271,7 +271,7 @@ def test_a_capsule_is_expected_to_rupture_late():
     assert states[1].offset_m == pytest.approx(-1e-3, abs=1e-3)
     # Inside the organ there is no capsule.
     inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
-    assert PlanMatch(inside, 3e-3)._late[:, 0].tolist() == [1.0, 0.25, 0.25]
+    assert PlanMatch(inside, 3e-3)._kind[1, :, 0].tolist() == [1.0, 0.25, 0.25]
 
 
 def test_a_false_alarm_does_not_count_as_a_boundary():
