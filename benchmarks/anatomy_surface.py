@@ -13,7 +13,7 @@ from benchmarks.anatomy_study import CT_FOLDER, Figure
 from benchmarks.benchmark import Progress
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import Grid, Labels, Structure, Surface, read_labels, read_volume
-from needleforce.anatomy.volume import kept_locale
+from needleforce.anatomy.reading import kept_locale
 
 ELLIPSOIDS = 12
 LEAST_VOXELS = 500
