@@ -71,7 +71,6 @@ class PlanMatch:
             `Registration.std_along_m` gives it.
 
     Attributes:
-        layers: The same.
         fingerprint: By which two plans are told apart.
 
     Raises:

@@ -10,8 +10,7 @@ import locale
 import os
 import re
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -125,29 +124,21 @@ def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
     return list(found.values())
 
 
-@contextmanager
-def kept_locale() -> Iterator[None]:
-    """Put the locale back: the DICOM library sets C, and Python's text files would be ASCII."""
-    before = locale.setlocale(locale.LC_CTYPE)
-    try:
-        yield
-    finally:
-        locale.setlocale(locale.LC_CTYPE, before)
-
-
 def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
     """Return one array (i, j, k) per component, their grid, and the file's header."""
     import SimpleITK
 
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
+    language = locale.setlocale(locale.LC_CTYPE)
     try:
-        with kept_locale():
-            image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
+        image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
     except RuntimeError as error:
         why = "no such file" if not path.exists() else str(error).strip().splitlines()[-1]
         raise VolumeError(
             f"cannot read {path}: {why}; expected DICOM, .nii, .nii.gz, .nrrd or .seg.nrrd"
         ) from error
+    finally:  # the DICOM library sets C, and Python's text files would be ASCII
+        locale.setlocale(locale.LC_CTYPE, language)
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise VolumeError(f"{path} has {image.GetSize()} voxels: expected three dimensions")
     axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
@@ -221,8 +212,7 @@ def _read_series(folder: Path) -> Any:
     import SimpleITK
 
     reader = SimpleITK.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
-    if len(series) != 1:
+    if len(series := reader.GetGDCMSeriesIDs(str(folder))) != 1:
         raise VolumeError(
             f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
         )

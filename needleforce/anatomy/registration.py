@@ -55,22 +55,16 @@ TRIES = np.diag([0.2] * 3 + [12e-3] * 3)
 class Registration:
     """Where the model lies in the robot's base, with its uncertainty.
 
-    Attributes:
-        rotation: R, shape (3, 3).
-        translation_m: t, shape (3,).
-        covariance: Of a small rotation [rad] about `pivot_m`, and a shift [m], in the robot's base,
-            shape (6, 6); nan where nothing can be said.
-        pivot_m: In the robot's base, shape (3,).
-        degrees: Of freedom behind the covariance; infinite where the deviation was known.
-        residual_rms_m: At the landmarks or touches; says nothing of the target.
+    The covariance is that of a small rotation [rad] about the pivot, and a shift [m], in the
+    robot's base; nan where nothing can be said.
     """
 
-    rotation: Array
-    translation_m: Array
-    covariance: Array
-    pivot_m: Array
-    degrees: float
-    residual_rms_m: float
+    rotation: Array  # R, (3, 3)
+    translation_m: Array  # t, (3,)
+    covariance: Array  # (6, 6)
+    pivot_m: Array  # in the robot's base, (3,)
+    degrees: float  # of freedom behind the covariance; infinite where the deviation was known
+    residual_rms_m: float  # at the landmarks or touches; says nothing of the target
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Points of the model, shape (..., 3), in the robot's base."""
@@ -221,7 +215,7 @@ def _explanations(model: Array, robot: Array) -> Iterator[tuple[str, Array, Arra
 
 
 class _Fit(NamedTuple):
-    """A solution."""
+    """A solution of the touches."""
 
     points: Array  # touches, carried into the model (n, 3)
     levers: Array  # their motion by a small rotation about their middle, and a shift (n, 3, 6)

@@ -29,7 +29,10 @@ NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A surface of one structure, triangles seen counter-clockwise from outside."""
+    """A surface of one structure, triangles seen counter-clockwise from outside.
+
+    What `trimesh` says of it: ``mesh.volume`` [m^3], ``mesh.is_volume`` for closed and consistent.
+    """
 
     name: str
     vertices_m: Array  # (n, 3), LPS
@@ -42,16 +45,6 @@ class Surface:
         from trimesh import Trimesh
 
         return Trimesh(self.vertices_m, self.triangles, process=False)
-
-    @property
-    def volume_m3(self) -> float:
-        """Volume inside."""
-        return float(self.mesh.volume)
-
-    @property
-    def is_watertight(self) -> bool:
-        """Whether every edge joins two triangles that run along it in opposite directions."""
-        return bool(self.mesh.is_watertight and self.mesh.is_winding_consistent)
 
     @cached_property
     def _middles(self) -> tuple[KDTree, NDArray[np.intp]]:
