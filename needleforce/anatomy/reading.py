@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import Array, VolumeError
 from needleforce.anatomy.volume import Grid, Labels, Structure, Volume, require_agreement
 
 SIZES_M = (0.005, 5.0)
@@ -149,15 +149,13 @@ def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
     values = SimpleITK.GetArrayFromImage(image).T  # it gives (k, j, i), or (k, j, i, component)
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     if header.get("nifti_type") == "1":
-        _require_sound_nifti(path, header, image.GetSpacing())
+        _require_sound_nifti(path, header, np.array(image.GetSpacing()))
     elif path.suffix in (".nrrd", ".nhdr"):
         _require_placed_nrrd(path)
     return [values] if values.ndim == 3 else list(values), grid, header
 
 
-def _require_sound_nifti(
-    path: Path, header: Mapping[str, str], spacing_mm: Sequence[float]
-) -> None:
+def _require_sound_nifti(path: Path, header: Mapping[str, str], spacing_mm: Array) -> None:
     """Refuse a file that is cut short or damaged, or does not say how it lies, or says two things.
 
     SimpleITK fills what is missing with zeros, and takes spacing and directions from two places.
@@ -221,7 +219,7 @@ def _read_series(folder: Path) -> Any:
     if np.ptp(headers[:, 3:], axis=0).any():
         raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
     axes = headers[0, 3:9].reshape(2, 3)
-    steps = np.diff(headers[:, :3], axis=0) @ np.vstack((axes, np.cross(*axes))).T
+    steps = np.diff(headers[:, :3], axis=0) @ np.vstack((axes, np.cross(axes[0], axes[1]))).T
     apart = np.abs(steps[:, 2])
     usual = float(np.median(apart)) if len(apart) else 0.0
     if usual < 1e-3:

@@ -143,7 +143,8 @@ def fit_landmarks(
     rotation, translation, squares = _rigid_fit(model, robot)
     degrees, residual_m = 3 * len(model) - 6, float(np.sqrt(squares / len(model)))
     if not _fits(model, robot, std_m):
-        causes = [why for why, *cured in _explanations(model, robot) if _fits(*cured, std_m)]
+        explained = _explanations(model, robot)
+        causes = [why for why, one, two in explained if _fits(one, two, std_m)]
         unknown = (
             f"the landmarks do not fit: {1e3 * residual_m:.1f} mm rms are left with "
             f"{1e3 * std_m:g} mm per axis expected; are they the same points, in the same order?"
@@ -156,7 +157,7 @@ def fit_landmarks(
     return Registration(
         rotation=rotation,
         translation_m=translation,
-        covariance=variance * np.linalg.inv(lever.T @ lever),
+        covariance=np.asarray(variance * np.linalg.inv(lever.T @ lever), dtype=float),
         pivot_m=pivot,
         degrees=np.inf if is_std_known else float(degrees),
         residual_rms_m=residual_m,
@@ -294,7 +295,8 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
 
 def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
     """Gauss-Newton with Tukey's weights from where touches lie in the model, (n, 3)."""
-    for count in range(ROUNDS):
+    count = 0
+    while True:
         places, normals = surface.nearest(points)
         apart = points - places
         distances, far = (apart * normals).sum(axis=1), np.linalg.norm(apart, axis=1)
@@ -312,11 +314,11 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
         spins, slides = np.split(np.diag(normal), 2)
         held = normal + 1e-6 * np.diag(np.repeat([spins.sum(), slides.sum()], 3))
         step = -np.linalg.lstsq(held, rows.T @ (weights * distances))[0]  # 0 where all slipped
-        step *= min(1.0, FULL_STEPS / (count + 1.0))
-        points = _moved(points, step)
-        if count > WIDE_ROUNDS and _rms(points - found.points) < LAST_STEP_m:
-            break
-    return found
+        count += 1
+        points = _moved(points, step * min(1.0, FULL_STEPS / count))
+        is_still = count > WIDE_ROUNDS + 1 and _rms(points - found.points) < LAST_STEP_m
+        if is_still or count == ROUNDS:
+            return found
 
 
 def _moved(points: Array, step: Array) -> Array:

@@ -57,10 +57,11 @@ class Surface:
         from trimesh.triangles import closest_point
 
         tree, kept = self._middles
-        near = kept[tree.query(points_m, np.arange(1, 1 + min(NEIGHBOURS, len(kept))))[1]]
+        count = min(NEIGHBOURS, len(kept))
+        near = kept[tree.query(points_m, count)[1]].reshape(-1, count)
         # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
         corners = 1e3 * self.mesh.triangles[near].reshape(-1, 3, 3)
-        places = closest_point(corners, 1e3 * np.repeat(points_m, near.shape[1], axis=0))
+        places = closest_point(corners, 1e3 * np.repeat(points_m, count, axis=0))
         places = 1e-3 * places.reshape(*near.shape, 3)
         rows = np.arange(len(near))
         best = np.linalg.norm(places - points_m[:, None], axis=-1).argmin(axis=1)

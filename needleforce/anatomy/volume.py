@@ -160,7 +160,8 @@ class Labels:
             VolumeError: Labels that lie elsewhere than the scan, only air, or no air around.
         """
         require_agreement(self, scan)
-        parts, count = ndimage.label(scan.values > BODY_HU)
+        parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
+        count = ndimage.label(scan.values > BODY_HU, output=parts)
         inside = (parts == np.bincount(parts[parts > 0], minlength=1).argmax()) & (parts > 0)
         inner = inside[1:-1, 1:-1, 1:-1]
         if not count or inside.sum() - inner.sum() == inside.size - inner.size:
