@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_500, 30),
     "tests": (13_000, 72),
     "control": (2_313, 12),
-    "anatomy": (1_499, 9),
+    "anatomy": (1_418, 8),
     "scene": (700, 6),
     "devices": (1_200, 7),
 }

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from needleforce.anatomy.errors import Array, VolumeError, require_deviation
 
 if TYPE_CHECKING:
-    from needleforce.anatomy.volume import Labels, Structure
+    from needleforce.anatomy.volume import Labels
 
 UNLABELLED = "unlabelled"  # Name of what no structure covers
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
@@ -77,10 +77,8 @@ def layers_on_path(
     length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
     if steps == 0.0:
         raise VolumeError(f"entry and target are the same point {entry.tolist()}")
-    ranked = sorted(labels.structures, key=lambda item: -item.voxels)
-    kinds = [(UNLABELLED, False), *((item.name, item.is_obstacle) for item in ranked)]
     at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
-    votes = _votes(labels, ranked, first + at[:, None] * (last - first))
+    votes, kinds = _votes(labels, first + at[:, None] * (last - first))
     winners = votes.argmax(axis=1)
     (i,) = np.nonzero(np.diff(winners))
     left, right = winners[i], winners[i + 1]
@@ -99,8 +97,8 @@ def layers_on_path(
     ]
 
 
-def _votes(labels: "Labels", ranked: "list[Structure]", indices: Array) -> Array:
-    """Votes for no structure and for each, at points (n, 3): (n, 1 + structures), rows sum to 1.
+def _votes(labels: "Labels", indices: Array) -> tuple[Array, list[tuple[str, bool]]]:
+    """Votes at points (n, 3), (n, 1 + structures), rows sum to 1; of what: name, if an obstacle.
 
     Where structures overlap the last, which is the smallest, holds the voxel. The kernel, a
     Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve in place
@@ -114,6 +112,7 @@ def _votes(labels: "Labels", ranked: "list[Structure]", indices: Array) -> Array
     inside = (voxels >= 0) & (voxels < np.array(labels.grid.shape)[:, None])
     i, j, k = np.moveaxis(np.where(inside, voxels, 0), 1, 0)
     places = i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]
+    ranked = sorted(labels.structures, key=lambda item: -item.voxels)
     found = np.zeros(weights.shape, np.intp)
     for number, volume in enumerate(labels.volumes):
         table = np.zeros(np.iinfo(volume.dtype).max + 1, np.intp)  # from label to rank
@@ -125,7 +124,8 @@ def _votes(labels: "Labels", ranked: "list[Structure]", indices: Array) -> Array
     count, size = len(indices), 1 + len(ranked)
     found += size * np.arange(count)[:, None, None, None]
     votes = np.bincount(found.ravel(), weights.ravel(), count * size)
-    return votes.reshape(count, size).astype(float, copy=False)
+    kinds = [(UNLABELLED, False), *((item.name, item.is_obstacle) for item in ranked)]
+    return votes.reshape(count, size).astype(float, copy=False), kinds
 
 
 def _outer(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:

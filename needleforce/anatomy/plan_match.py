@@ -100,15 +100,7 @@ class PlanMatch:
         # Organs move beneath the skin: where that lies says little of the offset.
         std_m[0] = np.hypot(std_m[0], offset_std_m)
         self._std_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[:, :, None]
-        words = [set(layer.name.lower().split("_")) for layer in layers]
-        missed, late = np.full(len(layers), MISSED), np.full(len(layers), LATE)
-        for k, layer in enumerate(layers):
-            is_first = layer.name not in {before.name for before in layers[:k]}
-            if is_first and CAPSULES & words[k]:
-                late[k] = CAPSULE_LATE
-            elif k and "fat" in words[k - 1]:
-                missed[k] = SOFT_MISSED
-        missed[0], late[0] = ENTRY_MISSED, 1.0
+        missed, late = _expected([layer.name.lower() for layer in layers])
         self._missed, self._kind = missed[:, None], np.array([1.0 - late, late])[:, :, None]
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
@@ -213,6 +205,18 @@ class PlanMatch:
         waiting = (self._kind * later).sum(axis=0)
         passed = self._missed * (self._rupture_m[0] <= depth_m)
         return (1.0 - self._missed) * waiting + self._missed - passed, passed
+
+
+def _expected(names: list[str]) -> tuple[Array, Array]:
+    """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures late."""
+    missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
+    for k, name in enumerate(names):
+        if name not in names[:k] and CAPSULES & set(name.split("_")):
+            late[k] = CAPSULE_LATE
+        elif k and "fat" in names[k - 1].split("_"):
+            missed[k] = SOFT_MISSED
+    missed[0], late[0] = ENTRY_MISSED, 1.0
+    return missed, late
 
 
 def _joint(ahead: tuple[Array, Array], weight: Array) -> Array:
