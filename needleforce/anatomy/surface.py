@@ -111,4 +111,4 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     start = [part.start - 1 for part in structure.box]
     origin_m = labels.grid.points_m(start)[:, None]
     mesh.apply_transform(np.block([[labels.grid.axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
-    return Surface(name, np.array(mesh.vertices), np.array(mesh.faces), structure.colour)
+    return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), structure.colour)
