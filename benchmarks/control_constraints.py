@@ -24,8 +24,7 @@ from benchmarks.control_study import Figure
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
-from needleforce.control.controller import Controller
-from needleforce.control.priority_solver import Limits, Solver, hierarchical
+from needleforce.control.controller import Controller, Limits, Solver, hierarchical
 from needleforce.control.tasks import (
     DecoupledMotion,
     Fixture,

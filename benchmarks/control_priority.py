@@ -20,8 +20,8 @@ from benchmarks.control_published import published
 from benchmarks.control_study import Figure
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
-from needleforce.control.controller import Controller
-from needleforce.control.priority_solver import (
+from needleforce.control.controller import (
+    Controller,
     Limits,
     LONGEST_STEP_s,
     Solver,

@@ -139,7 +139,7 @@ class PlainEstimator:
     def __init__(self, robot: Robot, signals: JointSignals, gain_per_s: float) -> None:
         self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
         self._wrench, self._samples = WrenchEstimator(robot, PUBLISHED), signals.samples()
-        self._no_offset, self._followed_N = np.zeros(robot.nv), np.zeros(3)
+        self._no_offset, self._memory = np.zeros(robot.nv), np.zeros((2, 6))
         self.axial_N = 0.0
 
     def __call__(self, k: int) -> None:
@@ -147,7 +147,7 @@ class PlainEstimator:
         q, dq, tau, dt_s = self._samples[k]
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        found = self._wrench.solve(q, residual, self._no_offset, self._followed_N, 1.0)
+        found = self._wrench.solve(q, residual, self._no_offset, self._memory, (0.0, 1.0))
         self.axial_N = found[0]
 
 

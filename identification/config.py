@@ -19,14 +19,15 @@ def _is_finite(value: object) -> bool:
         return False
 
 
-def _check_values(config: object, others: tuple[str, ...] = ()) -> None:
-    """Refuse a setting that is not a finite number above zero, `others` aside."""
+def _check_values(config: object, of_any_sign: tuple[str, ...] = ()) -> None:
+    """Refuse a setting that is not a finite number, or that may not be zero or below and is."""
     for name in config.__slots__:  # type: ignore[attr-defined]
         value = getattr(config, name)
         if name == "check":
             _check_kind(name, value, CheckConfig)
-        elif name not in others and not (_is_finite(value) and value > 0):
-            raise InvalidConfigError(f"{name} must be positive and finite, got {value!r}")
+        elif name != "model" and not (_is_finite(value) and (value > 0 or name in of_any_sign)):
+            wanted = "a finite number" if name in of_any_sign else "positive and finite"
+            raise InvalidConfigError(f"{name} must be {wanted}, got {value!r}")
 
 
 def _check_kind(name: str, value: object, kind: type) -> None:
@@ -105,13 +106,7 @@ class PublishedConfig:
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
         _check_kind("most_windows", self.most_windows, numbers.Integral)
-        of_any_sign = ("contact_depth_m", "derivative_rise_N_per_s")
-        _check_values(self, ("model", *of_any_sign))
-        for name in of_any_sign:
-            if not _is_finite(getattr(self, name)):
-                raise InvalidConfigError(
-                    f"{name} must be a finite number, got {getattr(self, name)!r}"
-                )
+        _check_values(self, ("contact_depth_m", "derivative_rise_N_per_s"))
         if self.sigma1_N <= self.sigma0_N:
             raise InvalidConfigError(
                 f"sigma1_N ({self.sigma1_N}) must exceed sigma0_N ({self.sigma0_N}): "

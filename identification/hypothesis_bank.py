@@ -40,6 +40,12 @@ _OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
 Rows = NDArray[np.int64]  # Of hypotheses, shape (m,)
 
 
+@compiled
+def _probabilities(log_weights: Vector) -> Array:
+    weights = np.exp(log_weights - log_weights.max())
+    return weights / weights.sum()
+
+
 class Bank(NamedTuple):
     """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
 
@@ -67,8 +73,7 @@ class Bank(NamedTuple):
     @property
     def weights(self) -> Array:
         """Probabilities, shape (n,)."""
-        weights = np.exp(self.log_weights - self.log_weights.max())
-        return weights / weights.sum()
+        return _probabilities(self.log_weights)
 
     def copied(self) -> "Bank":
         """The same, in memory of its own."""
@@ -121,11 +126,6 @@ class BankMemory:
     def likeliest(self) -> tuple[list[float], list[float]]:
         """Unknowns of the likeliest hypothesis, and what it takes for certain."""
         return self.store[0][0].tolist(), self.store[3][0].tolist()
-
-    def weigh(self, place: Place, *, is_advancing: bool) -> None:
-        """Weigh down what no tissue does, see `hypothesis_filter`."""
-        now = (place.depth, place.speed, place.dt_s, place.noise)
-        law.weigh(self.store, self.size, now, is_advancing)
 
     def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
         """Add what may have happened since the hypotheses spawned last, at depth `before`.

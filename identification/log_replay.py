@@ -99,7 +99,6 @@ class ReplayStream:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
         self._gap_s, self._gaps = 0.0, 0  # 0 s until rows have come
-        self._latest_s: float | None = None
         self._rejected: Counter[SampleStatus] = Counter()
 
     @property
@@ -121,22 +120,17 @@ class ReplayStream:
     def run(
         self,
         t_s: Array,
+        dt_s: Array,
         depth_m: Array,
         force_N: Array,
         speed_m_s: Array | None = None,
-        dt_s: Array | None = None,
         force_std_N: Array | None = None,
     ) -> list[Estimate]:
-        """Estimates of further rows, which come as `replay` takes them all.
+        """Estimates of further rows, columns as `replay` takes them, shape (n,).
 
         The first call must bring `HEAD_ROWS` rows, or all that there are. The very first ``dt_s``
         is not read.
         """
-        if dt_s is None:
-            latest_s = t_s[0] if self._latest_s is None else self._latest_s
-            # A stamp that is no number spoils its own row only.
-            latest_s = np.fmax.accumulate(np.concatenate(([latest_s], t_s)))
-            self._latest_s, dt_s = float(latest_s[-1]), t_s - latest_s[:-1]
         dt_s = np.array(dt_s)
         if not self._gap_s:
             steps_s = dt_s[1:HEAD_ROWS]
@@ -194,8 +188,10 @@ def replay(
     t = read_column("t_s", t_s)
     z, f = read_column("depth_m", depth_m, len(t)), read_column("force_N", force_N, len(t))
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
-    steps = None if dt_s is None else read_column("dt_s", dt_s, len(t))
+    # A stamp that is no number spoils its own row only.
+    latest_s = np.fmax.accumulate(np.concatenate((t[:1], t[:-1])))
+    steps = t - latest_s if dt_s is None else read_column("dt_s", dt_s, len(t))
     stream = ReplayStream(config)
-    estimates = stream.run(t, z, f, v, steps)
+    estimates = stream.run(t, steps, z, f, v)
     t.setflags(write=False)
     return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)

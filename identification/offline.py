@@ -90,20 +90,18 @@ def solve_least_squares(
     scale = np.linalg.norm(matrix, axis=0)
     safe = np.where(scale > 0, scale, 1.0)
     scaled = matrix / safe
-    u, s, vt = np.linalg.svd(scaled, full_matrices=False)
-    kept = s > RANK_TOLERANCE * max(float(s[0]), np.finfo(float).tiny)
-    solution = vt[kept].T @ ((u[:, kept].T @ target) / s[kept])
-    residual = target - scaled @ solution
-    pseudo_inverse = (vt[kept].T / s[kept] ** 2) @ vt[kept]
+    inverse = np.linalg.pinv(scaled, rcond=RANK_TOLERANCE)
+    solution = inverse @ target
+    residual, squared = target - scaled @ solution, inverse @ inverse.T
     # Sandwich covariance over contiguous blocks: residuals of tissue are far from white.
     edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)
     scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
-    covariance = pseudo_inverse @ (scores.T @ scores) @ pseudo_inverse
-    free = 1.0 - np.sum(vt[kept] ** 2, axis=0)
-    identified = (free < _FREE_FRACTION**2) & (scale > 0)
+    covariance = squared @ (scores.T @ scores) @ squared
+    determined = np.diag(inverse @ scaled)  # of a projection, whose trace is the rank
+    identified = (1.0 - determined < _FREE_FRACTION**2) & (scale > 0)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / safe
     std = np.where(identified, deviation, np.inf)
-    return solution / safe, std, identified, int(np.count_nonzero(kept))
+    return solution / safe, std, identified, round(float(determined.sum()))
 
 
 def read_column(

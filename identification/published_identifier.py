@@ -31,16 +31,19 @@ Sums = tuple[float, float, float, float, float, float, float]
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _OF_FORCE, _OF_SPEED = slice(3, 5), slice(5, 7)
-# Places in the memory: the numbers of a `Tracker`, in its order.
-_RLS, _WINDOW, _WINDOW_S, _TRAVEL_S, _MEAN_SPEED, _DECISION = 0, 5, 12, 13, 14, 15
-_DERIVATIVE, _FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 21)
-Setting = tuple[bool, float, float, float, float, float, float, float, float, float, int, int]
-"""What holds for many samples: whether `ml`; drift and threshold of (9), reset frequency, time
-constant and least speed; start of the layer, cumulative friction, threshold beta of the derivative,
-T_drop; ruptures so far, number of the rupture machine's state."""
+Setting = tuple[bool, float, float, float, float, float]
+"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least speed."""
+# Places in the memory. What the samples change: an `Rls`; the `Sums` since the last covariance
+# reset and the time since; g_k of (9); time and mean speed in the layer; filtered derivative; the
+# last force, whether there is one, the one before; time since the detection; phi' theta + B_d v
+# before the last sample was used.
+_RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = 0, 2, 5, 12, 13, 14, 15
+_DERIVATIVE, _FORCE, _HAS_FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 22)
+# What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the derivative,
+# T_drop, ruptures detected; number of the rupture machine's state.
+_START_M, _CUMULATIVE, _BETA, _DROP_S, _RUPTURES, _STATE, _SIZE = range(22, 29)
 NO_WINDOWS = np.empty((0, len(NO_SUMS)))  # sums of the windows of a layer, one row of `Sums` each
 NO_WINDOWS.setflags(write=False)
-_SLACK = 16  # windows beyond the most before neighbours are added up: not at every window
 
 
 class RupturedLayer(NamedTuple):
@@ -58,40 +61,20 @@ class RupturedLayer(NamedTuple):
         return "" if shape[1:] == NO_WINDOWS.shape[1:] else f"its windows have the shape {shape}"
 
 
-class Tracker(NamedTuple):
-    """What every sample changes."""
+class PublishedState(NamedTuple):
+    """All that the published method remembers; immutable."""
 
-    rls: Rls  # Current estimate and covariance
-    window: Sums = NO_SUMS  # Since the last covariance reset
-    window_s: float = 0.0  # Time since then
-    travel_s: float = 0.0  # Time spent in the layer the tip is in
-    mean_speed_m_s: float = 0.0  # Average speed in it
-    decision: float = 0.0  # g_k of equation (9)
-    derivative_N_per_s: float = 0.0  # Filtered force derivative
-    force_N: float = math.nan  # Last force; nan before the first sample
-    force_before_N: float = math.nan  # The one before, or the last if there is none
-    waited_s: float = 0.0  # Time since the detection
-    predicted_N: float = 0.0  # phi' theta + B_d v before the last sample was used
+    memory: Array  # What every sample changes, shape (28,)
+    windows: Array = NO_WINDOWS  # Sums of the closed reset windows of the current layer
+    ruptured: RupturedLayer | None = None  # The last layer, until its friction is subtracted
+    layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
 
     @property
     def damage(self) -> str:
         """What is wrong with the covariance, if anything."""
-        *_, first, both, second = self.rls
+        first, both, second = np.ravel(self.memory)[_COVARIANCE:_SUMS].tolist()
         is_definite = min(first, second) >= 0.0 and both * both <= 1.002 * first * second
-        return "" if is_definite else "its covariance is not positive semi-definite"
-
-
-class PublishedState(NamedTuple):
-    """All that the published method remembers; immutable."""
-
-    tracker: Tracker
-    start_depth_m: float  # Depth at which the current layer begins
-    windows: Array = NO_WINDOWS  # Sums of its closed reset windows
-    ruptured: RupturedLayer | None = None  # The last layer, until its friction is subtracted
-    rupture_state: RuptureState = RuptureState.NO_RUPTURE  # State of the rupture machine
-    cumulative_friction_Ns_per_m: float = 0.0  # Sum of B_j d_j over the layers subtracted
-    layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
-    ruptures: int = 0  # Detected so far
+        return "" if is_definite else "the covariance in its memory is not positive semi-definite"
 
 
 class PublishedMethod:
@@ -101,55 +84,127 @@ class PublishedMethod:
 
     def __init__(self, config: PublishedConfig) -> None:
         self._config = config
-        self.restore(PublishedState(Tracker(_fresh_rls(config)), float(config.contact_depth_m)))
+        cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
+        rates = config.reset_frequency_Hz, config.derivative_time_constant_s, config.least_speed_m_s
+        self._setting: Any = config.model == "ml", *map(float, (*cusum, *rates))
+        self._psi0 = float(config.var_stiffness), 0.0, float(config.var_friction)
+        memory = np.zeros(_SIZE)
+        memory[_COVARIANCE:_SUMS] = self._psi0
+        memory[[_START_M, _BETA]] = config.contact_depth_m, config.derivative_threshold_N_per_s
+        self.restore(PublishedState(memory))
 
     @property
     def state(self) -> PublishedState:
         """All that it remembers."""
-        numbers: Any = np.array(self._memory).tolist()
-        rls, window = tuple(numbers[:_WINDOW]), tuple(numbers[_WINDOW:_WINDOW_S])
-        return self._state._replace(tracker=Tracker(rls, window, *numbers[_WINDOW_S:]))
+        memory = np.array(self._memory)
+        return PublishedState(memory, self._windows, self._ruptured, self.layers)
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
-        config, ruptured, (rls, window, *numbers) = self._config, state.ruptured, state.tracker
-        self._state, self._memory = state, working_copy(np.array((*rls, *window, *numbers)))
-        beta = config.derivative_threshold_N_per_s + state.ruptures * config.derivative_rise_N_per_s
-        speed = math.inf if ruptured is None else ruptured.rupture.speed_m_s
-        drop_s = config.drop_travel_m / max(speed, config.least_speed_m_s)
-        cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
-        rates = config.reset_frequency_Hz, config.derivative_time_constant_s, config.least_speed_m_s
-        layer = state.start_depth_m, state.cumulative_friction_Ns_per_m, beta, drop_s
-        counts = state.ruptures, _STATES.index(state.rupture_state)
-        self._now: Any = config.model == "ml", *map(float, (*cusum, *rates, *layer)), *counts
-
-    @property
-    def layers(self) -> tuple[LayerEstimate, ...]:
-        """The layers traversed; what follows does not change them."""
-        return self._state.layers
+        self._memory = working_copy(state.memory)
+        _, self._windows, self._ruptured, self.layers = state
 
     def report(self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any) -> tuple[Any, ...]:
         """What there is to report without a sample, or of the last one."""
-        outputs = published_outputs(motion, self._memory, self._now)
-        return (self._state.rupture_state, *outputs, *(events or (None, None)), None)
+        outputs = published_outputs(motion, self._memory, self._setting)
+        state = _STATES[int(self._memory[_STATE])]
+        return (state, *outputs, *(events or (None, None)), None)
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         motion = sample[1], sample[2], sample[3], sample[6]
-        at, is_full, outputs = published_step(motion, self._memory, self._now)
-        if not is_full and at == self._now[-1]:
+        at, is_full, is_news, outputs = published_step(motion, self._memory, self._setting)
+        if not (is_full or is_news):
             return (_STATES[at], *outputs, None, None, None)
-        before, state = self._state, self.state._replace(rupture_state=_STATES[at])
-        state = _next(state, sample, self._config, is_full)
-        self.restore(state)
-        ruptured = state.ruptured if before.ruptured is None else None
-        rupture = None if ruptured is None else ruptured.rupture
-        layer = None if state.layers is before.layers else state.layers[-1]
+        rupture = layer = None
+        if is_full:
+            self._windows = self._closed(self._windows)
+            self._reset_covariance()
+        if is_news and at == _DETECTED:
+            rupture = self._open_layer(sample)
+        if is_news and at == _IDENTIFIED and self._ruptured is not None:
+            layer = self._identify(self._ruptured, sample[6])
         return self.report(motion, rupture, layer)
 
+    def _closed(self, windows: Array) -> Array:
+        return append_window(windows, self._memory[_SUMS:_WINDOW_S], self._config.most_windows)
 
-def _fresh_rls(config: PublishedConfig) -> Rls:
-    return 0.0, 0.0, float(config.var_stiffness), 0.0, float(config.var_friction)
+    def _reset_covariance(self) -> None:
+        self._memory[_COVARIANCE:_SUMS] = self._psi0
+        self._memory[_SUMS:_DECISION] = [0.0] * (_DECISION - _SUMS)
+
+    def _open_layer(self, sample: Sample) -> Rupture:
+        """A rupture is detected: the next layer begins here and now (d_i of Section III).
+
+        f(t_r) of (10) is the last force before the alarming sample, which may have dropped already.
+        So may those of its whole reset window: the layer's re-run is without it.
+        """
+        m, config = self._memory, self._config
+        time_s, _, depth_m, speed_m_s, *_ = sample
+        rupture = Rupture(
+            layer=int(m[_RUPTURES]) + 1,
+            alarm_s=time_s,
+            alarm_depth_m=depth_m,
+            time_s=time_s,
+            depth_m=depth_m,
+            force_N=float(m[_FORCE_BEFORE]),
+            speed_m_s=speed_m_s,
+            probability=1.0,
+            is_final=True,
+            contact_depth_m=float(config.contact_depth_m),
+        )
+        windows = self._windows if len(self._windows) else self._closed(NO_WINDOWS)
+        start_m, mean_m_s = float(m[_START_M]), float(m[_MEAN_SPEED])
+        self._ruptured = RupturedLayer(start_m, windows, mean_m_s, rupture)
+        self._windows = NO_WINDOWS
+        self._reset_covariance()
+        for k in (_RLS, _RLS + 1, _DECISION, _TRAVEL_S, _MEAN_SPEED, _WAITED_S):
+            m[k] = 0.0
+        m[_START_M], m[_RUPTURES] = depth_m, float(rupture.layer)
+        rise_N_per_s = rupture.layer * config.derivative_rise_N_per_s
+        m[_BETA] = config.derivative_threshold_N_per_s + rise_N_per_s
+        m[_DROP_S] = config.drop_travel_m / max(speed_m_s, config.least_speed_m_s)
+        return rupture
+
+    def _identify(self, ruptured: RupturedLayer, force_N: float) -> LayerEstimate:
+        """After T_drop = k_v / v identify the layer, (10) to (12), and take its friction out.
+
+        The sums of the layer after it are corrected for the friction now known, so its estimate
+        goes on as if that friction had been subtracted from the rupture onwards.
+        """
+        m, rupture, known = self._memory, ruptured.rupture, float(self._memory[_CUMULATIVE])
+        drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
+        elastic, friction_ratio = force_ratios(drop, rupture.force_N, known, rupture.speed_m_s)
+        speed, (stiff, _, damp) = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S), self._psi0
+        variance = reweighted_friction_variance(damp, elastic, friction_ratio, speed)
+        stiffness, friction = rerun_windows(ruptured.windows, (stiff, float(variance)))
+        thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
+        damping = friction * (thickness if self._config.model == "ml" else 1.0)
+        layer = LayerEstimate(
+            layer=rupture.layer,
+            is_final=True,
+            start_depth_m=ruptured.start_depth_m,
+            thickness_m=thickness,
+            rupture=rupture,
+            force_drop_N=drop,
+            stiffness_N_per_m=stiffness,
+            stiffness_identified=drop > 0.0,
+            friction_Ns_per_m2=friction,
+            friction_identified=drop > 0.0,
+            friction_N=damping * rupture.speed_m_s,
+        )
+        windows = np.vstack((self._windows, m[_SUMS:_WINDOW_S]))
+        windows[:, _OF_FORCE] -= damping * windows[:, _OF_SPEED]  # as if it were not felt
+        windows.setflags(write=False)
+        m[_RLS:_SUMS] = *rerun_windows(windows, (stiff, damp)), *self._psi0
+        m[_SUMS:_WINDOW_S], m[_WAITED_S], m[_CUMULATIVE] = (
+            windows[-1].tolist(),
+            0.0,
+            known + damping,
+        )
+        self._windows, self._ruptured = windows[:-1], None
+        self.layers = (*self.layers, layer)[-_MOST_LAYERS:]
+        return layer
 
 
 @compiled
@@ -207,53 +262,55 @@ def derivative_step(
 
 
 @compiled
-def published_outputs(motion: Motion, memory: Vector, now: Setting) -> Outputs:
+def published_outputs(motion: Motion, m: Vector, setting: Setting) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to the events."""
-    (_, depth_m, speed_m_s, force_N), (start_m, cumulative), ruptures = motion, now[6:8], now[10]
-    depth, friction = max(depth_m - start_m, 0.0), memory[_RLS + 1]
-    in_contact = depth > 0.0 or ruptures > 0
+    (_, depth_m, speed_m_s, force_N), cumulative = motion, m[_CUMULATIVE]
+    depth, friction = max(depth_m - m[_START_M], 0.0), m[_RLS + 1]
+    in_contact = depth > 0.0 or m[_RUPTURES] > 0.0
     earlier = cumulative * speed_m_s
-    own = friction * _regressor(depth, speed_m_s, now[0])[1] if in_contact else 0.0
-    enhanced, number = force_N - earlier, ruptures + 1 if in_contact else 0
-    forces = (enhanced, None, enhanced - own, None, earlier + own, None, memory[_PREDICTED])
-    found = (memory[_RLS], None, False, friction, None, False, cumulative, None)
+    own = friction * _regressor(depth, speed_m_s, setting[0])[1] if in_contact else 0.0
+    enhanced, number = force_N - earlier, int(m[_RUPTURES]) + 1 if in_contact else 0
+    forces = (enhanced, None, enhanced - own, None, earlier + own, None, m[_PREDICTED])
+    found = (m[_RLS], None, False, friction, None, False, cumulative, None)
     # Numba knows no starred parts of a tuple.
     return (in_contact, number) + forces + found  # noqa: RUF005
 
 
 @compiled
-def _next_state(memory: Vector, now: Setting, is_watching: bool) -> int:
+def _next_state(m: Vector, threshold: float, reset_Hz: float, is_watching: bool) -> int:
     """Number of the rupture machine's state after a sample."""
-    _, _, threshold, reset_Hz, _, _, _, _, beta, drop_s, _, at = now
+    at = int(m[_STATE])
     if at <= _EXPECTED:
-        if memory[_DECISION] > threshold:
+        if m[_DECISION] > threshold:
             return _DETECTED
-        return _EXPECTED if is_watching and memory[_DERIVATIVE] < -beta else _NO_RUPTURE
+        return _EXPECTED if is_watching and m[_DERIVATIVE] < -m[_BETA] else _NO_RUPTURE
     if at == _DETECTED:
         return _MEASURING
     if at == _IDENTIFIED:
-        return _NO_RUPTURE if memory[_WAITED_S] * reset_Hz >= 1.0 else at
-    return _IDENTIFIED if memory[_WAITED_S] >= drop_s else at
+        return _NO_RUPTURE if m[_WAITED_S] * reset_Hz >= 1.0 else at
+    return _IDENTIFIED if m[_WAITED_S] >= m[_DROP_S] else at
 
 
 @compiled
-def published_step(motion: Motion, m: WrittenVector, now: Setting) -> tuple[int, bool, Outputs]:
+def published_step(
+    motion: Motion, m: WrittenVector, setting: Setting
+) -> tuple[int, bool, bool, Outputs]:
     """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state machine.
 
     Returns:
-        Number of the rupture machine's state, whether the reset window is full, and what to report
-        if neither is news.
+        Number of the rupture machine's state, whether the reset window is full, whether that state
+        is a new one, and what to report if neither is.
     """
-    dt_s, depth_m, speed_m_s, force_N = motion
-    is_ml, drift, _, reset_Hz, constant_s, least_m_s, start_m, cumulative, _, _, ruptures, at = now
-    before_N = force_N if math.isnan(m[_FORCE]) else m[_FORCE]
-    m[_FORCE], m[_FORCE_BEFORE] = force_N, before_N
-    if depth_m <= start_m and ruptures == 0:
+    (dt_s, depth_m, speed_m_s, force_N), before = motion, int(m[_STATE])
+    is_ml, drift, threshold, reset_Hz, constant_s, least_m_s = setting
+    before_N = m[_FORCE] if m[_HAS_FORCE] > 0.0 else force_N
+    m[_FORCE], m[_FORCE_BEFORE], m[_HAS_FORCE] = force_N, before_N, 1.0
+    if depth_m <= m[_START_M] and m[_RUPTURES] == 0.0:
         m[_PREDICTED] = 0.0
-        return at, False, published_outputs(motion, m, now)
-    is_watching = at <= _EXPECTED and speed_m_s >= least_m_s
-    phi = _regressor(max(depth_m - start_m, 0.0), speed_m_s, is_ml)
-    earlier = cumulative * speed_m_s
+        return before, False, False, published_outputs(motion, m, setting)
+    is_watching = before <= _EXPECTED and speed_m_s >= least_m_s
+    phi = _regressor(max(depth_m - m[_START_M], 0.0), speed_m_s, is_ml)
+    earlier = m[_CUMULATIVE] * speed_m_s
     own = force_N - earlier
     rls, error = rls_step((m[0], m[1], m[2], m[3], m[4]), phi, own)
     m[0], m[1], m[2], m[3], m[4] = rls
@@ -265,53 +322,9 @@ def published_step(motion: Motion, m: WrittenVector, now: Setting) -> tuple[int,
     m[_DECISION] = cusum_step(m[_DECISION], error, drift) if is_watching else 0.0
     m[_DERIVATIVE] = derivative_step(m[_DERIVATIVE], force_N - before_N, dt_s, constant_s)
     m[_PREDICTED] = own - error + earlier
-    at, is_full = _next_state(m, now, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
-    return at, is_full, published_outputs(motion, m, now)
-
-
-def _next(
-    state: PublishedState, sample: Sample, config: PublishedConfig, is_full: bool
-) -> PublishedState:
-    """A window or a layer ends; after T_drop = k_v / v force drop (10)(11), (12) and re-run."""
-    at, ruptured, now = state.rupture_state, state.ruptured, state.tracker
-    if is_full:
-        windows = append_window(state.windows, now.window, config.most_windows)
-        now = now._replace(rls=now.rls[:2] + _fresh_rls(config)[2:], window=NO_SUMS, window_s=0.0)
-        state = state._replace(tracker=now, windows=windows)
-    if at is RuptureState.DETECTED and ruptured is None:
-        return _open_layer(state, sample, config)
-    if at is RuptureState.FRICTION_IDENTIFIED and ruptured is not None:
-        return _identify(state, ruptured, sample[6], config)
-    return state
-
-
-def _open_layer(state: PublishedState, sample: Sample, config: PublishedConfig) -> PublishedState:
-    """A rupture is detected: the next layer begins here and now (d_i of Section III).
-
-    f(t_r) of (10) is the last force before the alarming sample, which may have dropped already. So
-    may those of its whole reset window: the layer's re-run is without it.
-    """
-    (*_, derivative, force_N, before_N, _, predicted_N) = tracker = state.tracker
-    time_s, _, depth_m, speed_m_s, *_ = sample
-    rupture = Rupture(
-        layer=state.ruptures + 1,
-        alarm_s=time_s,
-        alarm_depth_m=depth_m,
-        time_s=time_s,
-        depth_m=depth_m,
-        force_N=before_N,
-        speed_m_s=speed_m_s,
-        probability=1.0,
-        is_final=True,
-        contact_depth_m=float(config.contact_depth_m),
-    )
-    first = append_window(NO_WINDOWS, tracker.window, config.most_windows)
-    windows = state.windows if len(state.windows) else first
-    goes_on = derivative, force_N, before_N, 0.0, predicted_N
-    fresh = Tracker(_fresh_rls(config), NO_SUMS, 0.0, 0.0, 0.0, 0.0, *goes_on)
-    ruptured = RupturedLayer(state.start_depth_m, windows, tracker.mean_speed_m_s, rupture)
-    state = state._replace(ruptured=ruptured, ruptures=rupture.layer, start_depth_m=depth_m)
-    return state._replace(tracker=fresh, windows=NO_WINDOWS)
+    at, is_full = _next_state(m, threshold, reset_Hz, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
+    m[_STATE] = float(at)
+    return at, is_full, at != before, published_outputs(motion, m, setting)
 
 
 def force_ratios(
@@ -339,52 +352,6 @@ def reweighted_friction_variance(
     return var_friction * friction_ratio / (elastic_ratio * mean_speed_m_s * mean_speed_m_s)
 
 
-def _identify(
-    state: PublishedState, ruptured: RupturedLayer, force_N: float, config: PublishedConfig
-) -> PublishedState:
-    """Identify the layer that ruptured, (10) to (12), and take its friction out of the force.
-
-    The sums of the layer after it are corrected for the friction now known, so its estimate goes
-    on as if that friction had been subtracted from the rupture onwards.
-    """
-    rupture = ruptured.rupture
-    drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
-    known = state.cumulative_friction_Ns_per_m
-    elastic, friction_ratio = force_ratios(drop, rupture.force_N, known, rupture.speed_m_s)
-    speed = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S)
-    variance = reweighted_friction_variance(config.var_friction, elastic, friction_ratio, speed)
-    variances = float(config.var_stiffness), float(variance)
-    stiffness, friction = rerun_windows(ruptured.windows, variances)
-    thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
-    damping = friction * (thickness if config.model == "ml" else 1.0)
-    layer = LayerEstimate(
-        layer=rupture.layer,
-        is_final=True,
-        start_depth_m=ruptured.start_depth_m,
-        thickness_m=thickness,
-        rupture=rupture,
-        force_drop_N=drop,
-        stiffness_N_per_m=stiffness,
-        stiffness_identified=drop > 0.0,
-        friction_Ns_per_m2=friction,
-        friction_identified=drop > 0.0,
-        friction_N=damping * rupture.speed_m_s,
-    )
-    windows = np.vstack((state.windows, state.tracker.window))
-    windows[:, _OF_FORCE] -= damping * windows[:, _OF_SPEED]  # as if its friction were not felt
-    windows.setflags(write=False)
-    fresh = _fresh_rls(config)[2:]
-    rls = (*rerun_windows(windows, (fresh[0], fresh[2])), *fresh)
-    window: Any = tuple(windows[-1].tolist())
-    return state._replace(
-        tracker=state.tracker._replace(rls=rls, window=window, waited_s=0.0),
-        windows=windows[:-1],
-        cumulative_friction_Ns_per_m=known + damping,
-        ruptured=None,
-        layers=(*state.layers, layer)[-_MOST_LAYERS:],
-    )
-
-
 def append_window(windows: Array, sums: Sums, most: int) -> Array:
     """Add a closed window; beyond ``most`` neighbours are added up.
 
@@ -392,7 +359,7 @@ def append_window(windows: Array, sums: Sums, most: int) -> Array:
     often over that stretch. An odd last window stays alone.
     """
     grown = np.vstack((windows, sums))
-    if len(grown) >= most + _SLACK:
+    if len(grown) > most:
         even = len(grown) // 2 * 2
         grown = np.concatenate((grown[0:even:2] + grown[1:even:2], grown[even:]))
     grown.setflags(write=False)

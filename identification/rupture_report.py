@@ -49,7 +49,9 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
     `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
     """
     bank = memory.bank
-    weights = _shown(bank.log_weights)
+    weights = bank.weights
+    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
+    weights /= weights.sum()
     answer, best = NO_ANSWER.copy(), int(weights.argmax())
     answer[1], answer[2:], all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
     diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
@@ -60,15 +62,6 @@ def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> 
         answer[0, :3] = 1.0, ruptures + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed
     return answer
-
-
-@compiled
-def _shown(log_weights: Vector) -> Vector:
-    """Probabilities, but for those that do not show in an answer."""
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
-    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
-    return weights / weights.sum()
 
 
 class Evaluation(NamedTuple):
@@ -97,14 +90,14 @@ def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
     limits = float(known), least, law.LAYER
-    found = Evaluation(*_counted(bank.log_weights, bank.facts, bank.means, most, limits, _OF_COUNT))
+    found = Evaluation(*_counted(bank.weights, bank.facts, bank.means, most, limits, _OF_COUNT))
     lower = force[found.pick] - bank.records[found.pick, law.LEAST_FORCE]
     return found if lower > _VISIBLE * least else found._replace(more=0.0)
 
 
 @compiled
 def _counted(
-    log_weights: Vector,
+    weights: Vector,
     facts: Matrix,
     means: Matrix,
     most: Vector,
@@ -116,8 +109,6 @@ def _counted(
     A rupture releases `most`: no more than the force there was, nothing where the force is back.
     """
     (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
-    weights = np.exp(log_weights - log_weights.max())
-    weights /= weights.sum()
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
@@ -195,24 +186,30 @@ def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
     return (bank.facts[:, law.KIND] == law.MEMBRANE) & (bank.facts[:, law.IS_HELD] > 0.0)
 
 
-def friction_left(bank: Bank, known: int, *, before: bool = False) -> tuple[float, float] | None:
+def _weights_of(bank: Bank, known: int) -> Array:
+    """Probabilities of the hypotheses that know of so many ruptures, of others 0, shape (n,)."""
+    return np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
+
+
+def friction_left(
+    bank: Bank, known: int, force_variance: float, *, before: bool = False
+) -> tuple[float, float] | None:
     """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
     """
-    mine, weights = bank.facts[:, law.RUPTURES] == known, bank.weights
-    place = np.where(_is_meeting(bank), law.EARLIER, law.LEFT)
+    weights, is_meeting = _weights_of(bank, known), _is_meeting(bank)
     if before:
-        mine &= ~_is_meeting(bank)
-        place = np.full_like(place, law.EARLIER)
-    total = float(weights[mine].sum())
+        weights[is_meeting] = 0.0
+    total = float(weights.sum())
     if total < _LEAST_PROBABILITY:
         return None
-    rows, place, fraction = np.flatnonzero(mine), place[mine], weights[mine] / total
+    rows, fraction = np.arange(len(weights)), weights / total
+    place = np.where(is_meeting | before, law.EARLIER, law.LEFT)
     values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
     mean = float(fraction @ values)
     variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
-    return mean, math.sqrt(variance)
+    return mean, math.sqrt(variance + force_variance)
 
 
 def layer_left(
@@ -222,10 +219,10 @@ def layer_left(
 
     None where no hypothesis knows of it.
     """
-    mine = (bank.facts[:, law.RUPTURES] == known) & ~_is_meeting(bank)
-    if not mine.any():
+    weights = np.where(_is_meeting(bank), 0.0, _weights_of(bank, known))
+    if not weights.any():
         return None
-    best = int(np.argmax(np.where(mine, bank.weights, 0.0)))
+    best = int(np.argmax(weights))
     record = bank.records[best]
     thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
     fields: dict[str, float | bool] = {}
@@ -269,6 +266,6 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
 
 def partial_rupture_probability(bank: Bank, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
-    weights = np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
+    weights = _weights_of(bank, known)
     total = float(weights.sum())
     return float(weights @ bank.records[:, law.WAS_PARTIAL]) / total if total > 0.0 else 0.0

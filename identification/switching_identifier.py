@@ -51,58 +51,25 @@ _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
 
 
-class Course(NamedTuple):
-    """How the needle has moved so far, block by block."""
-
-    deepest: float = -_FAR_MM  # [mm]
-    spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
-    usual_speed: float = 0.0  # [mm/s]
-    resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
-    trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
-
-
 class SwitchingState(NamedTuple):
     """All that the switching filter remembers; immutable."""
 
     bank: Bank
     memory: Array = samples.FIRST_MEMORY  # what every sample changes, see `switching_update`
+    answer: Array = samples.NO_ANSWER  # see `switching_update`
     levels: DisturbanceLevels = DisturbanceLevels()
     tissue: TissueMotion = TissueMotion()  # its motion by itself
-    course: Course = Course()
+    trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
     place: Place = Place(*(0.0,) * 10)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
-    answer: Array = samples.NO_ANSWER  # see `switching_update`
+    deepest: float = -_FAR_MM  # point so far [mm]
+    spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
+    resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
+    force_std_in_air: float = 0.0  # of the force's slow error before the contact [N]
     ruptures: int = 0  # in the hypotheses that the last report followed
     alarm: Rupture | None = None  # the last one raised and not taken back
     layers: tuple[LayerEstimate, ...] = ()
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
-    force_std: float = 0.0  # of the force's slow error, now [N]
-    force_std_in_air: float = 0.0  # before the contact: that error is part of the offset [N]
-    events: Events = Events()  # of this sample
-
-    @property
-    def is_due(self) -> bool:
-        """Whether the next sample finds work to do even if it fills no block."""
-        return self.stage != _NOTHING or any(self.events)
-
-    @property
-    def is_open(self) -> bool:
-        """Whether the layer of the last alarm is not among the layers yet."""
-        return self.alarm is not None and layers_traversed(self.layers) < self.alarm.layer
-
-    @property
-    def is_series(self) -> bool:
-        """Whether the last alarm came so soon after another that a heart may have raised both."""
-        if self.alarm is None:
-            return False
-        before = [layer.rupture.time_s for layer in self.layers if layer.layer < self.alarm.layer]
-        return bool(before) and self.alarm.time_s - before[-1] < _SERIES_S
-
-    def friction_left(self, bank: Bank, *, before: bool = False) -> tuple[float, float] | None:
-        """As `rupture_report.friction_left`, with what the force's error grew by since the air."""
-        found = reports.friction_left(bank, self.ruptures, before=before)
-        grown = max(self.force_std**2 - self.force_std_in_air**2, 0.0)
-        return None if found is None else (found[0], math.sqrt(found[1] ** 2 + grown))
 
 
 class SwitchingMethod:
@@ -117,25 +84,26 @@ class SwitchingMethod:
     @property
     def state(self) -> SwitchingState:
         """All that it remembers."""
-        return self._state._replace(bank=self._bank.bank.copied(), memory=np.array(self._memory))
+        arrays = self._bank.bank.copied(), np.array(self._memory), np.array(self._answer)
+        course = self._place, self._stage, self._deepest, self._spawned, self._resumed
+        found = self._ruptures, self._alarm, self.layers, self._rupture_state
+        learned = self._levels, self._tissue, self._trend
+        return SwitchingState(*arrays, *learned, *course, self._force_std_in_air, *found)
 
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
-        self._take(state)
+        self._answer, self._events = working_copy(state.answer), Events()
+        self._levels, self._tissue, self._trend = state.levels, state.tissue, state.trend
+        self._place, self._stage, self._resumed = state.place, state.stage, state.resumed
+        self._deepest, self._spawned = state.deepest, state.spawned
+        self._force_std_in_air, self._rupture_state = state.force_std_in_air, state.rupture_state
+        self._ruptures, self._alarm = state.ruptures, state.alarm
+        self._keep(state.layers)
 
-    def _take(self, state: SwitchingState, last: SwitchingState | None = None) -> None:
-        """Make of a state what every sample needs, where it differs from the last."""
-        self._state, self._is_due, self._is_moving = state, state.is_due, state.tissue.is_known
-        if last is None or state.layers is not last.layers:
-            self._left = left_layers(state)
-        if last is None or state.answer is not last.answer:
-            self._answer = working_copy(state.answer)
-
-    @property
-    def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers left so far, as known now."""
-        return self._state.layers
+    def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
+        """Take these layers for those left, with what every sample needs of them."""
+        self.layers, self._left = layers, left_layers(layers)
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
@@ -143,115 +111,199 @@ class SwitchingMethod:
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
-        state = self._state
-        if self._is_moving:
-            sample = _in_tissue(sample, state.tissue, sample[-1])
+        if self._tissue.is_known:
+            sample = _in_tissue(sample, self._tissue)
         motion = sample[2], sample[3], sample[4], sample[5], sample[8]
         known = self._memory, self._answer, self._left
         is_full, outputs = samples.update_switching(motion, sample[6], sample[1], *known)
-        if not (is_full or self._is_due):
-            return (state.rupture_state, *outputs, None, None, None)
-        self._state = state._replace(events=Events())
-        while self._state.stage != _NOTHING:
-            self._work(sample)
+        if not is_full and self._stage == _NOTHING:
+            return (self._rupture_state, *outputs, None, None, None)
+        self._events = Events()
+        while self._stage != _NOTHING:
+            self._work(sample[-1])
             if not is_full:  # else blocks are of one or two samples
                 break
         if is_full:
             self._absorb(sample)
-        self._take(self._state, state)
         return self._outputs(sample)
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
         known = self._memory, self._answer, self._left
         outputs = samples.switching_outputs(sample[2], sample[3], sample[6], *known)
-        return (self._state.rupture_state, *outputs, *self._state.events)
+        return (self._rupture_state, *outputs, *self._events)
 
-    def _work(self, sample: Sample) -> None:
-        before, clock_s = self._state.tissue, sample[-1]
-        if self._state.stage == _FOLLOW:
-            self._state = self._state._replace(stage=_NOTHING, tissue=before.worked(clock_s))
-        else:
-            if self._state.stage == _BRANCH:
+    def _work(self, clock_s: float) -> None:
+        """Do the next part of what is left to do for a block."""
+        if self._stage != _FOLLOW:
+            if self._stage == _BRANCH:
                 self._branch()
-            self._bank.prune(self._state.place)
-            self._state = self._state._replace(stage=self._after(clock_s))
-        if self._state.tissue.fit is not before.fit:
+            self._bank.prune(self._place)
+            self._stage = self._after(clock_s)
+            return
+        before, self._stage, self._tissue = self._tissue, _NOTHING, self._tissue.worked(clock_s)
+        if self._tissue.fit is not before.fit:
             # The needle stays where it is in the tissue that is now known to be elsewhere.
-            by_mm = before.at(clock_s)[0] - self._state.tissue.at(clock_s)[0]
+            by_mm = before.at(clock_s)[0] - self._tissue.at(clock_s)[0]
             samples.shift_depth(self._memory, by_mm / _MM)
-            course = self._state.course
-            course = course._replace(deepest=course.deepest + by_mm, spawned=course.spawned + by_mm)
-            self._state = self._state._replace(course=course)
-
-    def _absorb(self, sample: Sample) -> None:
-        """Let every hypothesis predict the force of the block, and learn from it."""
-        state, memory, bank = self._state, self._memory, self._bank
-        course, levels, last = state.course, state.levels, state.course.deepest
-        place, jitter, speed_noise = _block(sample[-1], memory, state.place.force)
-        filled, z, v, force = place.dt_s, place.depth, place.speed, place.force
-        faded = math.exp(-filled / _USUAL_S - abs(v) * filled / _USUAL_MM)
-        usual = max(course.usual_speed * faded, v)
-        fresh = max(z - last, 0.0) if last > -_FAR_MM else 0.0
-        is_gap = filled > max(_GAP_S, 10.0 * state.place.dt_s)
-        course = course._replace(trend=NO_TREND) if is_gap else course
-        steady, trend = self._law_speed(course.trend, place, (jitter, speed_noise))
-        is_advancing = v > max(_CREEP + 2.0 * speed_noise, _SLOW * usual) and not is_gap
-        is_advancing &= z > last - _CHANNEL_MM - 4.0 * jitter
-        left = levels.beside(state.tissue, sample[-1])
-        place = place._replace(speed=steady, usual_speed=usual, noise=left.noise)
-        course = course._replace(deepest=max(last, z), usual_speed=usual, trend=trend)
-        _predict(bank, place, fresh, left, state.tissue)
-        is_met, stage = state.answer[0, samples.IN_CONTACT] > 0.0, self._after(sample[-1])
-        if (is_advancing or not is_met) and not is_gap:
-            course = course._replace(resumed=course.resumed * math.exp(-fresh / _RESUMED_MM))
-            # A force that is being released is no noise; beats are.
-            is_release = state.is_open and not state.is_series
-            levels = levels.restarted() if is_release else levels.with_force(force, filled, v)
-            left = levels.beside(state.tissue, sample[-1])
-            place = place._replace(noise=left.noise)
-            # A speed is as late as its filter: where it changes it is off by a block's change.
-            speed_std = math.hypot(2.0 * speed_noise, steady - state.place.speed)
-            _learn(bank, place, left, course.resumed, (jitter, speed_std))
-            bank.weigh(place, is_advancing=is_advancing)
-            stage = _BRANCH if is_advancing else _PRUNE
-        else:
-            course, levels = course._replace(resumed=1.0), levels.restarted()
-        in_air = state.force_std_in_air if is_met else sample[7]
-        tissue = state.tissue
-        if not is_gap:
-            tissue = tissue.with_block(place._replace(speed=v), is_met=is_met)
-        state = state._replace(force_std=sample[7], force_std_in_air=in_air, stage=stage)
-        state = state._replace(levels=levels, course=course, place=place, tissue=tissue)
-        self._state = report(state, bank, sample, self._config)
+            self._deepest, self._spawned = self._deepest + by_mm, self._spawned + by_mm
 
     def _after(self, clock_s: float) -> int:
         """What is left to do for a block once its bank is pruned."""
-        return _FOLLOW if self._state.tissue.is_due(clock_s) else _NOTHING
-
-    def _law_speed(
-        self, trend: Array, place: Place, noise: tuple[float, float]
-    ) -> tuple[float, Array]:
-        """The needle's own speed, less jitter, and its trend; less the tissue's, if that moves."""
-        tissue, last = self._state.tissue, self._state.place.speed
-        if not self._is_moving:
-            return follow_speed(trend, place.raw, place.speed, noise, place.dt_s)
-        at_mm, speed = tissue.at(place.time_s)
-        own, trend = follow_speed(trend, place.raw + at_mm, place.speed + speed, noise, place.dt_s)
-        # The tissue's speed is an estimate as well: only what noise does not explain is a change.
-        deadband = _DEADBAND * noise[1]
-        return min(max(last, own - speed - deadband), own - speed + deadband), trend
+        return _FOLLOW if self._tissue.is_due(clock_s) else _NOTHING
 
     def _branch(self) -> None:
         """Begin hypotheses of what may have happened in the block's travel."""
-        state, bank = self._state, self._bank
-        place, course = state.place, state.course
-        is_fast = place.speed > _HALF * place.usual_speed
+        place = self._place
         begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-        if is_fast and begin.depth - course.spawned >= STEP_MM:
-            left = state.levels.beside(state.tissue, place.time_s)
-            bank.spawn(begin, course.spawned, _tissue_speed(bank, place, left), state.ruptures)
-            course = course._replace(spawned=begin.depth)
-        self._state = state._replace(course=course)
+        is_fast = place.speed > _HALF * place.usual_speed
+        if is_fast and begin.depth - self._spawned >= STEP_MM:
+            left = self._levels.beside(self._tissue, place.time_s)
+            moved = _tissue_speed(self._bank, place, left)
+            self._bank.spawn(begin, self._spawned, moved, self._ruptures)
+            self._spawned = begin.depth
+
+    def _absorb(self, sample: Sample) -> None:
+        """Let every hypothesis predict the force of the block, and learn from it."""
+        clock_s, last, deepest, bank = sample[-1], self._place, self._deepest, self._bank
+        place, depth_std, speed_std = _block(clock_s, self._memory, last.force)
+        dt_s, z, v = place.dt_s, place.depth, place.speed
+        fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
+        faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
+        usual, is_gap = max(last.usual_speed * faded, v), dt_s > max(_GAP_S, 10.0 * last.dt_s)
+        own = self._own_speed(place, (depth_std, speed_std), is_gap=is_gap)
+        is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
+        is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
+        left, self._deepest = self._levels.beside(self._tissue, clock_s), max(deepest, z)
+        place = place._replace(speed=own, usual_speed=usual, noise=left.noise)
+        _predict(bank, place, fresh, left, self._tissue)
+        is_met, self._stage = self._answer[0][samples.IN_CONTACT] > 0.0, self._after(clock_s)
+        if (is_advancing or not is_met) and not is_gap:
+            self._resumed *= math.exp(-fresh / _RESUMED_MM)
+            # A force that is being released is no noise; beats are.
+            is_release = self._is_open and not self._is_series
+            levels = self._levels
+            levels = levels.restarted() if is_release else levels.with_force(place.force, dt_s, v)
+            self._levels, left = levels, levels.beside(self._tissue, clock_s)
+            place = place._replace(noise=left.noise)
+            # A speed is as late as its filter: where it changes it is off by a block's change.
+            law_std = math.hypot(2.0 * speed_std, own - last.speed)
+            _learn(bank, place, left, self._resumed, (depth_std, law_std))
+            law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
+            self._stage = _BRANCH if is_advancing else _PRUNE
+        else:
+            self._resumed, self._levels = 1.0, self._levels.restarted()
+        if not is_met:
+            self._force_std_in_air = sample[7]
+        if not is_gap:
+            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
+        self._place = place
+        self._report(sample)
+
+    def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
+        """The needle's own speed, less jitter; less the tissue's, if that moves."""
+        trend, tissue = NO_TREND if is_gap else self._trend, self._tissue
+        at_mm, rate = tissue.at(place.time_s) if tissue.is_known else (0.0, 0.0)
+        around = place.raw + at_mm, place.speed + rate
+        own, self._trend = follow_speed(trend, *around, noise, place.dt_s)
+        if not tissue.is_known:
+            return own
+        # The tissue's speed is an estimate as well: only what noise does not explain is a change.
+        deadband = _DEADBAND * noise[1]
+        return min(max(self._place.speed, own - rate - deadband), own - rate + deadband)
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether the layer of the last alarm is not among the layers yet."""
+        return self._alarm is not None and layers_traversed(self.layers) < self._alarm.layer
+
+    @property
+    def _is_series(self) -> bool:
+        """Whether the last alarm came so soon after another that a heart may have raised both."""
+        if self._alarm is None:
+            return False
+        before = [layer.rupture.time_s for layer in self.layers if layer.layer < self._alarm.layer]
+        return bool(before) and self._alarm.time_s - before[-1] < _SERIES_S
+
+    def _report(self, sample: Sample) -> None:
+        """Raise or take back an alarm, report the layer left, answer for the next samples."""
+        bank, place, alarm = self._bank.bank, self._place, self._alarm
+        if alarm is not None:
+            bank = reports.denied(bank, alarm, self._ruptures)
+        found = reports.count_ruptures(bank, self._ruptures, place)
+        now = RuptureState.EXPECTED if found.more > 0.5 else RuptureState.NO_RUPTURE
+        self._rupture_state = RuptureState.FORCE_DROP_MEASURING if self._is_open else now
+        if (
+            found.more > self._config.alarm_probability
+            and self._is_settled(bank, found.pick)
+            and not reports.may_be_braking(bank, found, place, sample[-1], self._tissue)
+        ):
+            self._raise_alarm(bank, sample, found)
+        elif alarm is not None and found.fewer > _TAKEN_BACK:
+            # The force has come back: no rupture was there but for what is left of its probability.
+            gone = replace(alarm, probability=1.0 - found.fewer)
+            self._events = self._events._replace(retracted=gone)
+            self._keep(self.layers if self._is_open else self.layers[:-1])
+            self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
+        elif alarm is not None:
+            self._report_layer(bank, alarm, sample[7])
+        last = self._alarm or (self.layers[-1].rupture if self.layers else None)
+        speed = 0.0 if last is None else _MM * last.speed_m_s
+        ruptures = layers_traversed(self.layers) + self._is_open
+        self._answer = working_copy(reports.answer_at(self._bank, place, ruptures, speed))
+
+    def _is_settled(self, bank: Bank, pick: int) -> bool:
+        """Whether the needle advances, and if the rupture was before a stop, far enough since.
+
+        A needle that does not advance ruptures nothing, and one that stopped lets the force fall:
+        once friction is back the force itself says what fell.
+        """
+        since_mm = self._place.depth - float(bank.records[pick, law.RUPTURE_MM])
+        resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
+        return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)
+
+    def _raise_alarm(self, bank: Bank, sample: Sample, found: reports.Evaluation) -> None:
+        layers, identified = self.layers, self._events.identified_layer
+        if layers and not layers[-1].is_final:
+            identified = replace(layers[-1], is_final=True)
+            self._keep((*layers[:-1], identified))
+        number, at = layers_traversed(layers) + 1, (sample[0], sample[2], sample[-1])
+        self._alarm = reports.rupture_of(bank, found.pick, number, found.more, at)
+        self._ruptures = int(bank.facts[found.pick, law.RUPTURES])
+        self._rupture_state = RuptureState.DETECTED
+        self._events = Events(self._alarm, identified)
+        # Every beat may raise an alarm until it is known: then the window has to grow across them.
+        if not self._is_series or self._tissue.is_known:
+            self._tissue = self._tissue.restarted(sample[-1])
+
+    def _report_layer(self, bank: Bank, alarm: Rupture, force_std: float) -> None:
+        """Report the layer that the last rupture ended, twice, and keep what is known of it."""
+        layers, travel = self.layers, self._place.depth / _MM - alarm.depth_m
+        # What the force's slow error grew by since the air is in the friction.
+        grown = max(force_std**2 - self._force_std_in_air**2, 0.0)
+        friction = reports.friction_left(bank, self._ruptures, grown)
+        if self._is_open:
+            if travel < _PROVISIONAL_M or friction is None:
+                return
+            layer = reports.layer_left(bank, alarm, self._ruptures, friction)
+            if layer is not None:
+                self._keep((*layers, layer))
+                self._events = self._events._replace(identified_layer=layer)
+                self._rupture_state = RuptureState.FRICTION_IDENTIFIED
+            return
+        is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
+        if not is_due and self._place.time_s % _REVISE_S >= self._place.dt_s:
+            return
+        layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
+        if is_due:
+            partial = reports.partial_rupture_probability(bank, self._ruptures)
+            rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
+            layer = replace(layer, is_final=True, rupture=rupture)
+            self._events = self._events._replace(identified_layer=layer)
+        kept = [*layers[:-1], layer]
+        earlier = reports.friction_left(bank, self._ruptures, grown, before=True)
+        if earlier is not None and len(kept) > 1:
+            kept[-2] = reports.with_friction(kept[-2], *earlier)
+        self._keep(tuple(kept))
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:
@@ -266,18 +318,18 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, f
     return Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before), jitter, speed_noise
 
 
-def _in_tissue(sample: Sample, tissue: TissueMotion, clock_s: float) -> Sample:
+def _in_tissue(sample: Sample, tissue: TissueMotion) -> Sample:
     """A sample as the tissue, which moves, meets it."""
-    time_s, dt_s, depth_m, speed_m_s = sample[:4]
+    time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
     place, speed = tissue.at(clock_s)
     depth_m, speed_m_s = depth_m - place / _MM, speed_m_s - speed / _MM
-    return time_s, dt_s, depth_m, speed_m_s, *sample[4:8], sample[8] - place / _MM, clock_s
+    return time_s, dt_s, depth_m, speed_m_s, *others, raw_m - place / _MM, clock_s  # type: ignore
 
 
-def left_layers(state: SwitchingState) -> Array:
+def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:
     """Friction of the layers left, for the withdrawal; see `switching_outputs`."""
-    found = np.zeros((len(state.layers), 4))
-    for row, layer in zip(found, state.layers, strict=True):
+    found = np.zeros((len(layers), 4))
+    for row, layer in zip(found, layers, strict=True):
         coulomb = min((layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N)
         viscous = (layer.friction_N - coulomb) / max(_MM * layer.rupture.speed_m_s, 1e-3)
         row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
@@ -335,111 +387,3 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
         moved = level / (max(slope, 0.0) ** 2 + 1e-4 + (rate * damping) ** 2)
         variance += rate**2 * min(moved, most)
     return math.sqrt(min(variance, 25.0))
-
-
-def report(
-    state: SwitchingState, memory: BankMemory, sample: Sample, config: MultilayerConfig
-) -> SwitchingState:
-    """Raise or take back an alarm, report the layer left, answer for the next samples."""
-    bank, place = memory.bank, state.place
-    if state.alarm is not None:
-        bank = reports.denied(bank, state.alarm, state.ruptures)
-    evaluation = reports.count_ruptures(bank, state.ruptures, place)
-    now = RuptureState.EXPECTED if evaluation.more > 0.5 else RuptureState.NO_RUPTURE
-    if state.is_open:
-        now = RuptureState.FORCE_DROP_MEASURING
-    state = state._replace(rupture_state=now)
-    is_likely = evaluation.more > config.alarm_probability
-    if (
-        is_likely
-        and _is_settled(state.course, bank, evaluation.pick, place)
-        and not reports.may_be_braking(bank, evaluation, place, sample[-1], state.tissue)
-    ):
-        state = _raise_alarm(state, bank, sample, evaluation)
-    elif state.alarm is not None and evaluation.fewer > _TAKEN_BACK:
-        state = _take_back(state, state.alarm, evaluation)
-    elif state.alarm is not None:
-        state = _report_layer(state, bank, state.alarm)
-    last = state.alarm or (state.layers[-1].rupture if state.layers else None)
-    speed = 0.0 if last is None else _MM * last.speed_m_s
-    ruptures = layers_traversed(state.layers) + state.is_open
-    return state._replace(answer=reports.answer_at(memory, place, ruptures, speed))
-
-
-def _is_settled(course: Course, bank: Bank, pick: int, place: Place) -> bool:
-    """Whether the needle advances, and if the rupture was before a stop, far enough since.
-
-    A needle that does not advance ruptures nothing, and one that stopped lets the force fall: once
-    friction is back the force itself says what fell.
-    """
-    since_mm = place.depth - float(bank.records[pick, law.RUPTURE_MM])
-    resumed_mm = -_RESUMED_MM * math.log(max(course.resumed, 1e-9))
-    return resumed_mm > 0.0 and (since_mm < resumed_mm or course.resumed < _SETTLED)
-
-
-def _raise_alarm(
-    state: SwitchingState, bank: Bank, sample: Sample, evaluation: reports.Evaluation
-) -> SwitchingState:
-    events, layers = state.events, state.layers
-    if layers and not layers[-1].is_final:
-        layers = (*layers[:-1], replace(layers[-1], is_final=True))
-        events = events._replace(identified_layer=layers[-1])
-    number = layers_traversed(layers) + 1
-    at = (sample[0], sample[2], sample[-1])
-    rupture = reports.rupture_of(bank, evaluation.pick, number, evaluation.more, at)
-    state = state._replace(
-        alarm=rupture,
-        ruptures=int(bank.facts[evaluation.pick, law.RUPTURES]),
-        layers=layers,
-        rupture_state=RuptureState.DETECTED,
-        events=events._replace(rupture=rupture),
-    )
-    # Every beat may raise an alarm until it is known: then the window has to grow across them.
-    is_beat = state.is_series and not state.tissue.is_known
-    return state if is_beat else state._replace(tissue=state.tissue.restarted(sample[-1]))
-
-
-def _take_back(
-    state: SwitchingState, alarm: Rupture, evaluation: reports.Evaluation
-) -> SwitchingState:
-    """The force has come back: no rupture was there but for what is left of its probability."""
-    retracted = replace(alarm, probability=1.0 - evaluation.fewer)
-    return state._replace(
-        alarm=None,
-        ruptures=min(evaluation.best, state.ruptures - 1),
-        layers=state.layers if state.is_open else state.layers[:-1],
-        events=state.events._replace(retracted=retracted),
-    )
-
-
-def _report_layer(state: SwitchingState, bank: Bank, alarm: Rupture) -> SwitchingState:
-    """Report the layer that the last rupture ended, twice, and keep what is known of it."""
-    layers, events = state.layers, state.events
-    travel = state.place.depth / _MM - alarm.depth_m
-    if state.is_open:
-        if travel < _PROVISIONAL_M:
-            return state
-        known = state.friction_left(bank)
-        layer = None if known is None else reports.layer_left(bank, alarm, state.ruptures, known)
-        if layer is None:
-            return state
-        return state._replace(
-            layers=(*layers, layer),
-            events=events._replace(identified_layer=layer),
-            rupture_state=RuptureState.FRICTION_IDENTIFIED,
-        )
-    is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
-    if not is_due and state.place.time_s % _REVISE_S >= state.place.dt_s:
-        return state
-    friction = state.friction_left(bank)
-    layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
-    if is_due:
-        partial = reports.partial_rupture_probability(bank, state.ruptures)
-        rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
-        layer = replace(layer, is_final=True, rupture=rupture)
-        events = events._replace(identified_layer=layer)
-    kept = [*layers[:-1], layer]
-    earlier = state.friction_left(bank, before=True)
-    if earlier is not None and len(kept) > 1:
-        kept[-2] = reports.with_friction(kept[-2], *earlier)
-    return state._replace(layers=tuple(kept), events=events)

@@ -352,7 +352,7 @@ class InsertionSession:
         if self._unused_s:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         _, _, depth_m, speed_m_s = travel
-        time_s, force_N, std_N = self._time_s, wrench.axial, wrench.axial_std
+        time_s, force_N, std_N = self._time_s, wrench.axial_unsmoothed, wrench.axial_std
         found = self._identifier.update(depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N)
         if found.rupture is not None:
             # A push on the arm looks like a rupture, even before the checks, every 20 ms, know it.

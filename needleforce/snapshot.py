@@ -26,7 +26,7 @@ from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 18  # Grows whenever a file of the one before cannot be read, or is misread
+SNAPSHOT_VERSION = 19  # Grows whenever a file of the one before cannot be read, or is misread
 MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
 LARGEST = 1e30  # no number of a snapshot comes near it; its square can still be calculated with
 
@@ -38,8 +38,8 @@ _METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
 }
-_NOT_FINITE = {"limit_s": math.inf, "force_N": math.nan, "force_before_N": math.nan}
-"""The only fields in which a number may be other than finite, and which it then is."""
+_NOT_FINITE = {"limit_s": math.inf}
+"""The only field in which a number may be other than finite, and which it then is."""
 
 
 class _Envelope(msgspec.Struct, forbid_unknown_fields=True):

@@ -91,9 +91,8 @@ class BiasState:
     torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Offset that is subtracted [Nm], shape (n,)
     motion_Nm2: Array  # Variance of the residual's error by motion, shape (n,)
-    # The same, and all of the variance, when the covariance was asked for last, shape (2, n)
-    weighed_Nm2: Array
-    weighed_s: float = -WEIGH_S  # When that was [s]
+    most_motion_Nm2: Array  # Beyond it the covariance is renewed at once, shape (n,)
+    weighed_s: float = -WEIGH_S  # When it was renewed last [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
     smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
@@ -200,7 +199,7 @@ class BiasEstimator:
     def sum_torques(self) -> None:
         """Keep the sum of the torques only: `memory` is then complete."""
         memory = self.memory
-        memory.torque_sum = np.add.reduce([memory.torque_sum, *self._torques])
+        memory.torque_sum = np.array([memory.torque_sum, *self._torques]).sum(axis=0)
         memory.summed += len(self._torques)
         self._torques.clear()
 
@@ -219,8 +218,7 @@ class BiasEstimator:
         memory = self.memory
         if memory.now_s - memory.weighed_s >= WEIGH_S - ROUNDING_S:
             return True
-        motion_Nm2, variance_Nm2 = memory.weighed_Nm2
-        return bool((memory.motion_Nm2 > motion_Nm2 + MOST_GROWTH * variance_Nm2).any())
+        return bool((memory.motion_Nm2 > memory.most_motion_Nm2).any())
 
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
@@ -228,7 +226,7 @@ class BiasEstimator:
         covariance = self._basis.covariance_Nm2(memory.tare, memory.q, memory.states, self._age_s)
         covariance += np.diag(memory.motion_Nm2)
         memory.weighed_s = memory.now_s
-        memory.weighed_Nm2 = np.stack((memory.motion_Nm2, np.diag(covariance)))
+        memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * covariance.diagonal()
         return covariance
 
     @property
@@ -287,7 +285,7 @@ class BiasEstimator:
                 torque_sum=still,
                 bias=still,
                 motion_Nm2=still,
-                weighed_Nm2=np.zeros((2, self._joints)),
+                most_motion_Nm2=still,
                 q=still,
                 dq=still,
                 smooth_dq=still,

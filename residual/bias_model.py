@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import Array, ConfigurationError
 from residual.input_validation import check_choice, known_limits
 from urdf import Robot
@@ -113,6 +114,25 @@ class Tare(NamedTuple):
         return "constant" if len(self.mean) == len(self.noise_Nm2) else "model"
 
 
+@compiled
+def all_columns(
+    links: Matrix, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
+) -> Array:
+    """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
+    (joints, first), count = links.shape, len(states)
+    # What each joint's own parameters are multiplied with, a row each.
+    own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
+    own[:count], own[count] = states, age_s
+    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
+    if len(ripple_per_rad):
+        own[count + 2], own[count + 3] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
+    columns = np.zeros((joints, joints + first + own.size))
+    columns[:, joints : joints + first] = links
+    for k in range(joints):
+        columns[k, k], columns[k, joints + first + k :: joints] = 1.0, own[:, k]
+    return columns
+
+
 class BiasModel:
     """The linear model of a residual without contact: ``bias = H(q, states, age) theta``.
 
@@ -132,24 +152,18 @@ class BiasModel:
         self._model, self._data = robot.model, robot.create_data()
         self._still = np.zeros(n)
         self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
-        bodies = self._model.njoints - 1
-        self._static = np.concatenate([10 * k + np.arange(4) for k in range(bodies)])
         ratio = prior.gear_ratio if kind == "model" else ()
         if ratio and len(ratio) != n:
             raise ConfigurationError(
                 f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or none"
             )
-        self.ripple_per_rad = 2.0 * np.array(ratio) if ratio else None
+        self.ripple_per_rad = 2.0 * np.array(ratio, dtype=np.float64)
         self.loops, self.elements = len(prior.hysteresis_widths), len(prior.presliding_rad)
         self.states = self.loops + self.elements + 2
         std = self._prior_std()
         self.std = np.concatenate(list(std.values()))
         ends = np.cumsum([len(values) for values in std.values()]).tolist()
         self.groups = dict(zip(std, map(slice, [0, *ends], ends), strict=True))
-        # Where the numbers of one joint each stand in H.
-        linked = self.groups.get("links", slice(n, n))
-        own = np.r_[0 : linked.start, linked.stop : ends[-1]]
-        self._own = (np.tile(np.arange(n), len(own) // n), own)
 
     def _prior_std(self) -> dict[str, Array]:
         """Of every group of columns, in order."""
@@ -171,7 +185,7 @@ class BiasModel:
             ),
             "drift": np.tile(prior.drift_fraction_per_min / 60.0 * effort, 2),
         }
-        if self.ripple_per_rad is not None:
+        if len(self.ripple_per_rad):
             std["sine"] = std["cosine"] = prior.ripple_fraction * effort
         return std
 
@@ -183,25 +197,19 @@ class BiasModel:
         """Static torque per mass and first moment of every link, shape (n, 4 links)."""
         still = self._still
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
-        # Of a single joint it comes as a vector.
-        return full.reshape(self.joints, -1)[:, self._static]
+        # Of ten parameters per link the first four; of a single joint it comes as a vector.
+        return full.reshape(self.joints, -1, 10)[:, :, :4].reshape(self.joints, -1)
 
     def columns(self, q: Array, states: Array, age_s: float) -> Array:
         """H at a position [rad], states and age of the tare [s], shape (n, m)."""
         if self.kind == "constant":
             return np.eye(self.joints)
-        columns = np.zeros((self.joints, len(self.std)))
-        columns[:, self.groups["links"]] = self.regressor(q)
-        columns[self._own] = self._own_rows(q, states, age_s).ravel()
-        return columns
+        fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
+        return all_columns(self.regressor(q), q, states, age_s, fading_s, ripple_per_rad)
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
-        """Residual without contact at a position, states and age: H theta, H not made, (n,)."""
-        if self.kind == "constant":
-            return tare.mean
-        links = self.regressor(q).dot(tare.mean[self.groups["links"]])
-        own = tare.mean[self._own[1]].reshape(-1, self.joints)
-        return links + (self._own_rows(q, states, age_s) * own).sum(axis=0)
+        """Residual without contact at a position, states and age: H theta, shape (n,)."""
+        return self.columns(q, states, age_s).dot(tare.mean)
 
     def covariance_Nm2(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
@@ -214,16 +222,6 @@ class BiasModel:
         """What is known before any free motion was seen: no offset, the prior's covariance."""
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
         return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, self.walk_Nm2_per_s())
-
-    def _own_rows(self, q: Array, states: Array, age_s: float) -> Array:
-        """What each joint's own parameters are multiplied with, a row each, shape (rows, n)."""
-        rows, fading_s = np.ones((self.states + 3, self.joints)), self.prior.fading_s
-        rows[1:-2] = states
-        rows[-2], rows[-1] = age_s, -fading_s * math.expm1(-age_s / fading_s)
-        if self.ripple_per_rad is None:
-            return rows
-        angle = self.ripple_per_rad * q
-        return np.vstack((rows, np.sin(angle), np.cos(angle)))
 
     def walk_Nm2_per_s(self) -> Array:
         """Variance that a random walk of the prior's size adds in a second [Nm^2/s], shape (n,)."""

@@ -29,6 +29,8 @@ class SensorConfig:
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
         smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
+        force_bandwidth_per_s: Of the force's smoothing while it stays within its noise [1/s], see
+            `residual.wrench_estimator.wrench_step`; None for none.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact: ``point``, a force in any direction; ``axial``, one
             along the needle, into which a lateral force leaks; ``full``, force and torque.
@@ -61,6 +63,7 @@ class SensorConfig:
     alignment: Alignment = "trapezoid"
     velocity_bandwidth_per_s: float = 200.0
     smooth_momentum: bool = True
+    force_bandwidth_per_s: float | None = 30.0
     friction: FrictionModel | None = None
     mode: Mode = "point"
     weighting: Weighting = "covariance"
@@ -103,8 +106,9 @@ class SensorConfig:
         check_positive("velocity_bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6)
         for name in ("contact_force_N", "max_gap_s"):
             check_positive(name, getattr(self, name))
-        if self.tare_window_s is not None:
-            check_positive("tare_window_s", self.tare_window_s)
+        for name in ("tare_window_s", "force_bandwidth_per_s"):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name))
         if self.expected_force_N is not None:
             # Its inverse square is calculated with.
             check_positive("expected_force_N", self.expected_force_N, least=1e-6, most=1e9)
@@ -120,6 +124,7 @@ DEFAULT = SensorConfig()  # Ours
 PUBLISHED = SensorConfig(
     gain_per_s=5.0,
     smooth_momentum=False,
+    force_bandwidth_per_s=None,
     mode="full",
     weighting="none",
     expected_force_N=None,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled
 from residual.errors import Array, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
-from residual.wrench_estimator import WrenchEstimator, unusual_change
+from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
 TRAVEL_S = 1.0  # in which travel fades: shorter makes slow strokes short, longer adds up bias
@@ -66,6 +66,9 @@ down to the second; up to the third it is learnt as usual. From the last on, of 
 explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
 LEARNED_S = 1.0  # before anything is called unusual
+LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
+"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
+joint's sensor, or an error of the lever arms."""
 
 
 class VelocityMatch(NamedTuple):
@@ -208,13 +211,66 @@ def _factor(match: VelocityMatch, i: int) -> str:
 
 
 class TorqueChange(NamedTuple):
-    """Joint torque without its offset [Nm], now and before, both smoothed."""
+    """Joint torque without its offset, now and before, both smoothed."""
 
-    now: Array  # shape (n,)
-    before: Array  # the same while the arm is pushed, shape (n,)
-    usual: Array  # mean product of their differences [Nm^2], shape (n, n)
+    # Torque now, and before, the same while the arm is pushed [Nm]; then the mean product of their
+    # differences [Nm^2]; shape (n + 2, n)
+    torques: Array
     learned_s: float = 0.0  # time over which that was learned
     pushed_s: float = 0.0  # time since the arm is pushed
+
+
+@compiled
+def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tuple[float, Array]:
+    """As `unusual_change`, in units of a covariance [Nm^2], and what is explained [Nm], (n,)."""
+    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
+    weighted = rows.dot(precision)
+    information = weighted.dot(rows.T)
+    # What no joint feels is left at zero.
+    information += (1e-12 * np.trace(information) + 1e-30) * np.eye(len(rows))
+    explained = np.linalg.solve(information, weighted.dot(change)).dot(rows)
+    left = change - explained
+    return left.dot(precision).dot(left) / (len(change) - len(rows)), explained
+
+
+@compiled
+def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
+    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
+
+    Unknowns make torque by ``rows``, (k, n). In units of what is usual: the mean product of changes
+    that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and, beyond ``enough``, of
+    what sensors and lever arms may be wrong by in what is explained, which only lowers it.
+    """
+    if len(rows) >= len(change):
+        return 0.0
+    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
+    square, explained = unexplained_change(rows, covariance, change)
+    if square > enough:
+        covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
+        square, explained = unexplained_change(rows, covariance, change)
+    return square
+
+
+@compiled
+def change_step(
+    rows: Matrix, residual: Vector, last: Matrix, learned_s: float, pushed_s: float, dt_s: float
+) -> tuple[Array, float, float]:
+    """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` > 0 later."""
+    torques, square = last.copy(), 0.0
+    now, before, usual = torques[0], torques[1], torques[2:]
+    now -= math.expm1(-dt_s / NOW_S) * (residual - now)
+    change = now - before
+    if learned_s >= LEARNED_S:
+        square = unusual_change(rows, change, usual, USUAL)
+    if square > (LET_GO if pushed_s > 0.0 else PUSHED):
+        if pushed_s < LONGEST_PUSH_S:
+            return torques, learned_s, pushed_s + dt_s
+        before[:] = now
+    if square < USUAL:
+        learned_s += dt_s
+        usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (np.outer(change, change) - usual)
+    before -= math.expm1(-dt_s / BEFORE_S) * (now - before)
+    return torques, learned_s, 0.0
 
 
 class MonitorState(NamedTuple):
@@ -242,11 +298,12 @@ class ConsistencyMonitor:
     """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
-        self._lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
-        self._upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
+        lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
+        upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
         # A joint without a range has no limit: descriptions write 0 and 0 for "unknown".
-        free = self._upper <= self._lower
-        self._lower[free], self._upper[free] = -np.inf, np.inf
+        free = upper <= lower
+        self._lower = np.where(free, -np.inf, lower).tolist()
+        self._upper = np.where(free, np.inf, upper).tolist()
         self._wrench = wrench
         self.restore(MonitorState())
 
@@ -260,8 +317,8 @@ class ConsistencyMonitor:
         check [s], ``tared`` says whether the residual's covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        outside = (q <= self._lower) | (q >= self._upper)
-        at_limit = tuple(np.flatnonzero(outside).tolist()) if outside.any() else ()
+        lower, upper = self._lower, self._upper
+        at_limit = tuple(i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i])
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
@@ -290,24 +347,10 @@ class ConsistencyMonitor:
 
     def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
         """How far torques are from what they were, in directions that no wrench makes."""
-        last = self.state.change
+        last, n = self.state.change, len(residual)
         if last is None or dt_s <= 0.0:
-            return last or TorqueChange(residual, residual, np.zeros((len(residual),) * 2))
-        _, before, usual, learned_s, pushed_s = last
-        now = last.now - math.expm1(-dt_s / NOW_S) * (residual - last.now)
-        change, square = now - before, 0.0
-        if learned_s >= LEARNED_S:
-            square = unusual_change(self._wrench.rows, change, usual)
-        if square > (LET_GO if pushed_s else PUSHED):
-            if pushed_s < LONGEST_PUSH_S:
-                return TorqueChange(now, before, usual, learned_s, pushed_s + dt_s)
-            before = now
-        if square < USUAL:
-            learned_s += dt_s
-            part = dt_s / min(learned_s, USUAL_S)
-            usual = usual + min(part, 1.0) * (np.outer(change, change) - usual)
-        before = before - math.expm1(-dt_s / BEFORE_S) * (now - before)
-        return TorqueChange(now, before, usual, learned_s)
+            return last or TorqueChange(np.vstack((residual, residual, np.zeros((n, n)))))
+        return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
 
     @property
     def _wanted(self) -> float:
@@ -344,7 +387,8 @@ class ConsistencyMonitor:
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
             axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
-            if unusual_change(axial, change.now - change.before, change.usual) > BESIDE:
+            now, before, *usual = change.torques
+            if unusual_change(axial, now - before, np.array(usual), BESIDE) > BESIDE:
                 found |= SensorWarning.ARM_PUSHED
         reasons = [text for one, text in _REASONS.items() if one in found]
         message = "; ".join(filter(None, (last.message, *reasons)))

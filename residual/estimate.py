@@ -65,7 +65,9 @@ class WrenchEstimate(NamedTuple):
     Every number is finite.
 
     Attributes:
-        axial: Axial force [N]: resistance to insertion, positive when tissue pushes back.
+        axial: Axial force [N]: resistance to insertion, positive when tissue pushes back. Smoothed
+            like all of the wrench while it stays within its noise, see
+            `SensorConfig.force_bandwidth_per_s`; ``covariance`` is of what that leaves.
         axial_std: Its standard deviation [N]; `UNSEEN_STD` where nothing is known.
         lateral: Size of the force across the needle [N], never negative: of noise alone it reads
             about `lateral_std`. Its direction is in ``force``. Zero in mode ``axial``, which
@@ -80,6 +82,8 @@ class WrenchEstimate(NamedTuple):
         conditioning: Ratio of the largest to the smallest standard deviation over directions in
             the estimated space; 1e6 where a direction cannot be seen.
         damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
+        axial_unsmoothed: The axial force before it is smoothed [N], for filters that know its
+            noise, as the identification's.
         residual: External joint torque after offset removal [Nm], shape (n,), read-only.
         status: Whether it may be used.
         message: The reason, when the status is not OK or there is a warning, or a question: may a
@@ -99,6 +103,7 @@ class WrenchEstimate(NamedTuple):
     covariance: NDArray[np.float64]
     conditioning: float
     damping_fraction: NDArray[np.float64]
+    axial_unsmoothed: float
     residual: NDArray[np.float64]
     status: Status = Status.OK
     message: str = ""
@@ -112,7 +117,7 @@ def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
     unknown = np.diag(np.full(components, UNSEEN_STD**2))
     for array in (nothing, residual, removed, unknown):
         array.setflags(write=False)
-    vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, residual
+    vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, 0.0, residual
     return WrenchEstimate(0.0, UNSEEN_STD, 0.0, UNSEEN_STD, *vectors)
 
 

@@ -110,7 +110,7 @@ class GuardState:
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
     # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = 0.0  # Time since each torque was checked by itself [s]
+    age_s: float = 0.5 * CHECK_S  # Time since each torque was checked; not when bias is renewed [s]
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     question: str = ""  # What may be missing: it has not changed for long
@@ -271,8 +271,9 @@ class FaultDetector:
             memory.warning = (
                 "all joints still repeat bit for bit; no longer held back, the arm may rest"
             )
-        elif (still := np.flatnonzero(memory.alone.still_s >= STILL_S)).size:
-            is_all = memory.held_s >= STILL_S and still.size == self._joints
+        elif memory.alone.longest_s >= STILL_S:
+            still = np.flatnonzero(memory.alone.still_s >= STILL_S)
+            is_all = memory.held_s >= STILL_S and len(still) == self._joints
             what = "neither q nor tau has" if is_all else f"tau at {named_joints(still)} has not"
             memory.question = f"{what} changed for a second: is it stale?"
 

@@ -125,6 +125,7 @@ class SingleSignalDetector:
     # For how long at least it is reported, infinite for a signal whose repeats mean nothing [s],
     # shape (n,)
     limit_s: Array
+    longest_s: float = 0.0  # The longest of the times in `still_s` [s]
 
     def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
         """Learning has ended: of which signals, shape (size,), does a repeat mean anything?"""
@@ -132,6 +133,6 @@ class SingleSignalDetector:
 
     def check(self, values: Array, dt_s: float) -> list[int]:
         """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
-        self.still_s = np.where(values == self.values, self.still_s + dt_s, 0.0)
-        self.values = values
-        return [int(i) for i in np.flatnonzero(self.still_s >= self.limit_s)]
+        self.still_s = (values == self.values) * (self.still_s + dt_s)
+        self.values, self.longest_s = values, max(self.still_s.tolist())
+        return np.flatnonzero(self.still_s >= self.limit_s).tolist() if self.longest_s else []

@@ -53,9 +53,10 @@ class SensorState(NamedTuple):
     torque_covariance: Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
     weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
-    followed_N: Array  # Force followed for the uncertainty that the lag adds [N], shape (3,)
+    wrench: Array  # Memory of `wrench_step`, shape (2, 3) or (2, 6)
     follows: bool  # Whether it does so already
     unchecked_s: float  # Time since the last consistency check [s]
+    waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -200,8 +201,18 @@ class VirtualForceSensor:
 
     def _weigh(self) -> None:
         """Weigh the joints by the residual's covariance where the arm is."""
-        self._wrench.set_torque_covariance(self._monitor.widened(self._offset.covariance_Nm2()))
+        self._trust(self._monitor.widened(self._offset.covariance_Nm2()))
         self._wrench.weigh(self._offset.memory.q)
+
+    def _trust(self, covariance_Nm2: Array) -> None:
+        """Weigh with a covariance of the residual from now on."""
+        away, bandwidth_per_s = 0.0, self._config.force_bandwidth_per_s
+        if bandwidth_per_s is not None:
+            # Noise lasts as long as the filters that it has passed.
+            noise_s = self.lag_s or 1.0 / self._config.slowest_gain_per_s
+            away = 1.0 / (1.0 + bandwidth_per_s * noise_s)
+        noise_Nm2 = self._offset.memory.tare.noise_Nm2
+        self._wrench.set_torque_covariance(covariance_Nm2, noise_Nm2, away)
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
@@ -224,8 +235,9 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed_N, self._follows = np.zeros(3), False
+        self._followed, self._follows = np.zeros((2, self._wrench.size)), False
         self._unchecked_s = 0.0
+        self._waiting = 2
 
     @property
     def filter_lag_s(self) -> float:
@@ -247,9 +259,10 @@ class VirtualForceSensor:
                 torque_covariance=self._wrench.torque_covariance,
                 weighed_at=self._wrench.gain.rows[0],
                 monitor=self._monitor.state,
-                followed_N=self._followed_N,
+                wrench=self._followed,
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
+                waiting=self._waiting,
                 last=self._last,
                 missed_s=self._clock.missed_s,
                 rejected=self.rejected,
@@ -285,11 +298,13 @@ class VirtualForceSensor:
             self._stream = SampleStream(self._robot, self._config, **kind)
             self._stream.restore(state.stream)
         self._offset.restore(state.offset)
-        self._wrench.set_torque_covariance(state.torque_covariance)
+        self.lag_s = state.lag_s
+        self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed_N, self._follows = state.followed_N, state.follows
-        self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
+        self._followed, self._follows = state.wrench, state.follows
+        self._unchecked_s = state.unchecked_s
+        self._waiting = state.waiting
         self._last, self.rejected = state.last, state.rejected
         self._clock.missed_s = state.missed_s
         if state.last is not None:
@@ -331,16 +346,23 @@ class VirtualForceSensor:
         if settled and not tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        if renewed and (offset.is_covariance_due or monitor.wants_widening):
-            self._weigh()
+        waiting, checks = self._waiting, False
+        if renewed or waiting:
+            # The tick after a renewal checks, the next one weighs; what waits still, as with a slow
+            # clock and in the first tick, is done with the next renewal.
+            checks, weighs = waiting == 2, waiting == 1 or (renewed and waiting == 2)
+            self._waiting = 2 if renewed else waiting - 1
+            if weighs and (offset.is_covariance_due or monitor.wants_widening):
+                self._weigh()
         wrench.kinematics.update(q, data)
-        # One more lag follows the force; it begins where the force is.
-        fraction, lag_s = 1.0, stream.lag_s
-        if lag_s > 0.0 and self._follows:
-            fraction = -math.expm1(-elapsed_s / lag_s)
-        found = wrench.solve(q, residual, bias.bias, self._followed_N, fraction)
+        # Smoothing and the lag that follows the force begin where the force is.
+        tick, fraction, lag_s = 0.0, 1.0, stream.lag_s
+        if self._follows:
+            tick = elapsed_s * (self._config.force_bandwidth_per_s or 0.0)
+            fraction = -math.expm1(-elapsed_s / lag_s) if lag_s > 0.0 else 1.0
+        found = wrench.solve(q, residual, bias.bias, self._followed, (tick, fraction))
         self._follows = True
-        if renewed:
+        if checks:
             sent = dq if stream.has_velocity else None
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
             self._unchecked_s = 0.0

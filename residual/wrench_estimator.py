@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -20,12 +20,11 @@ _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 # What is compiled uses constants of its own file only.
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
+_LEAST_NOISE_N2 = 1e-12  # Distances are divided by it
 MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
-LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
-"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
-joint's sensor, or an error of the lever arms."""
+SMOOTHED_SIGMAS = 2.0  # Distance of the force at which the bandwidth has doubled
 
 
 class WrenchGain(NamedTuple):
@@ -35,7 +34,7 @@ class WrenchGain(NamedTuple):
     # torque; shape (4 or 7, n)
     rows: Array
     # Insertion direction in the same axes, then the variance of the axial force and of a lateral
-    # one, in the direction known least [N^2]; shape (5,)
+    # one, in the direction known least, and what of both is noise of a sample [N^2]; shape (7,)
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
@@ -57,6 +56,16 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
     scale = seen / np.where(seen, values, 1.0)
     unseen = (vectors * vectors).dot(1.0 - seen)
     return (vectors * scale).dot(vectors.T), unseen > 1e-18
+
+
+@compiled
+def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
+    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric, positive, finite."""
+    # Written so that a NaN is none either.
+    if not np.abs(covariance - covariance.T).sum() <= 1e-6 * abs(np.trace(covariance)):
+        return covariance.copy(), False
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors / values).dot(vectors.T), bool(values[0] > 0.0)
 
 
 @compiled
@@ -95,19 +104,40 @@ def weighted_inverse(
 
 
 @compiled
+def smoothing_step(smoothed: WrittenVector, wrench: Vector, axis: Vector, tick: float) -> None:
+    """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
+
+    While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
+    power of the distance to it in deviations of that noise: a rupture passes as it is. As of the
+    momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
+
+    `axis` is that of `WrenchGain`, `tick` the time step in lags within the noise, 0 for none.
+    """
+    behind = wrench - smoothed
+    if tick > 0.0:
+        beside = float(axis[:3].dot(behind[:3])) ** 2
+        # Of the lateral force two components are noisy.
+        beside_across = 0.5 * (float(behind[:3].dot(behind[:3])) - beside)
+        ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
+        tick *= 1.0 + ratio * ratio
+        behind *= tick / (1.0 + tick)
+    smoothed += behind
+
+
+@compiled
 def wrench_step(
     q: Vector,
     residual: Vector,
     offset: Vector,
     rows: Matrix,
     axis: Vector,
-    fraction: float,
-    followed_N: WrittenVector,
+    lags: tuple[float, float],
+    memory: WrittenMatrix,
     found: WrittenVector,
-) -> tuple[float, float, float, float]:
-    """Force from external joint torque, with what its lag may hide.
+) -> tuple[float, float, float, float, float]:
+    """Force from external joint torque, smoothed, with what its lag may hide.
 
-    One more lag of the same length follows the force: what it still misses is about what the
+    One more lag of the observer's length follows the force: what it still misses is about what the
     estimate has missed. Only what stands out of the noise counts as a change.
 
     Args:
@@ -115,42 +145,47 @@ def wrench_step(
         residual: External joint torque with its offset [Nm], shape (n,).
         offset: What it reads without contact [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
-        axis: Insertion direction and variances, shape (5,).
-        fraction: Of the way that the follower goes in this tick; 1 where there is no lag.
-        followed_N: The follower [N], shape (3,), brought to the end of the tick.
+        axis: Insertion direction and variances, shape (7,).
+        lags: The tick of `smoothing_step`, and the fraction of the way that the follower goes in
+            it, 1 where the observer has no lag.
+        memory: Smoothed force (and torque), then the follower, brought to the end of the tick
+            [N, Nm], shape (2, 3) or (2, 6).
         found: Where force, torque if it is asked for, and the residual less its offset are written
             [N, Nm], shape (3 + n,) or (6 + n,).
 
     Returns:
-        Resistance to insertion, its standard deviation, size of the lateral force, and the standard
-        deviation of one of its components [N]; NaN, and nothing else has happened, where the arm
-        has turned too far for the gain.
+        Resistance to insertion, its standard deviation, size of the lateral force, the standard
+        deviation of one of its components, and resistance before it is smoothed [N]; NaN, and
+        nothing else has happened, where the arm has turned too far for the gain.
     """
     turned = q - rows[0]
     if not turned.dot(turned) <= MOST_TURN_RAD**2:
-        return math.nan, math.nan, math.nan, math.nan
+        return math.nan, math.nan, math.nan, math.nan, math.nan
     size = len(rows) - 1
     corrected = residual - offset
     found[size:] = corrected
-    found[:size] = rows[1:].dot(corrected)
-    force, along_needle = found[:3], axis[:3]
+    along_needle, variance, lateral_variance = axis[:3], axis[3], axis[4]
+    smoothed, followed, wrench = memory[0], memory[1], rows[1:].dot(corrected)
+    smoothing_step(smoothed, wrench, axis, lags[0])
+    found[:size] = smoothed
+    force = smoothed[:3]
     axial = float(along_needle.dot(force))
     across = force - axial * along_needle
-    behind = force - followed_N
-    followed_N += fraction * behind
-    missed = float(along_needle.dot(behind))
-    missed_across = float(behind.dot(behind)) - missed * missed
-    if fraction >= 1.0:
+    behind = smoothed - followed
+    followed += lags[1] * behind
+    missed = float(along_needle.dot(behind[:3]))
+    missed_across = float(behind[:3].dot(behind[:3])) - missed * missed
+    if lags[1] >= 1.0:
         missed = missed_across = 0.0
-    variance, lateral_variance = axis[3], axis[4]
-    # Of the lateral force two components are noisy.
     hidden = max(missed * missed - 4.0 * variance, 0.0)
+    # Of the lateral force two components are noisy.
     hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
     return (
         -axial,
         math.sqrt(variance + hidden),
         math.sqrt(float(across.dot(across))),
         math.sqrt(lateral_variance + hidden_across),
+        -float(along_needle.dot(wrench[:3])),
     )
 
 
@@ -170,23 +205,6 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
     inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
     left = precision - weighted.T.dot(inverse).dot(weighted)
     return weakest_m, left / (joints - count)
-
-
-@compiled
-def unusual_change(rows: Matrix, change: Vector, usual: Matrix) -> float:
-    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
-
-    Unknowns make torque by ``rows``, (k, n), as in `unexplained`. In units of what is usual: the
-    mean product of changes that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and
-    of what sensors and lever arms may be wrong by in what is explained.
-    """
-    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
-    weighted = rows.dot(np.linalg.inv(covariance))
-    inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
-    explained = inverse.dot(weighted.dot(change)).dot(rows)
-    covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
-    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
-    return float(change.dot(unexplained(rows, precision)[1]).dot(change))
 
 
 @compiled
@@ -216,8 +234,10 @@ class WrenchEstimator:
 
     Attributes:
         kinematics: Pose and Jacobian of the tool.
+        size: Numbers of force, and torque if the mode has one: 3 or 6.
         gain: Of the last `weigh`.
         torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
+        torque_noise: Likewise.
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -229,6 +249,7 @@ class WrenchEstimator:
         )
         self._in_base = config.axes == "base"
         self._joints, size = robot.nv, COMPONENTS[config.mode]
+        self.size = max(size, 3)
         # Which components of force and torque, in the frame's axes, an unknown stands for.
         self._directions = np.eye(6)[:size]
         if size == 1:
@@ -239,14 +260,20 @@ class WrenchEstimator:
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:size]) ** -2.0
-        self.torque_covariance = self._inverse = np.eye(robot.nv)
+        self.torque_covariance = self._inverse = self.torque_noise = np.eye(robot.nv)
+        self._smoothed_away = 0.0
         self.weigh(np.zeros(robot.nv))
 
-    def set_torque_covariance(self, covariance_Nm2: Array) -> None:
+    def set_torque_covariance(
+        self, covariance_Nm2: Array, noise_Nm2: Array | None = None, smoothed_away: float = 0.0
+    ) -> None:
         """Set how far the residual may be trusted, for the next `weigh`.
 
         Args:
             covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
+            noise_Nm2: The part of it that is noise of a sample, of the same shape; None for all.
+            smoothed_away: The part of the noise that `wrench_step` takes away while nothing
+                changes, 0 to 1.
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -256,15 +283,13 @@ class WrenchEstimator:
             raise ConfigurationError(
                 f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
-        asymmetry = np.abs(covariance_Nm2 - covariance_Nm2.T).max()
-        # Written so that a NaN is refused too.
-        if not asymmetry <= 1e-6 * abs(np.trace(covariance_Nm2)):
-            raise ConfigurationError("covariance_Nm2 must be finite and symmetric")
         covariance = np.array(covariance_Nm2, order="C")
-        values, vectors = np.linalg.eigh(covariance)
-        if not values[0] > 0.0:
-            raise ConfigurationError("covariance_Nm2 is not positive definite")
-        self.torque_covariance, self._inverse = covariance, (vectors / values).dot(vectors.T)
+        inverse, is_valid = inverse_of(covariance)
+        if not is_valid:
+            raise ConfigurationError("covariance_Nm2 is not finite, symmetric, positive definite")
+        self.torque_covariance, self._inverse = covariance, inverse
+        self.torque_noise = covariance if noise_Nm2 is None else noise_Nm2
+        self._smoothed_away = smoothed_away
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -275,13 +300,14 @@ class WrenchEstimator:
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
         residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
         self.weigh(q)
-        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), np.zeros(3), 1.0))
+        memory = np.zeros((2, self.size))
+        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 1.0)))
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
         tool, directions = self.kinematics, self._directions
         tool.update(q)
-        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, max(len(directions), 3)
+        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
         if self._in_base:
             turn = tool.rotation_tool_to_base
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
@@ -290,12 +316,16 @@ class WrenchEstimator:
             directions = np.concatenate((axis, _NOTHING))[None]
         rows, inverse = directions.dot(jacobian), self._inverse
         precision = inverse if self._weighted else np.eye(self._joints)
+        error = self.torque_covariance - self._smoothed_away * self.torque_noise
         gain, covariance, conditioning, removed = weighted_inverse(
-            rows, self.torque_covariance, precision, self._damping
+            rows, error, precision, self._damping
         )
-        variances = (covariance[0, 0], UNSEEN_STD**2)
+        # What is not seen has no noise.
+        noise = gain.dot(self.torque_noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
+        variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
         if len(directions) > 1:
-            variances = _variances(axis, np.ascontiguousarray(covariance[:3, :3]))
+            parts = (np.ascontiguousarray(each[:3, :3]) for each in (covariance, noise))
+            variances = np.ravel([_variances(axis, part) for part in parts])
         self.gain = WrenchGain(
             np.vstack((q, directions[:, :size].T.dot(gain))),
             np.append(axis, variances),
@@ -306,7 +336,7 @@ class WrenchEstimator:
             array.setflags(write=False)
 
     def solve(
-        self, q: Array, residual: Array, offset: Array, followed_N: Array, fraction: float
+        self, q: Array, residual: Array, offset: Array, memory: Array, lags: tuple[float, float]
     ) -> tuple[Any, ...]:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
@@ -320,19 +350,19 @@ class WrenchEstimator:
             SampleError: For numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
-        size = len(rows) - 1
+        size = self.size
         found = np.empty(size + self._joints)
-        scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
+        scalars = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
         if not math.isfinite(scalars[0]):
             self.weigh(q)
             rows, axis, reported, _, _ = self.gain
-            scalars = wrench_step(q, residual, offset, rows, axis, fraction, followed_N, found)
+            scalars = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
             if not math.isfinite(scalars[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         torque = _NOTHING if size == 3 else found[3:6]
-        return *scalars, found[:3], torque, *reported, found[size:]
+        return *scalars[:4], found[:3], torque, *reported, scalars[4], found[size:]
 
     @property
     def rows(self) -> Array:

@@ -72,7 +72,7 @@ def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run
 @pytest.mark.parametrize(("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)])
 def test_every_column_says_its_unit_vector_and_travel_are_right(log, run, lwr, mode, components):
     columns, _ = run(log, *TARE, "--mode", mode)
-    assert len(columns) == 7 + components
+    assert len(columns) == 8 + components
     plain = ("model_mismatch", "force_warnings", "force_status")
     for name in columns:
         assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name

@@ -87,6 +87,13 @@ def test_a_pause_does_not_make_the_arm_light():
         assert np.abs(guidance.update(np.full(7, torque), SIGMA, dt_s).wish).max() <= torque / 10.0
 
 
+def test_a_time_step_that_is_none_changes_nothing():
+    guidance = Guidance(ROBOT)
+    before = velocity(guidance, 5.0, 300).tolist()
+    for dt_s in (None, "x", np.nan, np.inf, 0.0, -1.0):
+        assert guidance.update(np.zeros(7), SIGMA, dt_s).wish.tolist() == before
+
+
 def test_numbers_that_no_joint_can_have_and_rejected_deviations_are_skipped():
     guidance, other = Guidance(ROBOT), Guidance(ROBOT)
     assert np.isfinite(velocity(guidance, 1e308)).all()

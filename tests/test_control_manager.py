@@ -265,7 +265,11 @@ def test_who_is_inside_behind_a_new_zero_knows_no_entry(is_restored):
     for depth_m in (0.03, 0.028):
         sensor.reads(depth_m=depth_m, in_contact=is_restored)
         run(manager)
-    assert "in tissue" in manager.request("guide")
+    for depth_m, in_contact in ((0.02, True), (0.003, False), (0.001, False)):
+        assert "in tissue" in manager.request("guide")
+        sensor.reads(depth_m=depth_m, in_contact=in_contact)
+        run(manager)
+    assert manager.request("guide") == ""  # it has come out
 
 
 def test_a_sample_that_is_none_and_an_axis_that_is_not_the_tools_are_reported():

@@ -107,9 +107,8 @@ def test_a_plan_that_never_ends_is_refused(wrong):
 
 
 def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
-    estimate = SimpleNamespace(
-        depth_m=depth_m, wrench=SimpleNamespace(axial=axial_N), identification=found(**kind)
-    )
+    wrench = SimpleNamespace(axial_unsmoothed=axial_N)
+    estimate = SimpleNamespace(depth_m=depth_m, wrench=wrench, identification=found(**kind))
     moving = state in (State.TARE, State.INSERTION)
     return SimpleNamespace(
         state=state, state_s=state_s, time_s=k * DT, is_moving=moving, estimate=estimate

@@ -42,7 +42,7 @@ def estimate(
         stiffness_N_per_m=stiffness,
     )
     return SimpleNamespace(
-        wrench=SimpleNamespace(axial=axial_N),
+        wrench=SimpleNamespace(axial_unsmoothed=axial_N),
         identification=found,
         depth_m=depth_m,
         speed_m_s=speed_m_s,
@@ -171,8 +171,9 @@ def test_after_a_reset_nothing_goes_on_until_the_device_has_sent():
     assert move.speed_m_s > 0.01
     assert abs(move.force_N[2]) > 0.5
     tele.reset()
-    move = tele.update(None, estimate(2.0), DT)
-    assert (move.speed_m_s, *move.force_N) == (0.0, 0.0, 0.0, 0.0)
+    for dt_s in (np.nan, DT):
+        move = tele.update(None, estimate(2.0), dt_s)
+        assert (move.speed_m_s, *move.force_N) == (0.0, 0.0, 0.0, 0.0)
 
 
 def test_noise_is_not_shown_and_a_rupture_is_at_once():

@@ -21,8 +21,8 @@ LIMITS = {
     "product": (19_000, 96),
     "benchmarks": (6_500, 30),
     "tests": (13_000, 72),
-    "control": (2_313, 12),
-    "anatomy": (1_418, 8),
+    "control": (2_244, 11),
+    "anatomy": (1_423, 8),
     "scene": (700, 6),
     "devices": (1_200, 7),
 }

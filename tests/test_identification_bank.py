@@ -71,7 +71,7 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     length = PLACE.depth - 4.0
     own = before.means[0, law.OWN_COULOMB] + PLACE.speed * before.means[0, law.OWN_VISCOUS]
     assert born.means[exits, law.LEFT] == pytest.approx(np.full(exits.sum(), length * own))
-    friction = friction_left(born._replace(log_weights=np.where(exits, 0.0, -50.0)), 2)
+    friction = friction_left(born._replace(log_weights=np.where(exits, 0.0, -50.0)), 2, 0.0)
     assert friction is not None
     assert friction[0] == pytest.approx(length * own)
 

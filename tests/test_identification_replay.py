@@ -48,9 +48,9 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
     speed_m_s = speed_m_s if has_speed else None
     whole = replay(t_s, depth_m, force_N, speed_m_s)
-    stream = ReplayStream()
+    stream, dt_s = ReplayStream(), np.diff(t_s, prepend=t_s[0])
     found = [
-        stream.run(t_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
+        stream.run(t_s[p], dt_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
         for p in pieces(len(t_s), cuts)
     ]
     assert [e for estimates in found for e in estimates] == list(whole.estimates)

@@ -7,7 +7,6 @@ import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification.errors import InvalidSnapshotError
-from identification.estimate import RuptureState
 from identification.published_identifier import PublishedState
 from needleforce import read_snapshot, write_snapshot
 
@@ -40,10 +39,10 @@ def test_memory_is_bounded(config):
 
 
 def is_at_work(state):
-    """Whether the work of a block or a re-run has begun and not ended."""
+    """Whether the work of a block or the wait for a force drop has begun and not ended."""
     if isinstance(state, PublishedState):
-        return state.rupture_state is RuptureState.FRICTION_IDENTIFIED
-    return state.is_due
+        return state.ruptured is not None
+    return state.stage != 0
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
@@ -98,7 +97,7 @@ def in_tissue():
         (MULTILAYER, "levels", lambda _: None),
         (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
         (MULTILAYER, "tissue.unit", lambda _: 10**6),
-        (PUBLISHED, "tracker.rls", lambda rls: (*rls[:4], -1.0)),
+        (PUBLISHED, "memory", lambda memory: np.append(memory[:4], -memory[4:])),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )

@@ -7,7 +7,14 @@ import pytest
 from guarded_sensor import feed, rows_of, signals, tared, tared_sensor
 from residual_signals import BIAS, external_torque_of, swing
 
-from residual import DEFAULT, SensorWarning, Status, TareError, VirtualForceSensor
+from residual import (
+    DEFAULT,
+    SensorConfig,
+    SensorWarning,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 
 
 def test_a_second_tare_needs_new_motion(lwr):
@@ -80,7 +87,7 @@ def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, with_velocity):
-    sensor = VirtualForceSensor(lwr)
+    sensor = VirtualForceSensor(lwr, SensorConfig(force_bandwidth_per_s=None))
     _, q, dq, _ = swing(lwr, seconds=2.0, amplitude=0.03)
     rng = np.random.default_rng(0)
     noise = 0.03 * rng.normal(size=q.shape)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import KDTree
 
 from needleforce.anatomy.errors import Array
@@ -96,7 +97,10 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     structure, padded = labels[name], np.pad(labels.mask(name), 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     mesh = Trimesh(vertices, triangles, process=False)
-    smooth = filter_taubin(mesh.copy(), *SMOOTHING)
+    # Every edge of a closed surface is that of two triangles, once in each direction.
+    one, other = mesh.edges.T
+    weights = 1.0 / np.bincount(one)[one]
+    smooth = filter_taubin(mesh.copy(), *SMOOTHING, sparse.csr_array((weights, (one, other))))
     # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
     if smooth.volume > 0.5 * mesh.volume:
         rough = manifold3d.Mesh(smooth.vertices.astype(np.float32), triangles.astype(np.uint32))

@@ -59,7 +59,7 @@ def run(
 
 # From a log to its result.
 
-_CHANNELS = {"depth_m": "travel_m", "force_N": "axial_N", "force_std_N": "axial_std_N"}
+_CHANNELS = {"depth_m": "travel_m", "force_N": "axial_unsmoothed_N", "force_std_N": "axial_std_N"}
 _CHANNELS |= {"force_status": "status", "force_warnings": "warnings"}
 
 
@@ -102,7 +102,7 @@ def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
         for column, numbers in ((name, values), (f"{name}_std", std)):
             columns = zip("xyz", () if numbers is None else numbers.T, strict=False)
             table |= {f"{column}_{xyz}_in_{config.axes}_{unit}": each for xyz, each in columns}
-    table["model_mismatch"] = rows["model_mismatch"]
+    table |= {name: rows[name] for name in ("axial_unsmoothed_N", "model_mismatch")}
     table["force_warnings"] = rows["warnings"]
     table["force_status"] = rows["status"]
     return table

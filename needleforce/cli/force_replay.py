@@ -173,9 +173,10 @@ _MOST_REASONS = 50
 Rows = dict[str, NDArray]
 """One estimate per row of the log; numbers are NaN where a row was rejected.
 
-`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N` and `axial_std_N`
-[N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of the components that the
-mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`, `warnings` (see
+`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`, `axial_std_N` and
+`axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of
+the components that the mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`,
+`warnings` (see
 `residual.WrenchEstimate`), `status` (`STATUS_CODES`), `after_gap`: whether the filters restarted
 because of a gap in time before the row; of shape (n,) but where stated.
 """
@@ -305,6 +306,7 @@ class Replay:
 
 def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
     fields = {"axial_N": "axial", "axial_std_N": "axial_std", "force_N": "force"}
+    fields |= {"axial_unsmoothed_N": "axial_unsmoothed"}
     fields |= {"torque_Nm": "torque", "model_mismatch": "model_mismatch"}
     numbers = {
         name: np.array([getattr(found, field) for found in estimates])

@@ -85,7 +85,7 @@ def identify_layers(
         if not options.ignore_status:
             force_N = usable_force(chunk, left_out)
         speed_m_s, std_N = chunk.channels.get("speed_m_s"), chunk.channels.get("force_std_N")
-        estimates = stream.run(t_s, depth_m, force_N, speed_m_s, chunk.dt_s, std_N)
+        estimates = stream.run(t_s, chunk.dt_s, depth_m, force_N, speed_m_s, std_N)
         columns = estimate_table(t_s, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:

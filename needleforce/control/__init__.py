@@ -7,11 +7,11 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `priority_solver`, `controller` (one tick),
-`manager`, `passivity`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `controller` (one tick), `manager`,
+`passivity`, `teleoperation`.
 """
 
-from needleforce.control.controller import Controller as Controller
+from needleforce.control.controller import Controller as Controller, Limits as Limits
 from needleforce.control.errors import ControlError as ControlError, SettingError as SettingError
 from needleforce.control.guidance import Guidance as Guidance
 from needleforce.control.insertion_profile import (
@@ -28,7 +28,6 @@ from needleforce.control.manager import (
     write_mcap as write_mcap,
 )
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
-from needleforce.control.priority_solver import Limits as Limits
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     DecoupledMotion as DecoupledMotion,

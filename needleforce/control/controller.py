@@ -1,27 +1,290 @@
-"""One tick: from a sample of the arm and a stack of tasks to joint velocities within limits."""
+"""One tick: joint velocities for a sample of the arm and a stack of tasks in strict priority.
 
+    lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
+
+with limits of the joints and a wish w of theirs that comes last, zero or a posture (Kanoun et al.,
+IEEE T-RO 2011). Norms are of rows scaled to length one, so rows of one task count by how far joints
+move for them.
+"""
+
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIssue]
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
-from needleforce.control.priority_solver import (
-    ACCELERATION,
-    SPEED,
-    Limits,
-    LONGEST_STEP_s,
-    SLACK_rad_s,
-    Solver,
-    Stack,
-    hierarchical,
-    joint_bounds,
-)
 from needleforce.control.tasks import JointVelocity, Task, ToolState, vector
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or
 from urdf import Robot
+
+LONGEST_STEP_s = 0.02  # A sample that comes later gives the arm no more acceleration than this one
+SLACK_rad_s = 1e-7
+"""Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
+LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
+"""Rows of `Limits.table`."""
+
+_REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
+_AT_LIMIT_rad_s = 1e-6
+_NO_WAY = 1e-13  # A direction that moves a row of length one by less does not move it
+_BEYOND_rad_s = 1e-8  # By so much a joint may pass its bound, within the slack
+_MOST_CHANGES = 60  # Of the joints held at a bound, in one level; what is found by then is kept
+_GAIN = 1e-12  # Letting go of a joint that gains less by it is not worth while
+
+
+class Limits:
+    """What the joints may do.
+
+    Args:
+        robot: Its model names positions and speeds.
+        velocity_rad_s: Slower speeds, one or one per joint; the robot's where None.
+        acceleration_rad_s2: One or one per joint. A low one lengthens every stop.
+        margin_rad: Kept from the position limits, for what moves the arm besides the command.
+
+    Attributes:
+        table: Lowest and highest position [rad], speed [rad/s] and acceleration [rad/s^2] of
+            every joint, shape (4, n).
+
+    Raises:
+        SettingError: A limit is missing, not positive, or above the robot's.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        velocity_rad_s: ArrayLike | None = None,
+        acceleration_rad_s2: ArrayLike = 10.0,
+        margin_rad: float = 0.02,
+    ) -> None:
+        require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
+        own = robot.velocity_limit_rad_s
+        ends = (robot.position_lower_rad + margin_rad, robot.position_upper_rad - margin_rad)
+        rows = (*ends, own if velocity_rad_s is None else velocity_rad_s)
+        try:
+            same = [np.broadcast_to(row, robot.nv) for row in (*rows, acceleration_rad_s2)]
+        except ValueError:
+            raise SettingError(f"limits must be one number or {robot.nv}, one per joint") from None
+        table = np.array(same, dtype=np.float64)
+        for wrong, what in (
+            (~np.isfinite(table[:2]).all(axis=0), "no position limits; name them in its model"),
+            (~(table[LOWEST] < table[HIGHEST]), f"no room within a margin of {margin_rad:g} rad"),
+            (~np.isfinite(table[2:]).all(axis=0), "no limit of speed or acceleration; give one"),
+            (~(table[2:] > 0.0).all(axis=0), "a speed or acceleration that is not positive"),
+            (table[SPEED] > own, f"a speed above the robot's own {own.tolist()} rad/s"),
+        ):
+            if wrong.any():
+                joints = ", ".join(np.array(robot.joint_names)[wrong])
+                raise SettingError(f"joints {joints}: {what}")
+        table[SPEED] -= SLACK_rad_s
+        table.setflags(write=False)
+        self.table: Array = table
+
+
+@compiled
+def joint_bounds(
+    limits: Matrix, q: Vector, last: Vector, step_s: float, bounds: WrittenMatrix
+) -> None:
+    """Bounds l <= dq <= u of the coming tick.
+
+        u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
+
+    and l alike. The root is the fastest speed from which the arm, braking at a after this tick of
+    T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the box the next tick has
+    such a speed within reach of a again. Where noise or a push has moved the arm too close, the
+    clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u. Limits are
+    a `Limits.table`, bounds of shape (2, n), and nan where a position is.
+    """
+    speed, rate = limits[SPEED], limits[ACCELERATION]
+    change = rate * step_s - SLACK_rad_s
+    square, way, low, high = change * change, 2.0 * rate, last - change, last + change
+    most = np.sqrt(square + way * np.maximum(limits[HIGHEST] - q, 0.0)) - change
+    least = change - np.sqrt(square + way * np.maximum(q - limits[LOWEST], 0.0))
+    bounds[0] = np.minimum(np.maximum(np.maximum(least, -speed), low), high)
+    bounds[1] = np.minimum(np.maximum(np.minimum(most, speed), low), high)
+
+
+class Stack:
+    """The numbers of a stack of tasks, in arrays that are used over and over.
+
+    Attributes:
+        rows: J of the other tasks, shape (m, n).
+        rates: v of them, shape (m,).
+        wish: w, shape (n,): a joint velocity as the last task, which needs no rows; else zero.
+        bounds: l and u, shape (2, n), for its user to fill in.
+        levels: Rows and rates of each task, views of the above.
+    """
+
+    def __init__(self, tasks: Sequence[Task], joints: int) -> None:
+        for task in tasks:
+            if isinstance(task, JointVelocity) and task.size != joints:
+                raise SettingError(f"a task of {task.size} joints, the robot has {joints}")
+        last = tasks[-1] if tasks else None
+        sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)]
+        self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
+        self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
+        ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
+        self.levels = [(self.rows[first:end], self.rates[first:end]) for first, end in ends]
+
+    def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
+        """Take rows and rates of tasks of the same sizes."""
+        for task, (rows, rates) in zip(tasks, self.levels, strict=False):
+            task.write(tool, rows, rates)
+        last = tasks[-1] if tasks else None
+        if isinstance(last, JointVelocity):
+            self.wish = last.velocity(tool.q_rad)
+
+
+Solver = Callable[[Stack], tuple[Array, bool]]
+"""Joint velocities for a stack, in an array of their own, and whether one is at a limit."""
+
+
+def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
+    """As `all_met`, by LAPACK: J = L Q, the least step Q^T L^-1 (v - J w)."""
+    if rates.size > velocity.size:
+        return False
+    if rates.size:
+        missing = np.zeros(velocity.size)
+        missing[: rates.size] = rates - rows @ velocity
+        triangle, step, failed = dgels(rows, missing)
+        if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
+            return False
+        velocity += step
+    return bool(((bounds[0] < velocity) & (velocity < bounds[1])).all())
+
+
+@compiled
+def dot(one: Vector, other: Vector) -> float:
+    """Scalar product."""
+    total = 0.0
+    for k in range(one.size):
+        total += one[k] * other[k]
+    return total
+
+
+@compiled_or(_all_met)
+def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector) -> bool:
+    """Change a velocity as little as meets all rows; whether it is then within bounds.
+
+    Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its i-th
+    direction meets row i and leaves the rows before it met.
+    """
+    joints = velocity.size
+    if rates.size > joints:
+        return False
+    basis = np.empty((joints, joints))
+    for i in range(rates.size):
+        new = basis[i]
+        new[:] = rows[i]
+        for j in range(2 * i):
+            part = dot(new, basis[j % i])
+            for k in range(joints):
+                new[k] -= part * basis[j % i, k]
+        size = math.sqrt(dot(new, new))
+        if size < _REGULAR:
+            return False
+        new /= size
+        part = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], new)
+        for k in range(joints):
+            velocity[k] += part * new[k]
+    is_met = True
+    for k in range(joints):
+        is_met = is_met and bounds[0, k] < velocity[k] < bounds[1, k]
+    return is_met
+
+
+def hierarchical(stack: Stack) -> tuple[Array, bool]:
+    """Strict priorities within hard limits, level by level; see `Solver`.
+
+    Each level moves within the null space N of the rows above it, which therefore keep what they
+    have got:  dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u.
+    """
+    velocity = stack.wish.copy()
+    if all_met(stack.rows, stack.rates, stack.bounds, velocity):  # then no level needs to give way
+        return velocity, False
+    if not (np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()):
+        raise SettingError("positions or goals are not finite")
+    lower, upper = stack.bounds
+    # From where no lower task has a say, so that it cannot matter to a higher one.
+    velocity, free = np.minimum(np.maximum(0.0, lower), upper), np.eye(velocity.size)
+    for rows, rates in [*stack.levels, (free, stack.wish)]:
+        if free.size:
+            length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), 1e-9)
+            level = rows / length[:, None], rates / length
+            velocity, free = serve_level(*level, free, stack.bounds, velocity)
+    velocity = np.minimum(np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s)
+    room = np.minimum(velocity - lower, upper - velocity)
+    return velocity, bool(room.min() <= _AT_LIMIT_rad_s)
+
+
+@compiled
+def null_space(rows: Matrix) -> Matrix:
+    """Orthonormal directions that no row sees, in columns."""
+    if rows.size == 0:
+        return np.eye(rows.shape[1])
+    _, sizes, turned = np.linalg.svd(rows)
+    return np.ascontiguousarray(turned[(sizes > _NO_WAY).sum() :].T)
+
+
+@compiled
+def blocking(velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector) -> tuple[float, int]:
+    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none.
+
+    Of joints that meet their bounds almost at once the one that moves most, so that near a singular
+    posture none is held for a motion that is rounding (Harris, Math. Programming 1973).
+    """
+    part, joint, most = 1.0, -1, 0.0
+    ends = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
+    for k in range(step.size):
+        if is_held[k] == 0.0 and step[k] != 0.0:
+            part = min(part, max(ends[k] / step[k] + _BEYOND_rad_s / abs(step[k]), 0.0))
+    for k in range(step.size if part < 1.0 else 0):
+        if is_held[k] == 0.0 and abs(step[k]) > most and ends[k] / step[k] <= part:
+            joint, most = k, abs(step[k])
+    return (max(ends[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
+
+
+@compiled
+def serve_level(
+    rows: Matrix, rates: Vector, free: Matrix, bounds: Matrix, start: Vector
+) -> tuple[Array, Array]:
+    """One level by a primal active-set method: its velocity, and the N of the levels below.
+
+    On the joints that are held at a bound the nearest velocity is a least-squares solution. The
+    way there ends where another joint meets its bound, which is then held too. At its end that
+    joint is let go which gains most from it, the first of them after many changes, so that no
+    circle can form; with none the level is served. Rows are of length one, N is orthonormal, the
+    levels above are content with the start.
+    """
+    velocity, is_held = start.copy(), np.zeros(start.size)
+    seen = rows @ free
+    for change in range(_MOST_CHANGES):
+        held = free[is_held != 0.0]
+        ways = np.ascontiguousarray(free @ null_space(held))
+        if ways.shape[1]:
+            found = np.linalg.lstsq(rows @ ways, rates - rows @ velocity, 1e-8)[0]
+            step = ways @ found
+            part, joint = blocking(velocity, step, bounds, is_held)
+            velocity += part * step
+            if joint >= 0:
+                is_held[joint] = 1.0 if step[joint] > 0.0 else -1.0
+                continue
+        if not len(held):
+            break
+        gain = seen.T @ (rates - rows @ velocity)
+        push = np.linalg.lstsq(np.ascontiguousarray(held.T), gain, 1e-12)[0]
+        joints = np.flatnonzero(is_held)
+        inwards = push * is_held[joints]
+        wrong = np.flatnonzero(inwards < -_GAIN)
+        if not wrong.size:
+            break
+        worst = wrong[0] if change > _MOST_CHANGES // 2 else np.argmin(inwards)
+        is_held[joints[worst]] = 0.0
+    return velocity, np.ascontiguousarray(free @ null_space(seen))
 
 
 class CommandStatus(StrEnum):
@@ -33,7 +296,7 @@ class CommandStatus(StrEnum):
     SKIPPED = "skipped"  # sample or task no good, see `Command.reason`: braking without them
 
 
-_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+_new = tuple.__new__  # Makes a named tuple in half the time, as there is one in every tick
 _OK, _SATURATED = CommandStatus.OK, CommandStatus.SATURATED
 
 

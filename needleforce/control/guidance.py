@@ -6,14 +6,12 @@ with r the residual, D a damping per joint, h = f r_max + s sigma a dead zone: a
 torque limit and s standard deviations. Without a hand r stays within h and v is exactly zero, so
 nothing creeps. Once a hand is felt, by any joint, most of the dead zone only makes the arm heavy:
 z falls from 1, and returns when all joints are within h again.
-Viscous, without stiffness: the arm stays where it is let go.
 
 A stiff hand makes a loop with the arm that swings unless the damping is high, the more so the later
 the torques come; and a hand that leads wants it low. So the damping grows while what is felt swings
 (compare Landi et al., IROS 2017), and fades:
 
     d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
-
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
 
 Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that hardly
@@ -29,7 +27,7 @@ from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from residual.fault_detection import UNKNOWN_EFFORT_NM
-from residual.input_validation import MOST_PLAUSIBLE, known_limits
+from residual.input_validation import MOST_PLAUSIBLE, as_float, known_limits
 from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
@@ -81,7 +79,7 @@ class Guidance:
 
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
-        self._velocity = self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
+        self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
         self._power_W, self._seen, self._heavy, self._zone = 0.0, 0.0, FIRST, 1.0
         self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
 
@@ -96,8 +94,8 @@ class Guidance:
             dt_s: Time since the last call.
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
-        if not 0.0 < dt_s < math.inf:
-            return JointVelocity(self._velocity)
+        if not 0.0 < as_float(dt_s) < math.inf:
+            return JointVelocity(self._wish / self._heavy)
         dt_s = min(dt_s, LONGEST_s)
         # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
         # sigma as the residual grows. What counts is sigma without a hand.
@@ -119,15 +117,15 @@ class Guidance:
         self._wish = wish + kept * (self._wish - wish)
         if not self._beyond_Nm.any() and np.abs(self._wish).max() < REST_rad_s:
             self._wish = np.zeros_like(self._wish)
-        self._velocity = self._wish / self._heaviness(dt_s)
-        return JointVelocity(self._velocity)
+        self._weigh(dt_s)
+        return JointVelocity(self._wish / self._heavy)
 
-    def _heaviness(self, dt_s: float) -> float:
-        """C of the coming cycle."""
+    def _weigh(self, dt_s: float) -> None:
+        """Find c of the coming cycle."""
         if not self._wish.any():  # nothing is felt, so the next motion is another one
             self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0
             self._heavy = max(self._heavy, FIRST)
-            return self._heavy
+            return
         old = math.exp(-dt_s / STEADY_s)
         self._seen = old * self._seen + 1.0 - old
         self._mean = old * self._mean + (1.0 - old) * self._wish
@@ -135,4 +133,3 @@ class Guidance:
         steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
         rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
         self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
-        return self._heavy

@@ -7,17 +7,15 @@ rest at once, and the controller brakes with all that the limits of the arm allo
 
 import math
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.estimate import Estimate, RuptureState
 from needleforce.control.errors import SettingError, require_positive
+from needleforce.control.manager import Situation
 from needleforce.control.ports import Array
-
-if TYPE_CHECKING:
-    from needleforce.control.manager import Situation
 
 _TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
 _BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
@@ -87,8 +85,8 @@ class RuptureCount:
     """
 
     def __init__(self) -> None:
-        self.count, self._last_m, self._inside_s = 0, -math.inf, 0.0
-        self._force_N = self._peak_N = self._block_s = self._fallen_s = 0.0
+        self.count, self._last_m = 0, -math.inf
+        self._force_N = self._peak_N = self._inside_s = self._block_s = self._fallen_s = 0.0
         self._newest_N = self._newer_N = self._ordinary_N = 0.0  # largest falls, by their age
 
     def update(
@@ -137,24 +135,20 @@ class Step(NamedTuple):
 class InsertionProfile:
     """Runs a plan once; call `update` after every `Manager.update`.
 
-    What is refused, released or stopped before the insertion ends the plan: nothing moves by itself
-    from where it should not begin. What is commanded lies ahead of the tip of a soft arm, which
-    would follow when the force falls. So a rupture takes the command back to where the tip is; then
-    the tip is held there.
+    What is refused, released or stopped before the insertion ends the plan. What is commanded lies
+    ahead of the tip of a soft arm, which would follow when the force falls. So a rupture takes the
+    command back to where the tip is; then the tip is held there.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
-        self._program = [*(["approach"] if plan.approach_m > 0.0 else []), "tare", "insert"]
-        self._speed_m_s = self._from_m = self._last_s = self._asked_m = self._steady_s = (
-            self._step_s
-        ) = 0.0
+        self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]
+        self._from_m = self._last_s = self._asked_m = self._steady_s = self._step_s = 0.0
         self._held_m: float | None = None  # where an insertion has ended
-        self._state, self._asked = "", ""  # of the last call: the state, and the event requested
-        self._is_slack = False
+        self._state, self._last, self._is_slack = "", Step(0.0), False  # of the last call
 
     def update(
-        self, now: "Situation", identification: Estimate | None = None, axial_N: float | None = None
+        self, now: Situation, identification: Estimate | None = None, axial_N: float | None = None
     ) -> Step:
         """Speed and event that follow from what is known now.
 
@@ -165,28 +159,27 @@ class InsertionProfile:
         """
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
         found = identification or now.estimate.identification
-        force_N = now.estimate.wrench.axial if axial_N is None else axial_N
+        force_N = now.estimate.wrench.axial_unsmoothed if axial_N is None else axial_N
         if now.is_moving and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
         self._follow_program(now.state.value)
-        step = self._step(now, dt_s, found, force_N)
-        self._speed_m_s, self._asked = step.speed_m_s, step.event
-        self._asked_m += dt_s * step.speed_m_s
-        return step
+        self._last = self._step(now, dt_s, found, force_N)
+        self._asked_m += dt_s * self._last.speed_m_s
+        return self._last
 
     def _follow_program(self, state: str) -> None:
         """Strike out what has begun; a program that does not go on as planned ends."""
         before, self._state = self._state, state
         has_begun = bool(self._program) and state.startswith(self._program[0])
-        is_arrival = state == "idle" and self._asked == "arrived"
-        is_refused = before == "idle" and self._asked != "" and not has_begun
+        is_arrival = state == "idle" and self._last.event == "arrived"
+        is_refused = before == "idle" and self._last.event != "" and not has_begun
         is_left = state != before and before in ("approach", "tare") and not is_arrival
         if is_refused or is_left or state in ("stopped", "faulted"):
             self._program = []
         elif has_begun:
             self._program = self._program[1:]
 
-    def _step(self, now: "Situation", dt_s: float, found: Estimate, axial_N: float) -> Step:
+    def _step(self, now: Situation, dt_s: float, found: Estimate, axial_N: float) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
@@ -208,7 +201,7 @@ class InsertionProfile:
 
     def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        self._steady_s = (self._steady_s + dt_s) * (self._speed_m_s == self._plan.speed_m_s)
+        self._steady_s = (self._steady_s + dt_s) * (self._last.speed_m_s == self._plan.speed_m_s)
         if dt_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._steady_s = min(self._steady_s, _SETTLED_S - _FADE_S)
         self._step_s += 0.02 * (dt_s - self._step_s)
@@ -238,10 +231,10 @@ class InsertionProfile:
         most, way_m = self._plan.acceleration_m_s2, abs(left_m)
         wish = min(self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m)
         wish = math.copysign(wish, left_m)
-        low, high = self._speed_m_s - most * dt_s, self._speed_m_s + most * dt_s
+        low, high = self._last.speed_m_s - most * dt_s, self._last.speed_m_s + most * dt_s
         return Step(min(max(wish, low), high))
 
-    def _stroke(self, now: "Situation", legs_m: tuple[float, ...]) -> Step:
+    def _stroke(self, now: Situation, legs_m: tuple[float, ...]) -> Step:
         """Speed on quintic strokes from rest to rest, one after another."""
         seconds = self._plan.stroke_s
         index = int(now.state_s / seconds)

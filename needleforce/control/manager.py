@@ -96,16 +96,16 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
 
     Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown event.
     """
-    if event not in EVENTS:
+    rules = [rule for rule in TABLE if rule.event == event]
+    if not rules:
         raise SettingError(f"unknown event {event!r}, expected one of {', '.join(EVENTS)}")
-    for rule in TABLE:
-        if rule.event == event and state in rule.sources.split():
-            for guard in rule.guards.split():
-                if guard not in facts:
-                    return state, REFUSALS[guard]
-            return state if rule.target == "same" else State(rule.target), ""
-    sources = " ".join(rule.sources for rule in TABLE if rule.event == event)
-    return state, f"{event} is not possible in {state}, only in {', '.join(sources.split())}"
+    for rule in rules:
+        if state in rule.sources.split():
+            missing = [REFUSALS[guard] for guard in rule.guards.split() if guard not in facts]
+            target = state if rule.target == "same" else State(rule.target)
+            return (state, missing[0]) if missing else (target, "")
+    sources = " ".join(rule.sources for rule in rules).split()
+    return state, f"{event} is not possible in {state}, only in {', '.join(sources)}"
 
 
 class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}):
@@ -200,15 +200,10 @@ class Situation(NamedTuple):
         return self.state in MOVING
 
 
-_LIMITS = SafetyLimits | None
 _ENTRY_MARGIN_M = 1e-3  # So far above the place of the first contact the needle counts as outside
 _LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time that passed here
 _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
-
-
-def _signals(sample: Any) -> Any:
-    """What a sample holds of positions, velocities, torques and time step, None for what is not."""
-    return (getattr(sample, name, None) for name in ("q_rad", "dq_rad_s", "tau_Nm", "dt_s"))
+_SIGNALS = "q_rad", "dq_rad_s", "tau_Nm", "dt_s"
 
 
 class Manager:
@@ -240,7 +235,7 @@ class Manager:
         *,
         log: str | Path | None = None,
     ) -> None:
-        if not (hasattr(session, "sensor_config") and isinstance(limits, _LIMITS)):
+        if not (hasattr(session, "sensor_config") and isinstance(limits, SafetyLimits | None)):
             what = f"{session!r:.80} and {limits!r}"
             raise SettingError(f"got {what}, expected an InsertionSession and SafetyLimits or None")
         config = session.sensor_config
@@ -257,7 +252,7 @@ class Manager:
         self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
         self.events: list[LoggedEvent] = []
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
-        self._time_s, self._last_step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
+        self._time_s, self._step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
         self._depth_m = self._entry_m = math.inf  # nobody knows where the needle is
         self._zero = self._lost_zero = self._entered_zero = session.zero
 
@@ -267,14 +262,14 @@ class Manager:
 
     def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
-        q_rad, dq_rad_s, tau_Nm, dt_s = _signals(sample)
-        since_s = as_float(dt_s)
-        usable = 0.0 < since_s <= _LONGEST_STEP_S
-        self._last_step_s = step_s = since_s if usable else self._last_step_s
-        self._time_s += step_s
-        estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
+        signals: list[Any] = [getattr(sample, name, None) for name in _SIGNALS]
+        since_s = as_float(signals[-1])
+        if 0.0 < since_s <= _LONGEST_STEP_S:
+            self._step_s = since_s
+        self._time_s += self._step_s
+        estimate = self.session.update(*signals)
         self._find_entry(estimate)
-        watched, times = (estimate, sample, beside), (step_s, since_s, self.session.lag_s)
+        watched, times = (estimate, sample, beside), (self._step_s, since_s, self.session.lag_s)
         event, reason = self._monitors.update(self._state, watched, times)
         if not event and self.session.zero is not self._entered_zero and self._state in _PLACED:
             event, reason = "limit", "depth counts from elsewhere: begin_insertion() only at idle"
@@ -293,8 +288,10 @@ class Manager:
             moved_m = estimate.depth_m - self._depth_m
             self._entry_m = math.inf if self._is_outside else self._entry_m + moved_m
         self._zero, self._depth_m = self.session.zero, estimate.depth_m
-        if is_inside and self._entry_m == math.inf:
-            self._entry_m, self._lost_zero = -math.inf if is_new else self._depth_m, self._zero
+        if is_inside and math.isinf(self._entry_m):
+            self._lost_zero = self._zero
+            if self._entry_m > 0.0:
+                self._entry_m = -math.inf if is_new else self._depth_m
         elif not is_inside and self._entry_m == -math.inf and self._lost_zero is self._zero:
             self._entry_m = self._depth_m
 
@@ -343,8 +340,7 @@ class Manager:
         """Write events at once, so that a crash loses none; a full disk stops no monitor."""
         try:
             with Path(log).open("ab") as file:
-                for row in self.events[self._written :]:
-                    file.write(_ENCODER.encode(row) + b"\n")
+                file.write(_ENCODER.encode_lines(self.events[self._written :]))
             self._written = len(self.events)
         except OSError as error:
             self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")

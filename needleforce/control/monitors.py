@@ -72,11 +72,9 @@ class Monitors:
 
     def __init__(self, limits: SafetyLimits) -> None:
         self._limits = limits
-        self._bad_s, self._device_s, self._clear_s = 0.0, math.inf, math.inf
+        self._bad_s, self._device_s, self._clear_s, self._step_s = 0.0, math.inf, math.inf, math.inf
         self._position: Array | None = None
-        self._step_s = math.inf
         self._last_N = 0.0  # of the session, across the needle
-        self._entry_axial_N: float | None
         self.enter()
 
     @property
@@ -94,8 +92,8 @@ class Monitors:
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
-        self._side_Ns = self._fading_s = 0.0
-        self._entry_axial_N, self._entry_lateral_N = None, self._last_N
+        self._entry_axial_N: float | None = None
+        self._side_Ns, self._fading_s, self._entry_lateral_N = 0.0, 0.0, self._last_N
 
     def update(
         self,
@@ -126,7 +124,7 @@ class Monitors:
         self._axial_N = axial_N
         self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
         ahead_N = axial_N + ahead_s * self._rate_N_per_s
-        side = self._side_force(state, estimate.wrench.lateral, step_s, lag_s)
+        side = self._side_force(state, self._last_N, step_s, lag_s)
         stop = self._forces(state, estimate, axial_N, ahead_N) or side
         if state == "teleop" and not self.has_device:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
@@ -187,9 +185,8 @@ class Monitors:
         if estimate.warnings & _UNUSABLE and state in _DRIVEN:
             return wrench.message
         inwards_N, outwards_N = max(axial_N, ahead_N), -min(axial_N, ahead_N)
-        most_N = outwards_N if state == "withdraw" else inwards_N
-        if state == "teleop":
-            most_N = max(inwards_N, outwards_N)
+        both_N = max(inwards_N, outwards_N)
+        most_N = {"withdraw": outwards_N, "teleop": both_N}.get(state, inwards_N)
         if most_N > limits.axial_N:
             return f"axial force {axial_N:.2f} N, {most_N:.2f} N ahead; limit {limits.axial_N:g} N"
         return ""
@@ -203,6 +200,5 @@ class Monitors:
         self._step_s = step_s
         counts = state in _AT_TISSUE and lateral_N > most_N and self._fading_s == 0.0
         self._side_Ns = self._side_Ns + step_s * lateral_N if counts else 0.0
-        if self._side_Ns <= self._limits.lateral_s * most_N:
-            return ""
-        return f"side force {lateral_N:.2f} N"
+        is_over = self._side_Ns > self._limits.lateral_s * most_N
+        return f"side force {lateral_N:.2f} N" if is_over else ""

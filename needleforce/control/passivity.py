@@ -11,8 +11,8 @@ leaves than entered, some time before, at the other:
     out_M(t) ≤ in_S(t - T) + allowance,     out_S(t) ≤ in_M(t - T) + allowance
 
 (Ryu, Kwon & Hannaford 2004; Artigas, Ryu & Preusche 2010.) The port of a hand also keeps
-``out_M ≤ in_M``: then the hand, whatever it does and whatever happens on the line or beyond it,
-never gets more energy out than it has put in.
+``out_M ≤ in_M``: whatever happens on the line or beyond it, the hand never gets more energy out
+than it has put in.
 """
 
 import math
@@ -63,14 +63,11 @@ class Port:
 
 
 def passive_part(leaving_J: float, budget_J: float) -> float:
-    """The fraction, 0 to 1, of a force (or a speed) with which no more leaves than the budget.
+    """The fraction, 0 to 1, of a force or a speed with which no more leaves than the budget.
 
-    The budget is below zero where too much has left already, what would leave is where energy
-    enters.
+    Below zero are what would leave where energy enters, the budget where too much has left.
     """
-    if leaving_J <= 0.0 or leaving_J <= budget_J:
-        return 1.0
-    return max(budget_J, 0.0) / leaving_J
+    return 1.0 if leaving_J <= max(budget_J, 0.0) else max(budget_J, 0.0) / leaving_J
 
 
 class HandPort(Port):
@@ -100,9 +97,9 @@ class HandPort(Port):
     ) -> float:
         """The force to hold over the coming interval, positive against positive motion.
 
-        It is what should be shown, the handle's place and rate and what has entered at the other
-        side, as far as known here, that decide. Times are the interval that has passed, and the
-        longest that may come.
+        Given are what should be shown, the handle's place and rate, what has entered at the other
+        side, as far as known here, and two times: since the last call, and the longest until the
+        next one.
         """
         dt_s, ahead_s = times_s
         travel_m = position_m - self._position_m  # means nothing at first, when no force is held
@@ -115,8 +112,7 @@ class HandPort(Port):
         root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg)
         most_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
-        self._damping_N = 0.0
-        missing_J = -min(owed_J, self.net_J)
+        self._damping_N, missing_J = 0.0, -min(owed_J, self.net_J)
         if missing_J > 0.0:
             most_J = MOST_DAMPING_Ns_m * speed_m_s * speed_m_s * ahead_s
             self._damping_N = passive_part(most_J, missing_J) * MOST_DAMPING_Ns_m * speed_m_s
@@ -144,8 +140,8 @@ class NeedlePort(Port):
     ) -> float:
         """The speed to move with over the coming interval, positive into the tissue.
 
-        It depends on the wanted one, the force against it, the speed now and what has entered at
-        the other side, as far as known here.
+        Given are the wanted one, the force against it, the speed now and what has entered at the
+        other side, as far as known here.
         """
         self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (FORCE_LAG_s + dt_s)
         self.observe(-force_N, self._lagged_m_s * dt_s)

@@ -10,7 +10,6 @@ fades with time constant 1/K where no limit and no task above it is in the way. 
 below about 0.6. A stack is a list of tasks, the first wins.
 """
 
-import math
 from abc import abstractmethod
 from typing import Protocol
 
@@ -27,6 +26,7 @@ GAIN_PER_S = 30.0
 """K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
 rounded to an encoder's steps they make the command rough."""
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+_NO_TURN = np.zeros(3)
 
 
 class ToolState:
@@ -75,8 +75,7 @@ class ToolState:
 class Task(Protocol):
     """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s."""
 
-    size: int
-    """Number of rows m."""
+    size: int  # number of rows m
 
     @abstractmethod
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
@@ -99,22 +98,6 @@ def _gain(gain_per_s: float) -> float:
     return float(gain_per_s)
 
 
-@compiled
-def rotation_error(goal: Matrix, pose: Matrix) -> tuple[float, float, float]:
-    """Rotation log(R_d R^T) [rad] that is missing from R to R_d, in the axes both are given in."""
-    x = y = z = trace = 0.0
-    for i in range(3):  # half the sum of r_i x r_d,i is the axis times the sine
-        a, b, c = pose[0, i], pose[1, i], pose[2, i]
-        d, e, f = goal[0, i], goal[1, i], goal[2, i]
-        x, y, z = x + 0.5 * (b * f - c * e), y + 0.5 * (c * d - a * f), z + 0.5 * (a * e - b * d)
-        trace += a * d + b * e + c * f
-    sine, cosine = math.sqrt(x * x + y * y + z * z), 0.5 * (trace - 1.0)
-    if sine < 1e-9:  # nothing missing, or half a turn, for which any direction will do
-        return (x, y, z) if cosine > 0.0 else (math.pi, 0.0, 0.0)
-    scale = math.atan2(sine, cosine) / sine
-    return scale * x, scale * y, scale * z
-
-
 class TipTask:
     """Components of the tip's velocity and angular velocity, see the module.
 
@@ -133,8 +116,12 @@ class TipTask:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        goal = self.goal_m, self.rotation, self.rate, self.gain_per_s, self._turns
+        turn = self._missing_turn(tool) if self._turns else _NO_TURN
+        goal = self.goal_m, turn, self.rate, self.gain_per_s
         _tip_task(tool.pose, tool.jacobian, self.selection, goal, rows, rates)
+
+    def _missing_turn(self, tool: ToolState) -> Array:
+        return pin.log3(self.rotation @ tool.pose[:3, :3].T)
 
 
 @compiled
@@ -142,25 +129,21 @@ def _tip_task(
     pose: Matrix,
     jacobian: Matrix,
     selection: Matrix,
-    goal: tuple[Vector, Matrix, Vector, float, bool],
+    goal: tuple[Vector, Vector, Vector, float],
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    place, rotation, rate, gain_per_s, turns = goal
+    place, turn, rate, gain_per_s = goal
     np.dot(selection, jacobian, rows)
     rates[:] = rate
     if gain_per_s != 0.0:
         error = np.zeros(6)
-        error[:3] = place - pose[:3, 3]
-        if turns:
-            error[3], error[4], error[5] = rotation_error(rotation, pose)
+        error[:3], error[3:] = place - pose[:3, 3], turn
         rates += gain_per_s * (selection @ error)
 
 
 class Fixture(TipTask):
     """The needle moves along a line fixed in space and keeps its orientation; five rows.
-
-    S takes two directions across the line, of the rotation also the third, about the line.
 
     Args:
         origin_m: A point g of the line, shape (3,).
@@ -176,9 +159,9 @@ class Fixture(TipTask):
         if not (is_turn and np.linalg.det(axes) > 0.0):
             what = "right-handed orthonormal axes in columns"
             raise SettingError(f"rotation is {rotation!r}, expected {what}")
-        across = np.zeros((6, 6))  # place and direction, each along the three axes
-        across[:3, :3] = across[3:, 3:] = axes.T
-        super().__init__(across[[0, 1, 3, 4, 5]], gain_per_s)
+        along = np.zeros((6, 6))  # place and direction, each along the three axes
+        along[:3, :3] = along[3:, 3:] = axes.T
+        super().__init__(np.delete(along, 2, axis=0), gain_per_s)  # all but the place on the line
         self.goal_m, self.rotation = vector(origin_m, 3, "origin_m"), axes
 
     @classmethod
@@ -229,7 +212,7 @@ class DecoupledMotion(TipTask):
     ) -> None:
         """Wish velocities in base axes, shape (3,) each, for the coming tick."""
         behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
-        behind_rad = math.hypot(*rotation_error(self.rotation, tool.pose))
+        behind_rad = np.linalg.norm(self._missing_turn(tool))
         linear = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
         angular = vector(angular_rad_s, 3, "angular_rad_s") * (behind_rad < self.MOST_LAG_rad)
         self.rate = np.concatenate((linear, angular))

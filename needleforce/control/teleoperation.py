@@ -79,7 +79,7 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
     of a jump would else pull the hand, with energy that no tissue has given.
     """
-    axial_N = estimate.wrench.axial
+    axial_N = estimate.wrench.axial_unsmoothed  # as the tip force, which is made of it
     if shown == "raw":
         return axial_N
     found = estimate.identification
@@ -109,27 +109,28 @@ class DeviceSide:
         self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m * motion_scale)
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
+        self.force_N = 0.0  # to render, positive against insertion
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
+        self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = 0.0
         self._coupled = 0.0  # 0 to 1
-        self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = self._force_N = 0.0
         self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
 
     def release(self, travel_m: float = 0.0) -> None:
         """No force is held any more, after about so much travel; begin from where the handle is."""
         self.port.release(travel_m)
-        self.position_m, self._force_N, self._since_s = None, 0.0, _HELD_S
+        self.position_m, self.force_N, self._since_s = None, 0.0, _HELD_S
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
         self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
-    ) -> tuple[float, HandPacket]:
-        """The force to render, positive against insertion, and the packet to send.
+    ) -> HandPacket:
+        """Find the force to render, and return the packet to send.
 
-        Between samples it stays: then the energy through the port is known exactly.
+        Between samples both stay: then the energy through the port is known exactly.
         """
         self._since_s += dt_s
         if sample is None and self._since_s < _HELD_S:
-            return self._force_N, self._packet
+            return self._packet
         if sample is not None:
             dt_s, self._since_s = min(self._since_s, _HELD_S), 0.0
         is_coupled = sample is not None and bool(sample.clutch)
@@ -137,27 +138,25 @@ class DeviceSide:
         if sample is None:
             if self.position_m is not None:  # the same packet again is no news
                 self.release(self._rate_m_s * self._since_s)
-            return 0.0, self._packet
+            return self._packet
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
-        before_m, self.position_m = self.position_m, float(self._axis @ sample.position_m)
-        position_m = self.position_m
-        speed_m_s = float(self._axis @ sample.velocity_m_s)
+        before_m, position_m = self.position_m, float(self._axis @ sample.position_m)
+        self.position_m = position_m
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
-        speed_m_s = 0.0 if self._still_s > _SILENCE_S else speed_m_s
+        is_still = self._still_s > _SILENCE_S
+        speed_m_s = 0.0 if is_still else float(self._axis @ sample.velocity_m_s)
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
-        wanted_N, incoming_J = news or (0.0, 0.0)
-        wanted_N *= self._coupled
-        wanted_N += self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
-        times_s = dt_s, self._gap_s
-        self._force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
-        travel_m, rate_m_s = self._packet.travel_m, 0.0
-        if is_coupled:
-            rate_m_s = self._scale * self._rate_m_s
-            travel_m += 0.0 if before_m is None else self._scale * (position_m - before_m)
-        self._packet = HandPacket(travel_m, rate_m_s, self.port.in_J, is_coupled)
-        return self._force_N, self._packet
+        known_N, incoming_J = news or (0.0, 0.0)
+        damping_N = self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
+        wanted_N, times_s = known_N * self._coupled + damping_N, (dt_s, self._gap_s)
+        self.force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
+        scale = self._scale * is_coupled
+        moved_m = 0.0 if before_m is None else position_m - before_m
+        travel_m = self._packet.travel_m + scale * moved_m
+        self._packet = HandPacket(travel_m, scale * self._rate_m_s, self.port.in_J, is_coupled)
+        return self._packet
 
 
 class NeedleSide:
@@ -249,7 +248,6 @@ class Teleoperation:
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = self._ruptured_s = 0.0
-        self._last = TeleopCommand(0.0, np.zeros(3))
 
     def reset(self) -> None:
         """Begin anew from where handle and needle are; accounts of energy go on.
@@ -273,21 +271,18 @@ class Teleoperation:
                 force stays.
         """
         if not 0.0 < as_float(dt_s) < math.inf:
-            return self._last._replace(speed_m_s=0.0)
+            return TeleopCommand(0.0, -self.device.force_N * self._axis)
         if estimate.status is Status.OK:
             self.shown_N = self._smoothed(estimate, dt_s)
         else:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
         sample = sample if _is_sound(sample) else None
-        force_N, sent = self.device.update(sample, self._from_needle, dt_s)
-        lines = self._lines
+        sent = self.device.update(sample, self._from_needle, dt_s)
+        lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
-        speed_m_s, answer = self.needle.update(
-            arrived, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
-        )
+        speed_m_s, answer = self.needle.update(arrived, self.shown_N, *travel, dt_s)
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)
-        self._last = TeleopCommand(speed_m_s, -force_N * self._axis)
-        return self._last
+        return TeleopCommand(speed_m_s, -self.device.force_N * self._axis)
 
     def _smoothed(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """The force to be felt, less its noise; the raw one as it is."""

@@ -72,10 +72,12 @@ _JOINTS = (
      "external_joint_torque external_joint_torques",
      "external joint torques as the robot estimates them"),
 )  # fmt: skip
+UNSMOOTHED = "axial_unsmoothed"
 _SINGLE = (
     ("depth", "depth_m", _LENGTH, "depth z insertion_depth travel", "depth of the needle tip"),
     ("speed", "speed_m_s", _SPEED, "speed v insertion_speed", "rate of depth"),
-    ("force", "force_N", _FORCE, "force f fz f_z force_z axial axial_force insertion_force",
+    ("force", "force_N", _FORCE,
+     f"force f fz f_z force_z axial {UNSMOOTHED} axial_force insertion_force",
      "axial force, positive when tissue pushes back"),
     ("force_std", "force_std_N", _FORCE, "force_std axial_std",
      "standard deviation of the force"),
@@ -257,6 +259,9 @@ def detect_columns(table: Table, channel: Channel) -> Found:
     if not channel.per_joint:
         plain = {name: c for name, c in candidates.items() if named[name].number is None}
         candidates = plain or candidates
+        # `needleforce force` writes both; whoever filters further wants the one that is not late.
+        quick = {name: c for name, c in candidates.items() if named[name].stem == UNSMOOTHED}
+        candidates = quick or candidates
     if len(candidates) > 1:
         raise ColumnError(
             f"{channel.name}: several columns would fit ({', '.join(candidates)}); say which one "
