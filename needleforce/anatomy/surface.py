@@ -97,15 +97,17 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     structure, padded = labels[name], np.pad(labels.mask(name), 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     mesh = Trimesh(vertices, triangles, process=False)
+    of_cubes = mesh.volume
     # Every edge of a closed surface is that of two triangles, once in each direction.
-    one, other = mesh.edges.T
-    weights = 1.0 / np.bincount(one)[one]
-    smooth = filter_taubin(mesh.copy(), *SMOOTHING, sparse.csr_array((weights, (one, other))))
-    # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
-    if smooth.volume > 0.5 * mesh.volume:
-        rough = manifold3d.Mesh(smooth.vertices.astype(np.float32), triangles.astype(np.uint32))
+    one, other = np.concatenate([triangles[:, (k, (k + 1) % 3)] for k in range(3)]).T
+    weights = 1.0 / np.bincount(one).astype(np.float32)[one]
+    filter_taubin(mesh, *SMOOTHING, sparse.csr_array((weights, (one, other))))
+    if mesh.volume > 0.5 * of_cubes:
+        rough = manifold3d.Mesh(mesh.vertices.astype(np.float32), triangles.astype(np.uint32))
         simple = manifold3d.Manifold(rough).simplify(TOLERANCE_VOXELS).to_mesh()
         mesh = Trimesh(simple.vert_properties[:, :3], simple.tri_verts, process=False)
+    else:  # smoothing has folded a structure of a few voxels: its cubes' surface stays as it is
+        mesh.vertices = vertices
     for _ in range(VOLUME_ROUNDS):
         missing = structure.voxels - mesh.volume
         if abs(missing) < 1e-7 * structure.voxels:
