@@ -79,10 +79,10 @@ def _run(path: Path) -> None:
     seconds = perf_counter() - begin
     gigabytes = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
     ratios = [
-        found.volume_m3 / (labels[name].voxels * labels.grid.voxel_m3)
+        found.mesh.volume / (labels[name].voxels * labels.grid.voxel_m3)
         for name, found in surfaces.items()
     ]
-    closed = sum(found.is_watertight for found in surfaces.values())
+    closed = sum(found.mesh.is_volume for found in surfaces.values())
     worst = 100.0 * max(abs(ratio - 1.0) for ratio in ratios)
     triangles = sum(len(found.triangles) for found in surfaces.values())
     _say(f"{seconds} {gigabytes} {len(surfaces)} {closed} {worst} {triangles}")

@@ -1,5 +1,6 @@
 """Surfaces of analytic ellipsoids and of a real CT, and places read back from every format."""
 
+import locale
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,7 +14,6 @@ from benchmarks.anatomy_study import CT_FOLDER, Figure
 from benchmarks.benchmark import Progress
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import Grid, Labels, Structure, Surface, read_labels, read_volume
-from needleforce.anatomy.volume import kept_locale
 
 ELLIPSOIDS = 12
 LEAST_VOXELS = 500
@@ -42,10 +42,10 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]
         body = Ellipsoid("body", rng.uniform(-0.1, 0.1, 3), radii, turned)
         labels = label_ellipsoid(body, np.full(3, 1e-3 * spacing_mm), rng)
         surface = labels.surfaces()["body"]
-        truth.append(100.0 * abs(surface.volume_m3 / body.volume_m3 - 1.0))
+        truth.append(100.0 * abs(surface.mesh.volume / body.volume_m3 - 1.0))
         voxels.append(_volume_error(labels, surface))
         rms.append(distance_rms_m(surface, body) / (1e-3 * spacing_mm))
-        closed.append(surface.is_watertight)
+        closed.append(surface.mesh.is_volume)
     name, target = f"ellipsoids, {spacing_mm:g} mm", 0.5 if spacing_mm == 1.0 else None
     yield Figure(f"{name}: volume against truth, worst", "", max(truth), "%", target)
     yield Figure(f"{name}: volume against voxels, worst", "", max(voxels), "%", 0.1)
@@ -80,7 +80,7 @@ def distance_rms_m(surface: Surface, body: Ellipsoid) -> float:
 
 def _volume_error(labels: Labels, surface: Surface) -> float:
     voxels_m3 = labels[surface.name].voxels * labels.grid.voxel_m3
-    return 100.0 * abs(surface.volume_m3 / voxels_m3 - 1.0)
+    return 100.0 * abs(surface.mesh.volume / voxels_m3 - 1.0)
 
 
 def _real_ct(folder: Path) -> Iterator[Figure]:
@@ -88,7 +88,7 @@ def _real_ct(folder: Path) -> Iterator[Figure]:
     labels = read_labels(folder / "labels.nii.gz", folder / "labels.json", scan)
     judged = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
     found = labels.surfaces(judged).values()
-    closed = float(100.0 * np.mean([surface.is_watertight for surface in found]))
+    closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in found]))
     worst = max(_volume_error(labels, surface) for surface in found)
     yield Figure(f"CT, {len(judged)} structures: watertight", "", closed, "%", 100.0, at_least=True)
     yield Figure("CT: volume against voxels, worst", "", worst, "%", 0.1)
@@ -169,5 +169,6 @@ def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
         ):
             section.SetMetaData(tag, value)
         writer.SetFileName(str(folder / f"{k:03d}.dcm"))
-        with kept_locale():
-            writer.Execute(section)
+        language = locale.setlocale(locale.LC_CTYPE)
+        writer.Execute(section)
+        locale.setlocale(locale.LC_CTYPE, language)  # the DICOM library sets C

@@ -15,7 +15,7 @@ from needleforce.anatomy import (  # noqa: E402
     PlanMatch,
     Registration,
     RegistrationError,
-    TouchSurface,
+    Surface,
     fit_landmarks,
     fit_surface,
 )
@@ -120,7 +120,7 @@ def rough(points, robot, truth, rng, size=1.0):
 
 def test_touches_find_the_surface_among_those_that_slipped():
     rng, mesh, inside = np.random.default_rng(2), organ(), []
-    surface = TouchSurface(mesh.vertices, mesh.faces)
+    surface = Surface("organ", mesh.vertices, mesh.faces)
     for _ in range(12):
         points = touch(mesh, 100, rng)
         robot, truth = touched(points, rng, 0.0)
@@ -147,14 +147,14 @@ def test_surfaces_that_slide_or_spin_are_refused(shape):
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
     points = touch(mesh, 100, rng, 0.0)
     robot, truth = touched(points, rng, 0.0)
-    surface, start = TouchSurface(mesh.vertices, mesh.faces), rough(points, robot, truth, rng)
+    surface, start = Surface("organ", mesh.vertices, mesh.faces), rough(points, robot, truth, rng)
     with pytest.raises(RegistrationError, match="slides or spins"):
         fit_surface(surface, robot, start)
 
 
 def test_touches_that_cannot_register_are_refused():
     rng, mesh = np.random.default_rng(4), organ()
-    surface = TouchSurface(mesh.vertices, mesh.faces)
+    surface = Surface("organ", mesh.vertices, mesh.faces)
     points = touch(mesh, 100, rng)
     robot, truth = touched(points, rng, 0.0)
     good = rough(points, robot, truth, rng)
@@ -171,7 +171,7 @@ def test_touches_that_cannot_register_are_refused():
 
 def test_touches_after_the_patient_has_moved_are_refused():
     rng, mesh = np.random.default_rng(5), organ()
-    surface, wrong = TouchSurface(mesh.vertices, mesh.faces), 0
+    surface, wrong = Surface("organ", mesh.vertices, mesh.faces), 0
     for _ in range(10):
         points = touch(mesh, 100, rng, 0.0)
         robot, truth = touched(points, rng, 0.0)
@@ -200,14 +200,17 @@ def test_touches_of_another_unit_or_without_width_are_refused(change, says):
     for check in (True, False):
         with pytest.raises(RegistrationError, match=says):
             fit_surface(
-                TouchSurface(mesh.vertices, mesh.faces), change(mesh.vertices), start, check=check
+                Surface("organ", mesh.vertices, mesh.faces),
+                change(mesh.vertices),
+                start,
+                check=check,
             )
 
 
 @pytest.mark.parametrize("std_m", [np.nan, np.inf, 0.0, -1e-3, 1.0])
 def test_deviations_of_touches_that_are_none_are_refused(std_m):
     mesh, start = organ(), Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
-    surface = TouchSurface(mesh.vertices, mesh.faces)
+    surface = Surface("organ", mesh.vertices, mesh.faces)
     with pytest.raises(RegistrationError, match=r"std_m=.*standard deviation in metres"):
         fit_landmarks(FRONT_m, FRONT_m, std_m=std_m)
     with pytest.raises(RegistrationError, match=r"touch_std_m=.*standard deviation in metres"):
@@ -268,7 +271,7 @@ def test_a_capsule_is_expected_to_rupture_late():
     assert states[1].offset_m == pytest.approx(-1e-3, abs=1e-3)
     # Inside the organ there is no capsule.
     inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
-    assert PlanMatch(inside, 3e-3)._late[:, 0].tolist() == [1.0, 0.25, 0.25]
+    assert PlanMatch(inside, 3e-3)._kind[1, :, 0].tolist() == [1.0, 0.25, 0.25]
 
 
 def test_a_false_alarm_does_not_count_as_a_boundary():

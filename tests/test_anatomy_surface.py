@@ -22,10 +22,10 @@ def test_an_ellipsoid_comes_back(spacing_mm):
     body = Ellipsoid("body", np.array([0.01, 0.02, 0.03]), np.array([0.03, 0.02, 0.025]), np.eye(3))
     labels = label_ellipsoid(body, spacing_m, np.random.default_rng(5))
     surface = labels.surfaces()["body"]
-    assert surface.is_watertight
+    assert surface.mesh.is_volume
     assert trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False).is_watertight
     voxels_m3 = labels["body"].voxels * labels.grid.voxel_m3
-    assert surface.volume_m3 == pytest.approx(voxels_m3, rel=1e-6)
+    assert surface.mesh.volume == pytest.approx(voxels_m3, rel=1e-6)
     assert distance_rms_m(surface, body) < 0.12 * np.cbrt(labels.grid.voxel_m3)
 
 
@@ -48,25 +48,41 @@ def test_awkward_structures_are_closed_and_keep_their_volume(name, signs):
     for group in chosen if isinstance(chosen, tuple) else (chosen,):
         mask.ravel()[np.ravel(group)] = True
     surface = of_mask(mask, 2e-3 * np.diag(np.array(signs, float))).surfaces()["part"]
-    assert surface.is_watertight
-    assert surface.volume_m3 == pytest.approx(8e-9 * mask.sum(), rel=1e-3)
+    assert surface.mesh.is_volume
+    assert surface.mesh.volume == pytest.approx(8e-9 * mask.sum(), rel=1e-3)
 
 
 def test_random_voxels_are_closed():
     mask = np.random.default_rng(0).uniform(size=(12, 12, 12)) > 0.5
     surface = of_mask(mask, 1e-3 * np.eye(3)).surfaces()["part"]
-    assert surface.is_watertight
+    assert surface.mesh.is_volume
 
 
 def test_an_open_or_twisted_surface_is_noticed():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
     whole = Surface("part", corners, faces, (1.0, 1.0, 1.0))
-    assert whole.is_watertight
-    assert whole.volume_m3 == pytest.approx(1.0 / 6.0)
+    assert whole.mesh.is_volume
+    assert whole.mesh.volume == pytest.approx(1.0 / 6.0)
     twisted = np.vstack([faces[:3], faces[3:, ::-1]])
     for bad in (faces[:3], twisted):
-        assert not Surface("part", corners, bad, (1.0, 1.0, 1.0)).is_watertight
+        assert not Surface("part", corners, bad, (1.0, 1.0, 1.0)).mesh.is_volume
+
+
+def test_mean_normals_leave_out_bumps_and_the_far_side():
+    ball = trimesh.creation.icosphere(5, 0.05)
+    outward = ball.vertices / 0.05
+    bumps = 0.3e-3 * np.prod(np.sin(ball.vertices / 3.7e-3), axis=1)
+    bumpy = Surface("ball", ball.vertices + bumps[:, None] * outward, ball.faces)
+    points = outward[::50] * 0.051
+    tilts = [
+        np.linalg.norm(np.cross(normals, outward[::50]), axis=1).mean()
+        for normals in (bumpy.nearest(points)[1], bumpy.mean_normals(points, 7.4e-3))
+    ]
+    assert tilts[1] < 0.4 * tilts[0]
+    plate = trimesh.creation.box((0.1, 0.1, 0.004)).subdivide().subdivide().subdivide().subdivide()
+    up = Surface("plate", plate.vertices, plate.faces).mean_normals(np.array([[0, 0, 0.003]]), 8e-3)
+    np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
 
 
 def test_progress_reaches_one():

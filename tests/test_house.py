@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_500, 30),
     "tests": (13_000, 72),
     "control": (2_244, 11),
-    "anatomy": (1_499, 9),
+    "anatomy": (1_424, 8),
     "scene": (700, 6),
     "devices": (1_200, 7),
 }

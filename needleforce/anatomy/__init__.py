@@ -8,17 +8,17 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
 Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `surface`, `path_layers`; `landmarks`, `surface_fit`; `plan_match`;
-`file_checks`, `errors`.
+Reading order: `volume`, `reading`, `surface`, `path_layers`, `registration`, `plan_match`,
+`errors`.
 """
 
 from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError
-from needleforce.anatomy.landmarks import Registration, fit_landmarks
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
+from needleforce.anatomy.reading import read_labels, read_volume
+from needleforce.anatomy.registration import Registration, fit_landmarks, fit_surface
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.surface_fit import TouchSurface, fit_surface
-from needleforce.anatomy.volume import Grid, Labels, Structure, Volume, read_labels, read_volume
+from needleforce.anatomy.volume import Grid, Labels, Structure, Volume
 
 __all__ = [
     "AnatomyError",
@@ -32,7 +32,6 @@ __all__ = [
     "RegistrationError",
     "Structure",
     "Surface",
-    "TouchSurface",
     "Volume",
     "VolumeError",
     "fit_landmarks",

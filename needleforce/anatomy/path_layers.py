@@ -8,7 +8,7 @@ surfaces of neighbouring structures do not grant.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,9 +77,8 @@ def layers_on_path(
     length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
     if steps == 0.0:
         raise VolumeError(f"entry and target are the same point {entry.tolist()}")
-    ranks, kinds = _ranks(labels)
     at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
-    votes = _votes(labels, ranks, first + at[:, None] * (last - first))
+    votes, kinds = _votes(labels, first + at[:, None] * (last - first))
     winners = votes.argmax(axis=1)
     (i,) = np.nonzero(np.diff(winners))
     left, right = winners[i], winners[i + 1]
@@ -90,49 +89,46 @@ def layers_on_path(
     # Across a flat boundary the lead falls by 2 k(0) a voxel, k the kernel in one dimension.
     steepest_1_m = 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) / np.cbrt(labels.grid.voxel_m3)
     std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
-    depths = [0.0, *cuts_m.tolist(), length_m]
-    deviations = [0.0, *np.minimum(std_m, length_m).tolist(), 0.0]
-    crossed = [kinds[rank] for rank in winners[[0, *(i + 1)]]]
-    stretches = zip(crossed, pairwise(depths), pairwise(deviations), strict=True)
-    return [Layer(name, *depth, *std, is_obstacle) for (name, is_obstacle), depth, std in stretches]
+    depths = pairwise([0.0, *cuts_m.tolist(), length_m])
+    deviations = pairwise([0.0, *np.minimum(std_m, length_m).tolist(), 0.0])
+    return [
+        Layer(kinds[rank][0], *depth, *std, kinds[rank][1])
+        for rank, depth, std in zip(winners[[0, *(i + 1)]], depths, deviations, strict=True)
+    ]
 
 
-def _ranks(labels: "Labels") -> tuple[list[NDArray[np.intp]], list[tuple[str, bool]]]:
-    """Tables from label to rank, one per volume; and of each rank its name, and if an obstacle.
+def _votes(labels: "Labels", indices: Array) -> tuple[Array, list[tuple[str, bool]]]:
+    """Votes at points (n, 3), (n, 1 + structures), rows sum to 1; of what: name, if an obstacle.
 
-    Rank 0 is no structure. The others go by size: where volumes overlap, the highest rank, which is
-    the smallest structure, holds the voxel.
-    """
-    kinds = [(UNLABELLED, False)]
-    tables = [np.zeros(np.iinfo(volume.dtype).max + 1, np.intp) for volume in labels.volumes]
-    for rank, item in enumerate(sorted(labels.structures, key=lambda item: -item.voxels), 1):
-        tables[item.volume][item.value] = rank
-        kinds.append((item.name, item.is_obstacle))
-    return tables, kinds
-
-
-def _votes(labels: "Labels", ranks: list[NDArray[np.intp]], indices: Array) -> Array:
-    """Votes for each rank, 0 for no structure, at points (n, 3): (n, ranks), each row sums to 1.
-
-    The kernel, a Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve
-    in place where a Gaussian would pull them inwards (Wand and Schucany 1990).
+    Where structures overlap the last, which is the smallest, holds the voxel. The kernel, a
+    Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve in place
+    where a Gaussian would pull them inwards (Wand and Schucany 1990).
     """
     offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
     voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
     squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
-    outer = "ni,nj,nk->nijk"
-    weights = np.einsum(outer, *np.moveaxis(np.exp(-0.5 * squares), 1, 0))
-    x, y, z = np.moveaxis(squares, 1, 0)
-    weights *= 2.5 - 0.5 * (x[:, :, None, None] + y[:, None, :, None] + z[:, None, None, :])
+    weights = _outer(np.multiply, np.exp(-0.5 * squares)) * (2.5 - 0.5 * _outer(np.add, squares))
     weights /= weights.sum(axis=(1, 2, 3), keepdims=True)
-    places = np.clip(voxels, 0, np.array(labels.grid.shape)[:, None] - 1)
-    i, j, k = places[:, 0, :, None, None], places[:, 1, None, :, None], places[:, 2, None, None, :]
+    inside = (voxels >= 0) & (voxels < np.array(labels.grid.shape)[:, None])
+    i, j, k = np.moveaxis(np.where(inside, voxels, 0), 1, 0)
+    places = i[:, :, None, None], j[:, None, :, None], k[:, None, None, :]
+    ranked = sorted(labels.structures, key=lambda item: -item.voxels)
     found = np.zeros(weights.shape, np.intp)
-    for volume, table in zip(labels.volumes, ranks, strict=True):
-        np.maximum(found, table[volume[i, j, k]], out=found)
-    if np.any(places != voxels):  # outside the volume is no structure
-        found *= np.einsum(outer, *np.moveaxis(places == voxels, 1, 0).astype(np.intp))
-    count, size = len(indices), 1 + len(labels.structures)
+    for number, volume in enumerate(labels.volumes):
+        table = np.zeros(np.iinfo(volume.dtype).max + 1, np.intp)  # from label to rank
+        for rank, item in enumerate(ranked, 1):
+            if item.volume == number:
+                table[item.value] = rank
+        np.maximum(found, table[volume[places]], out=found)
+    found *= _outer(np.logical_and, inside)  # outside the volume is no structure
+    count, size = len(indices), 1 + len(ranked)
     found += size * np.arange(count)[:, None, None, None]
     votes = np.bincount(found.ravel(), weights.ravel(), count * size)
-    return votes.reshape(count, size).astype(float, copy=False)
+    kinds = [(UNLABELLED, False), *((item.name, item.is_obstacle) for item in ranked)]
+    return votes.reshape(count, size).astype(float, copy=False), kinds
+
+
+def _outer(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:
+    """Combine what belongs to three axes, (n, 3, m), for each voxel of a cube, (n, m, m, m)."""
+    x, y, z = np.moveaxis(parts, 1, 0)
+    return combine(combine(x[:, :, None, None], y[:, None, :, None]), z[:, None, None, :])

@@ -22,17 +22,15 @@ GRID_m = 0.1e-3
 REACH = 5.0  # Of the grid, in standard deviations of the offset
 TAIL_DEGREES = 3.0
 """Student's t for the offset: a standard deviation that is stated too small does not deceive."""
-MISSED, SOFT_MISSED = 0.2, 0.6
-"""Probability that a boundary ruptures unnoticed; where fat ends, which holds little force."""
-ENTRY_MISSED = 0.8
-"""The same of the surface, which ruptures only where a membrane covers it, and then late."""
+MISSED, SOFT_MISSED, ENTRY_MISSED = 0.2, 0.6, 0.8
+"""Probability that a boundary ruptures unnoticed; where fat ends, which holds little force; of the
+surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 0.5  # False alarms per metre of travel
 LATE, CAPSULE_LATE = 0.25, 0.8
 """Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
 """Words in the names of organs in a capsule (liver: Okamura 2004, doi 10.1109/TBME.2004.831542)."""
-LATE_m, LATE_STD_m = 5e-3, 2.5e-3
-"""By so much."""
+LATE_m, LATE_STD_m = 5e-3, 2.5e-3  # By so much
 RUPTURE_STD_m = 0.2e-3
 """Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the virtual sensor."""
 ALARM_m = 0.5e-3
@@ -73,7 +71,6 @@ class PlanMatch:
             `Registration.std_along_m` gives it.
 
     Attributes:
-        layers: The same.
         fingerprint: By which two plans are told apart.
 
     Raises:
@@ -98,27 +95,21 @@ class PlanMatch:
                 f"boundaries at {depths_m.tolist()} m, deviations {bound_std_m.tolist()}: expected "
                 f"depths that grow, in metres and below {MOST_m:g}, and no negative deviation"
             )
-        self._law_std_m = np.hypot(bound_std_m, RUPTURE_STD_m)[:, None]
+        # Rows: a boundary that ruptures at once, and late; boundaries; offsets.
+        std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
         # Organs move beneath the skin: where that lies says little of the offset.
-        self._law_std_m[0] = np.hypot(self._law_std_m[0], offset_std_m)
-        self._late_std_m = np.hypot(self._law_std_m, LATE_STD_m)
-        self._missed = np.full((len(layers), 1), MISSED)
-        self._late = np.full((len(layers), 1), LATE)
-        words = [set(layer.name.lower().split("_")) for layer in layers]
-        for k, layer in enumerate(layers):
-            is_first = layer.name not in {before.name for before in layers[:k]}
-            if is_first and CAPSULES & words[k]:
-                self._late[k] = CAPSULE_LATE
-            elif k and "fat" in words[k - 1]:
-                self._missed[k] = SOFT_MISSED
-        self._missed[0], self._late[0] = ENTRY_MISSED, 1.0
+        std_m[0] = np.hypot(std_m[0], offset_std_m)
+        self._std_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[:, :, None]
+        missed, late = _expected([layer.name.lower() for layer in layers])
+        self._missed, self._kind = missed[:, None], np.array([1.0 - late, late])[:, :, None]
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
+        at_once_m = self._bound_m[:, None] + self._offset_m
+        self._rupture_m = np.array([at_once_m, at_once_m + LATE_m])
         # Rows: the last boundary matched, the first for none. Columns: offsets.
-        first = np.zeros((len(layers) + 1, len(self._offset_m)))
-        first[0] = student.pdf(self._offset_m / offset_std_m, TAIL_DEGREES)
-        self._first = first / first.sum()
-        self._known: tuple[tuple[float, ...], Array, Array] = (), self._first, self._first
+        self._first = np.zeros((len(layers) + 1, len(self._offset_m)))
+        self._first[0] = student.pdf(self._offset_m / offset_std_m, TAIL_DEGREES)
+        self._first /= self._first.sum()
 
     def state(
         self,
@@ -141,7 +132,7 @@ class PlanMatch:
         Raises:
             PlanError: A depth that is not finite, or of a rupture above the one before.
         """
-        ruptures = tuple(float(depth) - entry_depth_m for depth in ruptures_m)
+        ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
         depth = float(depth_m) - entry_depth_m
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
         if not np.isfinite(depth + deepest):
@@ -149,7 +140,7 @@ class PlanMatch:
                 f"tip at {depth_m!r} m, deepest {deepest_m!r} m: expected finite depths"
             )
         ahead, (weight, false) = self._ahead(deepest), self._after(ruptures)
-        joint = self._joint(ahead, weight)
+        joint = _joint(ahead, weight)
         is_back = depth < deepest - BACK_m
         by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
         layer = int(np.argmax(by_layer)) - 1
@@ -157,7 +148,7 @@ class PlanMatch:
         middle = self._quantile_m(joint, 0.5)
         variance = float((joint @ (self._offset_m - middle) ** 2).sum())
         after = (*self.layers, NOTHING)[layer + 1]
-        matched, likely = self._matched(ahead, weight, false)
+        matched, likely = _matched(ahead, weight, false)
         what = self.layers[matched].name if matched >= 0 else FALSE_ALARM
         return PlanState(
             layer=layer,
@@ -178,8 +169,7 @@ class PlanMatch:
         self, depth_m: float, ruptures_m: Sequence[float] = (), level: float = 0.95
     ) -> tuple[float, float]:
         """Offsets between which the true one lies with that probability, see `state`."""
-        joint = self._joint(self._ahead(depth_m), self._after(tuple(ruptures_m))[0])
-        beyond = 0.5 - 0.5 * level
+        joint, beyond = _joint(self._ahead(depth_m), self._after(ruptures_m)[0]), 0.5 - 0.5 * level
         return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)
 
     def _quantile_m(self, joint: Array, part: float) -> float:
@@ -194,65 +184,61 @@ class PlanMatch:
         counts = np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
         return counts.astype(float, copy=False)
 
-    def _after(self, ruptures_m: tuple[float, ...]) -> tuple[Array, Array]:
+    def _after(self, ruptures_m: Sequence[float]) -> tuple[Array, Array]:
         """Weights after ruptures, and the part of them in which the last one was a false alarm."""
-        known, weight, false = self._known  # what the last call asked for, or a part of it
-        if ruptures_m[: len(known)] != known:
-            known, weight, false = (), self._first, self._first
-        for k in range(len(known), len(ruptures_m)):
-            depth_m, last_m = ruptures_m[k], max(ruptures_m[:k], default=-np.inf)
+        weight, false, last_m = self._first, self._first, -np.inf
+        for depth_m in ruptures_m:
             if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
-            came, false = _arriving(weight, self._missed), FALSE_PER_m * weight
-            weight = false.copy()
-            weight[1:] += (1.0 - self._missed) * came[:-1] * self._density(depth_m)
+            last_m, false = max(last_m, depth_m), FALSE_PER_m * weight
+            here = -0.5 * ((depth_m - self._rupture_m) / self._std_m) ** 2
+            density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * self._std_m)).sum(axis=0)
+            came = _arriving(weight, self._missed)[:-1] * (1.0 - self._missed) * density
+            weight = false + np.vstack((np.zeros_like(came[:1]), came))
             total = weight.sum()
             weight, false = weight / total, false / total
-        self._known = ruptures_m, weight, false
         return weight, false
-
-    def _scaled(self, depth_m: float) -> tuple[Array, Array]:
-        """A depth from where each boundary (rows) would rupture, at once or late, in deviations."""
-        error = depth_m - self._bound_m[:, None] - self._offset_m
-        return error / self._law_std_m, (error - LATE_m) / self._late_std_m
-
-    def _density(self, depth_m: float) -> Array:
-        """Of a rupture at a depth, given that the boundary ruptures [1/m]."""
-        at_once, late = self._scaled(depth_m)
-        plain = (1.0 - self._late) * np.exp(-0.5 * at_once**2) / self._law_std_m
-        delayed = self._late * np.exp(-0.5 * late**2) / self._late_std_m
-        return (plain + delayed) / np.sqrt(2.0 * np.pi)
 
     def _ahead(self, depth_m: float) -> tuple[Array, Array]:
         """How likely a boundary is not felt yet, or was passed unnoticed, with the tip there."""
-        at_once, late = self._scaled(depth_m - ALARM_m)
-        waiting = (1.0 - self._late) * ndtr(-at_once) + self._late * ndtr(-late)
-        is_behind = self._bound_m[:, None] + self._offset_m <= depth_m
-        felt = 1.0 - self._missed
-        return felt * waiting + self._missed * ~is_behind, self._missed * is_behind
+        later = ndtr((self._rupture_m - depth_m + ALARM_m) / self._std_m)
+        waiting = (self._kind * later).sum(axis=0)
+        passed = self._missed * (self._rupture_m[0] <= depth_m)
+        return (1.0 - self._missed) * waiting + self._missed - passed, passed
 
-    def _joint(self, ahead: tuple[Array, Array], weight: Array) -> Array:
-        """Probability of so many boundaries passed (rows) and each offset."""
-        stands, slips = ahead
-        joint = _arriving(weight, slips)
-        joint[:-1] *= stands
-        total = joint.sum()
-        # Where nothing explains it, what was known before stays.
-        return joint / total if total > 0.0 else weight
 
-    def _matched(
-        self, ahead: tuple[Array, Array], weight: Array, false: Array
-    ) -> tuple[int, float]:
-        """Into which layer the last rupture led, -1 for a false alarm, and how likely."""
-        # Whichever it was: what lies behind it was passed without another rupture.
-        unfelt = np.ones_like(weight)
-        stands, slips = ahead
-        for boundary in reversed(range(len(stands))):
-            unfelt[boundary] = stands[boundary] + slips[boundary] * unfelt[boundary + 1]
-        likely = ((weight - false) * unfelt).sum(axis=1)
-        likely[0] = (false * unfelt).sum()
-        best = int(np.argmax(likely))
-        return best - 1, float(likely[best] / max(likely.sum(), 1e-300))
+def _expected(names: list[str]) -> tuple[Array, Array]:
+    """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures late."""
+    missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
+    for k, name in enumerate(names):
+        if name not in names[:k] and CAPSULES & set(name.split("_")):
+            late[k] = CAPSULE_LATE
+        elif k and "fat" in names[k - 1].split("_"):
+            missed[k] = SOFT_MISSED
+    missed[0], late[0] = ENTRY_MISSED, 1.0
+    return missed, late
+
+
+def _joint(ahead: tuple[Array, Array], weight: Array) -> Array:
+    """Probability of so many boundaries passed (rows) and each offset."""
+    stands, slips = ahead
+    joint = _arriving(weight, slips)
+    joint[:-1] *= stands
+    total = joint.sum()
+    # Where nothing explains it, what was known before stays.
+    return joint / total if total > 0.0 else weight
+
+
+def _matched(ahead: tuple[Array, Array], weight: Array, false: Array) -> tuple[int, float]:
+    """Into which layer the last rupture led, -1 for a false alarm, and how likely."""
+    # Whichever it was: what lies behind it was passed without another rupture.
+    unfelt = np.ones_like(weight)
+    for boundary, (stands, slips) in reversed(list(enumerate(zip(*ahead, strict=True)))):
+        unfelt[boundary] = stands + slips * unfelt[boundary + 1]
+    likely = ((weight - false) * unfelt).sum(axis=1)
+    likely[0] = (false * unfelt).sum()
+    best = int(np.argmax(likely))
+    return best - 1, float(likely[best] / max(likely.sum(), 1e-300))
 
 
 def _arriving(weight: Array, slips: Array) -> Array:

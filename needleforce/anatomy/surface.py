@@ -6,45 +6,78 @@ in voxels, so that unequal spacings are smoothed alike.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import KDTree
 
 from needleforce.anatomy.errors import Array
 
 if TYPE_CHECKING:
+    from trimesh import Trimesh
+
     from needleforce.anatomy.volume import Labels
 
-SMOOTHING = 0.5, -0.53, 40  # Factors and pairs of steps (Taubin 1995, doi 10.1145/218380.218473)
+SMOOTHING = 0.5, 0.53, 80  # Factors and steps (Taubin 1995, doi 10.1145/218380.218473)
 TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer would show."""
-
 VOLUME_ROUNDS = 50  # At most; an organ needs two or three, a single voxel more
+NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle is looked for
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed surface of one structure, triangles seen counter-clockwise from outside."""
+    """A surface of one structure, triangles seen counter-clockwise from outside.
+
+    What `trimesh` says of it: ``mesh.volume`` [m^3], ``mesh.is_volume`` for closed and consistent.
+    """
 
     name: str
     vertices_m: Array  # (n, 3), LPS
-    triangles: NDArray[np.int32]  # (m, 3) indices of vertices
-    colour: tuple[float, ...]  # red, green, blue from 0 to 1
+    triangles: NDArray[np.integer]  # (m, 3) indices of vertices
+    colour: tuple[float, ...] = ()  # red, green, blue from 0 to 1
 
-    @property
-    def volume_m3(self) -> float:
-        """Volume inside."""
-        return enclosed(self.vertices_m, self.triangles)
-
-    @property
-    def is_watertight(self) -> bool:
-        """Whether every edge joins two triangles that run along it in opposite directions."""
+    @cached_property
+    def mesh(self) -> "Trimesh":
+        """The same for `trimesh`."""
         from trimesh import Trimesh
 
-        mesh = Trimesh(self.vertices_m, self.triangles, process=False)
-        return bool(mesh.is_watertight and mesh.is_winding_consistent)
+        return Trimesh(self.vertices_m, self.triangles, process=False)
+
+    @cached_property
+    def _middles(self) -> tuple[KDTree, NDArray[np.intp]]:
+        """Middles of the triangles that have an area, and which ones those are."""
+        kept = np.flatnonzero(self.mesh.face_normals.any(axis=1))
+        return KDTree(self.mesh.triangles_center[kept]), kept
+
+    def nearest(self, points_m: Array) -> tuple[Array, Array]:
+        """Nearest places on the surface, and the normals there, of points (n, 3)."""
+        from trimesh.triangles import closest_point
+
+        tree, kept = self._middles
+        count = min(NEIGHBOURS, len(kept))
+        near = kept[tree.query(points_m, count)[1]].reshape(-1, count)
+        # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
+        corners = 1e3 * self.mesh.triangles[near].reshape(-1, 3, 3)
+        places = closest_point(corners, 1e3 * np.repeat(points_m, count, axis=0))
+        places = 1e-3 * places.reshape(*near.shape, 3)
+        rows = np.arange(len(near))
+        best = np.linalg.norm(places - points_m[:, None], axis=-1).argmin(axis=1)
+        return places[rows, best], self.mesh.face_normals[near[rows, best]]
+
+    def mean_normals(self, points_m: Array, reach_m: float) -> Array:
+        """Normals averaged so far around the nearest places on the same side, of points (n, 3)."""
+        tree, kept = self._middles
+        places, normals = self.nearest(points_m)
+        areas = self.mesh.face_normals * self.mesh.area_faces[:, None]
+        for k, near in enumerate(tree.query_ball_point(places, reach_m)):
+            around = areas[kept[near]]
+            mean = around[around @ normals[k] > 0.0].sum(axis=0)
+            normals[k] = mean / np.linalg.norm(mean) if mean.any() else normals[k]
+        return normals
 
 
 def surface_of(labels: "Labels", name: str) -> Surface:
@@ -58,55 +91,30 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     """
     import manifold3d
     from skimage.measure import marching_cubes
+    from trimesh import Trimesh
+    from trimesh.smoothing import filter_taubin
 
     structure, padded = labels[name], np.pad(labels.mask(name), 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
-    smooth = _smoothed(vertices, triangles)
-    if enclosed(smooth, triangles) > 0.5 * enclosed(vertices, triangles):
-        mesh = manifold3d.Mesh(smooth, triangles.astype(np.uint32))
-        simple = manifold3d.Manifold(mesh).simplify(TOLERANCE_VOXELS).to_mesh()
-        vertices, triangles = simple.vert_properties[:, :3].astype(float), simple.tri_verts
-    # Else smoothing has folded a structure of a few voxels: its cubes' surface stays as it is.
-    vertices = _with_volume(vertices, triangles, float(structure.voxels))
-    start = np.array([part.start for part in structure.box]) - 1.0
-    points_m = labels.grid.points_m(vertices + start)
-    if np.linalg.det(labels.grid.axes_m) < 0.0:  # a mirrored grid turns triangles inside out
-        triangles = triangles[:, ::-1]
-    return Surface(name, points_m, np.ascontiguousarray(triangles, np.int32), structure.colour)
-
-
-def enclosed(vertices: NDArray[np.floating], triangles: NDArray[np.integer]) -> float:
-    """Volume inside a closed surface, by the divergence theorem; negative if it is inside out."""
-    a, b, c = (vertices[triangles[:, corner]].astype(float) for corner in range(3))
-    return float(np.vecdot(np.cross(a, b), c).sum() / 6.0)
-
-
-def _smoothed(
-    vertices: NDArray[np.floating], triangles: NDArray[np.integer]
-) -> NDArray[np.float32]:
-    # Every edge is an edge of two triangles, once in each direction.
-    edges = np.concatenate([triangles[:, (i, (i + 1) % 3)] for i in range(3)])
-    weights = 1.0 / np.bincount(edges[:, 0], minlength=len(vertices)).astype(np.float32)
-    size = len(vertices), len(vertices)
-    mean = sparse.csr_array((weights[edges[:, 0]], (edges[:, 0], edges[:, 1])), shape=size)
-    points = vertices.astype(np.float32)
-    shrink, grow, pairs = SMOOTHING
-    for factor in (shrink, grow) * pairs:
-        points += factor * (mean @ points - points)
-    return points
-
-
-def _with_volume(vertices: Array, triangles: NDArray[np.integer], volume: float) -> Array:
-    """Move vertices along the normals until the surface holds a volume."""
-    # Which triangles meet in a vertex: a third of each one's area to each of its corners.
-    rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
-    corners = sparse.csr_array((np.full(len(rows), 1.0 / 6.0), (rows, columns)))
+    mesh = Trimesh(vertices, triangles, process=False)
+    of_cubes = mesh.volume
+    # Every edge of a closed surface is that of two triangles, once in each direction.
+    one, other = np.concatenate([triangles[:, (k, (k + 1) % 3)] for k in range(3)]).T
+    weights = 1.0 / np.bincount(one).astype(np.float32)[one]
+    filter_taubin(mesh, *SMOOTHING, sparse.csr_array((weights, (one, other))))
+    if mesh.volume > 0.5 * of_cubes:
+        rough = manifold3d.Mesh(mesh.vertices.astype(np.float32), triangles.astype(np.uint32))
+        simple = manifold3d.Manifold(rough).simplify(TOLERANCE_VOXELS).to_mesh()
+        mesh = Trimesh(simple.vert_properties[:, :3], simple.tri_verts, process=False)
+    else:  # smoothing has folded a structure of a few voxels: its cubes' surface stays as it is
+        mesh.vertices = vertices
     for _ in range(VOLUME_ROUNDS):
-        missing = volume - enclosed(vertices, triangles)
-        if abs(missing) < 1e-7 * volume:
+        missing = structure.voxels - mesh.volume
+        if abs(missing) < 1e-7 * structure.voxels:
             break
-        a, b, c = (vertices[triangles[:, corner]] for corner in range(3))
-        normals = corners @ np.cross(b - a, c - a)
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        vertices = vertices + missing / lengths.sum() * normals / np.maximum(lengths, 1e-12)
-    return vertices
+        mesh.vertices = mesh.vertices + missing / mesh.area * mesh.vertex_normals
+    # A mirrored grid turns triangles inside out, and this turns them back.
+    start = [part.start - 1 for part in structure.box]
+    origin_m = labels.grid.points_m(start)[:, None]
+    mesh.apply_transform(np.block([[labels.grid.axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
+    return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), structure.colour)

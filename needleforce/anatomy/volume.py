@@ -1,18 +1,12 @@
-"""Scans and segmentations from files: where each voxel lies and which structure it belongs to.
+"""Scans and segmentations: where each voxel lies and which structure it belongs to.
 
-SimpleITK reads every format and gives physical places in LPS millimetres; arrays of two files may
-be stored in different orders and still agree, so only places are ever compared. Inside it is LPS
-and metres, and arrays are (i, j, k) along the axes of their `Grid`.
+LPS and metres; arrays are (i, j, k) along the axes of their `Grid`. Two of them may be stored in
+different orders and still agree, so only places are ever compared.
 """
 
-import json
-import locale
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,12 +14,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from needleforce.anatomy.errors import Array, VolumeError
-from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.path_layers import layers_on_path
 from needleforce.anatomy.surface import Surface, surface_of
 
-SIZES_M = (0.005, 5.0)
-"""Least and most diagonal of a volume: beyond them its unit is not the millimetre."""
 BODY_HU, FAT_HU = -300.0, -30.0
 """Between air and fat, and between fat and lean tissue, in Hounsfield units."""
 OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
@@ -131,16 +122,14 @@ class Labels:
         Raises:
             VolumeError: No structure has a voxel, or two have the same name.
         """
-        boxes = [ndimage.find_objects(volume) for volume in volumes]
+        boxes = [dict(enumerate(ndimage.find_objects(volume), 1)) for volume in volumes]
         found: dict[str, Structure] = {}
         for item in structures:
-            of_volume = boxes[item.volume]
-            box = of_volume[item.value - 1] if 0 < item.value <= len(of_volume) else None
             if item.name in found:
                 raise VolumeError(f"two structures are named {item.name!r}: rename one")
-            if box is not None:
-                voxels = int(np.count_nonzero(volumes[item.volume][box] == item.value))
-                found[item.name] = replace(item, voxels=voxels, box=box)
+            if (box := boxes[item.volume].get(item.value)) is not None:
+                voxels = np.count_nonzero(volumes[item.volume][box] == item.value)
+                found[item.name] = replace(item, voxels=int(voxels), box=box)
         if not found:
             raise VolumeError("no voxel is labelled: expected at least one structure")
         return cls(volumes, grid, tuple(found.values()))
@@ -170,10 +159,10 @@ class Labels:
         Raises:
             VolumeError: Labels that lie elsewhere than the scan, only air, or no air around.
         """
-        _require_agreement(self, scan)
+        require_agreement(self, scan)
         parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
         count = ndimage.label(scan.values > BODY_HU, output=parts)
-        inside = parts == np.bincount(parts.ravel())[1:].argmax() + 1 if count else parts > 0
+        inside = (parts == np.bincount(parts[parts > 0], minlength=1).argmax()) & (parts > 0)
         inner = inside[1:-1, 1:-1, 1:-1]
         if not count or inside.sum() - inner.sum() == inside.size - inner.size:
             raise VolumeError(
@@ -200,195 +189,18 @@ class Labels:
         self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None
     ) -> dict[str, Surface]:
         """Closed surfaces by name (`surface.surface_of`); ``progress`` gets the fraction done."""
-        wanted = list(names) if names is not None else [item.name for item in self.structures]
+        wanted = [item.name for item in self.structures] if names is None else list(names)
         found = {}
-        for done, name in enumerate(wanted, 1):
+        for name in wanted:
             found[name] = surface_of(self, name)
             if progress is not None:
-                progress(done / len(wanted))
+                progress(len(found) / len(wanted))
         return found
 
     layers_along = layers_on_path  # it takes the labels first
 
 
-def read_volume(path: Path | str) -> Volume:
-    """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
-
-    Raises:
-        VolumeError: Not readable, damaged, not three-dimensional, not in millimetres, or without a
-            word on how it lies; of DICOM: no series or several, slices that are missing, doubled,
-            of different sizes or sheared.
-    """
-    arrays, grid, _ = _read(Path(path))
-    if len(arrays) != 1:
-        raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    return Volume(arrays[0], grid)
-
-
-def read_labels(
-    path: Path | str,
-    names: Mapping[Any, str] | Path | str | None = None,
-    scan: Volume | None = None,
-) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label per voxel.
-
-    Args:
-        path: The file, or a folder with a DICOM series.
-        names: Of label values, or a JSON file with them (``{"5": "liver"}``), by default
-            ``labels.json`` beside the file; labels without a name are called ``label_5``. Segments
-            of a ``.seg.nrrd`` bring names and colours.
-        scan: The CT to which the labels belong: places must agree.
-
-    Raises:
-        VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or labels that
-            lie elsewhere than the scan.
-    """
-    arrays, grid, header = _read(Path(path))
-    beside = Path(path).with_name("labels.json")
-    names = beside if names is None and beside.exists() else names
-    volumes = []
-    for values in arrays:
-        whole = values if np.issubdtype(values.dtype, np.integer) else values.astype(np.int32)
-        if whole.min() < 0 or whole.max() > np.iinfo(np.uint16).max or np.any(whole != values):
-            raise VolumeError(f"{path} holds {values.min():g} to {values.max():g}: expected labels")
-        volumes.append(whole.astype(np.uint8 if whole.max() < 256 else np.uint16, copy=False))
-    try:
-        segments = _segments(header, len(volumes)) or _plain_structures(volumes, names)
-        labels = Labels.of(volumes, grid, segments)
-        loose = sum(map(np.count_nonzero, volumes)) - sum(one.voxels for one in labels.structures)
-        if loose:
-            raise VolumeError(f"{loose} voxels have labels of no segment: its header is damaged")
-    except VolumeError as error:
-        raise VolumeError(f"{path}: {error}") from None
-    if scan is not None:
-        _require_agreement(labels, scan)
-    return labels
-
-
-def _plain_structures(
-    volumes: Sequence[NDArray[Any]], names: Mapping[Any, str] | Path | str | None
-) -> list[Structure]:
-    try:
-        read = json.loads(Path(names).read_bytes()) if isinstance(names, Path | str) else names
-        given = {int(value): name for value, name in (read or {}).items()}
-    except (OSError, ValueError, AttributeError) as error:
-        raise VolumeError(f"cannot read names from {names}: {error}") from error
-    if not all(isinstance(name, str) for name in given.values()):
-        raise VolumeError(f"names {given}: expected a text for each label")
-    if len(volumes) > 1:
-        raise VolumeError("several labels per voxel and no segments: expected a .seg.nrrd file")
-    most = int(volumes[0].max())
-    return [Structure.named(given.get(k, f"label_{k}"), k) for k in range(1, most + 1)]
-
-
-def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
-    """Return the segments that 3D Slicer described in the file's header, none in other files."""
-    found: list[Structure] = []
-    count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
-    for key in (f"Segment{k}_" for k in range(count)):
-        if key + "ID" not in header:
-            raise VolumeError(f"{key}ID is not in its header: expected {count} segments from 0 on")
-        name = header.get(key + "Name", header[key + "ID"])
-        try:
-            value = int(header.get(key + "LabelValue", len(found) + 1))
-            made = Structure.named(name, value, int(header.get(key + "Layer", 0)))
-            colour = tuple(float(part) for part in header.get(key + "Color", "").split())
-            if len(colour) not in (0, 3) or not all(0.0 <= part <= 1.0 for part in colour):
-                raise ValueError(f"colour {colour}: expected three from 0 to 1")
-        except ValueError as error:
-            raise VolumeError(f"segment {name}: {error}; expected numbers in its header") from error
-        if not 0 <= made.volume < layers:
-            raise VolumeError(f"segment {name} lies in layer {made.volume}; the file has {layers}")
-        if (made.volume, made.value) in ((one.volume, one.value) for one in found):
-            raise VolumeError(f"segment {name} has the label {value} of another: give it its own")
-        found.append(replace(made, colour=colour or made.colour))
-    return found
-
-
-@contextmanager
-def kept_locale() -> Iterator[None]:
-    """Put the locale back: the DICOM library sets C, and Python's text files would be ASCII."""
-    before = locale.setlocale(locale.LC_CTYPE)
-    try:
-        yield
-    finally:
-        locale.setlocale(locale.LC_CTYPE, before)
-
-
-def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
-    """Return one array (i, j, k) per component, their grid, and the file's header."""
-    import SimpleITK
-
-    SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
-    try:
-        with kept_locale():
-            image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
-    except RuntimeError as error:
-        why = "no such file" if not path.exists() else str(error).strip().splitlines()[-1]
-        raise VolumeError(
-            f"cannot read {path}: {why}; expected DICOM, .nii, .nii.gz, .nrrd or .seg.nrrd"
-        ) from error
-    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
-        raise VolumeError(f"{path} has {image.GetSize()} voxels: expected three dimensions")
-    axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    grid = Grid(image.GetSize(), 1e-3 * np.array(image.GetOrigin()), 1e-3 * axes)
-    diagonal = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
-    if not SIZES_M[0] < diagonal < SIZES_M[1]:
-        raise VolumeError(f"{path} measures {diagonal:.3g} m: expected a file in millimetres")
-    values = SimpleITK.GetArrayFromImage(image).T  # it gives (k, j, i), or (k, j, i, component)
-    header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
-    if header.get("nifti_type") == "1":
-        require_whole_nifti(path, header, np.array(image.GetSpacing()))
-    elif path.suffix in (".nrrd", ".nhdr"):
-        require_placed_nrrd(path)
-    return [values] if values.ndim == 3 else list(values), grid, header
-
-
-def _read_series(folder: Path) -> Any:
-    import SimpleITK
-
-    reader = SimpleITK.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
-    if len(series) != 1:
-        raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
-        )
-    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    headers = np.array([_slice_header(SimpleITK.ImageFileReader(), name) for name in files])
-    if np.ptp(headers[:, 3:], axis=0).any():
-        raise VolumeError(f"{folder}: slices differ in size, spacing or orientation: mixed series")
-    axes, steps = headers[0, 3:9].reshape(2, 3), np.diff(headers[:, :3], axis=0)
-    if len(files) > 1:
-        along = steps @ np.cross(axes[0], axes[1])
-        usual = float(np.median(along))
-        if abs(usual) < 1e-3:
-            raise VolumeError(f"{folder}: slices lie at the same place: expected one scan")
-        worst = int(np.abs(along - usual).argmax())
-        if abs(along[worst] - usual) > 0.01 * abs(usual):
-            raise VolumeError(
-                f"{folder}: slices are {usual:.3f} mm apart, but {along[worst]:.3f} mm after "
-                f"{Path(files[worst]).name}: a slice is missing or doubled"
-            )
-        aside = np.abs(steps @ axes.T).max(), np.abs(np.cumsum(steps @ axes.T, axis=0)).max()
-        if aside[0] > 0.01 * abs(usual) or aside[1] > 0.5 * headers[0, 9:11].min():
-            raise VolumeError(f"{folder}: slices are sheared (gantry tilt): resample the scan")
-    reader.SetFileNames(files)
-    return reader.Execute()
-
-
-def _slice_header(reader: Any, name: str) -> list[float]:
-    """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
-    reader.SetFileName(name)
-    reader.ReadImageInformation()
-    found: list[float] = []
-    for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):
-        if not reader.HasMetaDataKey(tag):
-            raise VolumeError(f"{name} has no DICOM tag {tag}: expected slices of one scan")
-        found += [float(part) for part in reader.GetMetaData(tag).split("\\")]
-    return found
-
-
-def _require_agreement(labels: Labels, scan: Volume) -> None:
+def require_agreement(labels: Labels, scan: Volume) -> None:
     """Refuse labels on a grid as large as the scan's elsewhere, or with voxels outside the scan."""
     last = np.array(scan.grid.shape) - 1.0
     corners = scan.grid.indices(labels.grid.corners_m())

@@ -29,7 +29,6 @@ from needleforce.anatomy import (
     Registration,
     RegistrationError,
     Structure,
-    TouchSurface,
     fit_landmarks,
     fit_surface,
     read_labels,
@@ -197,9 +196,8 @@ def register(
     touched = near[rng.choice(len(near), TOUCHES)] + TOUCH_STD_m * rng.normal(size=(TOUCHES, 3))
     slipped = rng.random(TOUCHES) < 0.1
     touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
-    surface = TouchSurface(skin.vertices_m, skin.triangles)
     try:
-        return rough, fit_surface(surface, touched @ truth[0].T + truth[1], rough)
+        return rough, fit_surface(skin, touched @ truth[0].T + truth[1], rough)
     except RegistrationError:
         return rough, rough
 
