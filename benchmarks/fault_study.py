@@ -29,6 +29,7 @@ LEAD, BEYOND = 300, 3000
 """Samples before a fault, and after the end of the layer."""
 CLOSE_N = 0.1
 """An estimate has recovered when it stays this close to that of an undisturbed run."""
+UNSMOOTHED = replace(on_lwr(DEFAULT), force_bandwidth_per_s=None)  # its lag is known
 HOLD_S = 1.0
 """For so long after the fault, statuses and warnings count as caused by it."""
 UNKNOWN_KG = 0.1
@@ -158,8 +159,7 @@ class FaultStudy:
 
     def _go_on(self, session: InsertionSession, first: int, last: int) -> list[float]:
         stream = FaultStream.of_run(self.run, first, last, self.run.truth.axial_N)
-        found = feed(session, stream, with_velocity=self._with_velocity)
-        return [estimate.wrench.axial for estimate in found]
+        return [e.wrench.axial for e in feed(session, stream, with_velocity=self._with_velocity)]
 
     def results(self) -> Iterator[FaultResult]:
         """Every fault's result, in the order of the table."""
@@ -194,11 +194,11 @@ class FaultStudy:
 
 
 def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
-    """What stop, reversal and second insertion do, against the true force as the sensor lags."""
+    """What stop, reversal and second insertion do, against the true force as the observer lags."""
     scenario, spans = troubled_scenario()
     run = simulate(scenario, PLANT, 0)
     tare, count = tare_index(run), len(run.signals.t_s)
-    session = InsertionSession(run.robot, on_lwr(DEFAULT))
+    session = InsertionSession(run.robot, UNSMOOTHED)
     whole = FaultStream.of_run(run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity))
     parts = [FaultStream.of_run(run, *at, whole.reference_N) for at in ((0, tare), (tare, count))]
     found = feed(session, parts[0], with_velocity=with_velocity)
@@ -216,7 +216,7 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
 def tare_in_contact(run: Run, at: int) -> FaultResult:
     """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert again."""
     count, nothing = len(run.signals.t_s), np.zeros(len(run.signals.t_s))
-    session = InsertionSession(run.robot, on_lwr(DEFAULT))
+    session = InsertionSession(run.robot, UNSMOOTHED)
     before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
     errors: tuple[str, ...] = ()
     try:
@@ -249,7 +249,7 @@ def wrong_payload(run: Run) -> FaultResult:
     mass_kg = known.mass_kg - UNKNOWN_KG
     inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
     lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
-    session = InsertionSession(run.robot.with_payload(lighter), on_lwr(DEFAULT))
+    session = InsertionSession(run.robot.with_payload(lighter), UNSMOOTHED)
     feed(session, FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))))
     session.tare()
     return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")

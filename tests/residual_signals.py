@@ -53,11 +53,6 @@ def _swing(robot, amplitude, middle, force_at_tip_in_base, *, seconds, rate_hz=1
     dq = amplitude * omega * np.sin(phase)
     ddq = amplitude * omega**2 * np.cos(phase)
     data = robot.create_data()
-    tau = np.array(
-        [
-            pin.rnea(robot.model, data, q[k], dq[k], ddq[k])
-            - external_torque_of(robot, q[k], force_at_tip_in_base)
-            for k in range(len(times))
-        ]
-    )
-    return times, q, dq, tau
+    motion = [pin.rnea(robot.model, data, *one).copy() for one in zip(q, dq, ddq, strict=True)]
+    pushed = [external_torque_of(robot, one, force_at_tip_in_base) for one in q]
+    return times, q, dq, np.array(motion) - pushed

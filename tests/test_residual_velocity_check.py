@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from guarded_sensor import feed, signals, tared
 from residual_signals import BIAS
+from scipy.signal import lfilter
 
 from needleforce import InsertionSession
 from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError, VirtualForceSensor
@@ -49,8 +50,7 @@ def reports(times, q, dq):
 
 
 def late(values, seconds):
-    steps = round(seconds * RATE_HZ)
-    return np.concatenate((np.repeat(values[:1], steps, axis=0), values[: len(values) - steps]))
+    return values[np.maximum(np.arange(len(values)) - round(seconds * RATE_HZ), 0)]
 
 
 def held(values, rate_hz):
@@ -59,10 +59,8 @@ def held(values, rate_hz):
 
 
 def filtered(values, lag_s):
-    out, gain = values.copy(), -np.expm1(-1.0 / (RATE_HZ * lag_s))
-    for k in range(1, len(out)):
-        out[k] = out[k - 1] + gain * (values[k] - out[k - 1])
-    return out
+    gain = -np.expm1(-1.0 / (RATE_HZ * lag_s))
+    return values[0] + lfilter([gain], [1.0, gain - 1.0], values - values[0], axis=0)
 
 
 def differenced(q, resolution):
