@@ -115,6 +115,7 @@ class BiasEstimator:
     Until the first `tare` the prior stands in: no offset, a large covariance.
 
     Attributes:
+        block_s: Length of a recorded block [s].
         memory: All that it remembers, for whoever reads it every tick: not to be written.
     """
 
@@ -130,7 +131,7 @@ class BiasEstimator:
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
         self._basis = basis = BiasModel(robot, config.tare, config.prior)
-        self._block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
+        self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
         self._weightless, self._data = pin.Model(robot.model), robot.create_data()
         self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
@@ -209,7 +210,7 @@ class BiasEstimator:
         if not memory.tared:
             recorder = memory.recorder
             recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
-            if recorder.age_s >= self._block_s - ROUNDING_S:
+            if recorder.age_s >= self.block_s - ROUNDING_S:
                 recorder.close_block()
 
     @property
@@ -248,7 +249,7 @@ class BiasEstimator:
             )
         if not len(memory.recorder.sums):
             nothing = (
-                f"no settled free motion has been recorded (less than {self._block_s:g} s of it); "
+                f"no settled free motion has been recorded (less than {self.block_s:g} s of it); "
                 "update() the sensor without contact first, in steps no longer than max_gap_s, "
                 "then tare()"
             )

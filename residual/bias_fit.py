@@ -66,17 +66,17 @@ class FreeMotionFit:
         self._walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
         groups = {name: basis.groups[name] for name in LEARNT if name in basis.groups}
-        size = len(basis.std)
         std = np.concatenate((basis.std, np.full(touched.shape[2], CONTACT_STD_N), walk_std))
         if terms:
             groups["walk"] = slice(len(std) - len(walk_std), len(std))
 
         noise_Nm2 = self._fit(basis, std, groups if learn and not is_few else {}, is_few)
-        own = slice(0, size)
+        own = slice(0, len(basis.std))
         self.tare = Tare(
             self._mean[own].copy(),
             self._covariance[own, own].copy(),
             np.diag(noise_Nm2),
+            blocks.scatter_Nm2.copy(),
             basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
         )
         for array in self.tare:

@@ -106,6 +106,7 @@ class Tare(NamedTuple):
     mean: Array  # Offsets first, shape (m,)
     covariance: Array  # Of the parameters, shape (m, m)
     noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
+    scatter_Nm2: Array  # Of its diagonal what a mean over a recorded block takes away, shape (n,)
     walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
 
     @property
@@ -221,7 +222,8 @@ class BiasModel:
     def prior_tare(self) -> Tare:
         """What is known before any free motion was seen: no offset, the prior's covariance."""
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
-        return Tare(np.zeros(len(self.std)), np.diag(self.std**2), noise, self.walk_Nm2_per_s())
+        steady, none = np.zeros(self.joints), np.zeros(len(self.std))
+        return Tare(none, np.diag(self.std**2), noise, steady, self.walk_Nm2_per_s())
 
     def walk_Nm2_per_s(self) -> Array:
         """Variance that a random walk of the prior's size adds in a second [Nm^2/s], shape (n,)."""

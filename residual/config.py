@@ -30,7 +30,7 @@ class SensorConfig:
         smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
         force_bandwidth_per_s: Of the force's smoothing while it stays within its noise [1/s], see
-            `residual.wrench_estimator.wrench_step`; None for none.
+            `residual.wrench_estimator.smoothing_step`; None for none.
         friction: Joint friction between torque sensor and link, if any is modelled.
         mode: What is assumed of the contact: ``point``, a force in any direction; ``axial``, one
             along the needle, into which a lateral force leaks; ``full``, force and torque.

@@ -66,8 +66,7 @@ class WrenchEstimate(NamedTuple):
 
     Attributes:
         axial: Axial force [N]: resistance to insertion, positive when tissue pushes back. Smoothed
-            like all of the wrench while it stays within its noise, see
-            `SensorConfig.force_bandwidth_per_s`; ``covariance`` is of what that leaves.
+            like all of the wrench, see `wrench_estimator.smoothing_step`.
         axial_std: Its standard deviation [N]; `UNSEEN_STD` where nothing is known.
         lateral: Size of the force across the needle [N], never negative: of noise alone it reads
             about `lateral_std`. Its direction is in ``force``. Zero in mode ``axial``, which

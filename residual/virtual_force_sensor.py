@@ -206,11 +206,11 @@ class VirtualForceSensor:
 
     def _trust(self, covariance_Nm2: Array) -> None:
         """Weigh with a covariance of the residual from now on."""
-        # Noise lasts as long as the filters that it has passed.
-        noise_s = self.lag_s or 1.0 / self._config.slowest_gain_per_s
-        away = 1.0 / (1.0 + (self._config.force_bandwidth_per_s or math.inf) * noise_s)
-        noise_Nm2 = self._offset.memory.tare.noise_Nm2
-        self._wrench.set_torque_covariance(covariance_Nm2, noise_Nm2, away)
+        tare, bandwidth_per_s = self._offset.memory.tare, self._config.force_bandwidth_per_s
+        # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t / (t + T).
+        gone = 3.0 / (bandwidth_per_s or math.inf) / self._offset.block_s * tare.scatter_Nm2
+        gone *= tare.noise_Nm2.diagonal() / (tare.noise_Nm2.diagonal() + gone)
+        self._wrench.set_torque_covariance(covariance_Nm2, tare.noise_Nm2, np.diag(gone))
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.

@@ -236,7 +236,6 @@ class WrenchEstimator:
         size: Numbers of force, and torque if the mode has one: 3 or 6.
         gain: Of the last `weigh`.
         torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
-        torque_noise: Likewise.
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -259,20 +258,19 @@ class WrenchEstimator:
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:size]) ** -2.0
-        self.torque_covariance = self._inverse = self.torque_noise = np.eye(robot.nv)
-        self._smoothed_away = 0.0
+        self.torque_covariance = self._inverse = self._noise = np.eye(robot.nv)
+        self._smoothed: Array | float = 0.0
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(
-        self, covariance_Nm2: Array, noise_Nm2: Array | None = None, smoothed_away: float = 0.0
+        self, covariance_Nm2: Array, noise_Nm2: Array | None = None, smoothed: Array | float = 0.0
     ) -> None:
         """Set how far the residual may be trusted, for the next `weigh`.
 
         Args:
             covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
             noise_Nm2: The part of it that is noise of a sample, of the same shape; None for all.
-            smoothed_away: The part of the noise that `wrench_step` takes away while nothing
-                changes, 0 to 1.
+            smoothed: What `smoothing_step` takes away of that while nothing changes [Nm^2].
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -287,8 +285,8 @@ class WrenchEstimator:
         if not is_valid:
             raise ConfigurationError("covariance_Nm2 is not finite, symmetric, positive definite")
         self.torque_covariance, self._inverse = covariance, inverse
-        self.torque_noise = covariance if noise_Nm2 is None else noise_Nm2
-        self._smoothed_away = smoothed_away
+        self._noise = covariance if noise_Nm2 is None else noise_Nm2
+        self._smoothed = smoothed
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
         """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
@@ -315,11 +313,11 @@ class WrenchEstimator:
             directions = np.concatenate((axis, _NOTHING))[None]
         rows, inverse = directions.dot(jacobian), self._inverse
         precision = inverse if self._weighted else np.eye(self._joints)
-        error = self.torque_covariance - self._smoothed_away * self.torque_noise
+        error = self.torque_covariance - self._smoothed
         gain, covariance, conditioning, removed = weighted_inverse(
             rows, error, precision, self._damping
         )
-        noise = gain.dot(self.torque_noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
+        noise = gain.dot(self._noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
         variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
         if len(directions) > 1:
             parts = (np.ascontiguousarray(each[:3, :3]) for each in (covariance, noise))
