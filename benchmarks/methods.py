@@ -74,6 +74,7 @@ class SessionRun(NamedTuple):
     speed_m_s: Array  # shape (n,)
     result: Replay  # of the identification, from the tare on
     was_refused: bool  # the tare, which was then done with ``ignore_contact``
+    unsmoothed_N: Array  # the force that was identified, shape (n,)
 
 
 def run_session(
@@ -102,7 +103,7 @@ def run_session(
     lag_s = PUBLISHED_SPEED_s if is_published else 0.0
     chosen = on_lwr(METHODS[method]) if sensor is None else sensor
     session = InsertionSession(robot, chosen, config, speed_lag_s=lag_s)
-    found = np.zeros((4, len(signals.t_s)))
+    found = np.zeros((5, len(signals.t_s)))
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
     was_refused = False
@@ -116,13 +117,14 @@ def run_session(
                 was_refused = True
                 session.tare(ignore_contact=True)
         made = session.update(*sample)
-        found[:, k] = made.wrench.axial, made.wrench.axial_std, made.depth_m, made.speed_m_s
+        motion, force_N = (made.depth_m, made.speed_m_s), made.wrench.axial_unsmoothed
+        found[:, k] = *made.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(made.identification)
     reading = ForceReading(source="virtual", method=method, axial_N=found[0], std_N=found[1])
     t_s, layers = signals.t_s[tare:], session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
-    return SessionRun(reading, found[2], found[3], result, was_refused)
+    return SessionRun(reading, found[2], found[3], result, was_refused, found[4])
 
 
 OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)

@@ -235,7 +235,7 @@ def test_the_commands_print_edit_and_read_it(run, lwr):
     np.testing.assert_allclose(results[1], results[0], atol=1e-9)
     assert not np.allclose(results[2], results[0], equal_nan=True)
     content = tomllib.loads(run("identify", "b.npz", "--print-config"))
-    assert content["force"]["columns"] == "axial_N"
+    assert content["force"]["columns"] == "axial_unsmoothed_N"
     assert content["depth"]["columns"] == "travel_m"
 
 

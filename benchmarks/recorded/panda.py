@@ -4,7 +4,7 @@ Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, "Dynamic identification of the 
 robot with retrieval of feasible parameters using penalty-based optimization", RA-L 2019.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +18,6 @@ from benchmarks.force_plots import force_figures
 from benchmarks.methods import (
     IDENTIFIERS,
     METHODS,
-    ForceReading,
     joint_residual,
     run_session,
     wrench_metrics,
@@ -35,8 +34,8 @@ from benchmarks.recorded.liver import (
     read_table,
     rupture_values,
 )
-from benchmarks.rows import Measurement, Source
-from benchmarks.signals import ForceTruth, JointSignals, tool_jacobians
+from benchmarks.rows import Measurement, Method, Source
+from benchmarks.signals import Array, ForceTruth, JointSignals, tool_jacobians
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
 
@@ -124,7 +123,7 @@ OF_MANY = "_p90_pct"
 
 
 def identification_values(
-    insertion: LiverInsertion, truth: ForceTruth, readings: Sequence[ForceReading]
+    insertion: LiverInsertion, truth: ForceTruth, forces_N: Mapping[Method, Array]
 ) -> list[Measurement]:
     """Friction and ruptures by both methods, from the force itself and from each one's own sensor.
 
@@ -135,10 +134,9 @@ def identification_values(
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
     reference = liver_reference(insertion, depth, force)
     found: list[Measurement] = []
-    by_method = {item.method: item.axial_N[felt] for item in readings}
     for method in IDENTIFIERS:
         ft = liver_estimates(t_s, depth, force, method, reference)
-        virtual = liver_estimates(t_s, depth, by_method[method], method, reference)
+        virtual = liver_estimates(t_s, depth, forces_N[method][felt], method, reference)
         by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
         for source, item in by_source.items():
             for name, value in (*friction_values([item]), *rupture_values([item])):
@@ -170,23 +168,23 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     F/T sensor would have read it. Only the depth is the recorded needle's: the Panda moves
     otherwise.
     """
-    data = job.recordings
-    panda, insertion = read_panda(data), read_liver(data, job.seed)
+    panda, insertion = read_panda(job.recordings), read_liver(job.recordings, job.seed)
     truth = _truth(panda, insertion)
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
     signals = replace(panda.signals, tau_Nm=loaded)
-    readings = []
+    readings, forces_N = [], {}
     for k, (method, config) in enumerate(METHODS.items()):
         part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
         real = replace(config, friction=panda.friction)
         made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
         readings.append(made.reading)
+        forces_N[method] = made.unsmoothed_N
     drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
     found: list[Measurement] = []
     for reading in readings:
         found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]
-    found += identification_values(insertion, truth, readings)
+    found += identification_values(insertion, truth, forces_N)
     return Findings(found, drawings)
 
 

@@ -278,11 +278,11 @@ class Viewer:
         Raises:
             SceneError: Nothing was shown yet, or the file cannot be written.
         """
-        if len(self._rows) < 2:
+        if not len(self._rows):
             raise SceneError("nothing to export: no rows have come")
         serializer = self._server.get_scene_serializer()
         first_s, last_s = self._rows[[0, -1], 0].tolist()
-        times, step_s = np.linspace(first_s, last_s, frames, retstep=True)
+        times, step_s = np.linspace(first_s, max(last_s, first_s + FRAME_s), frames, retstep=True)
         for now_s in times.tolist():
             self.show(now_s)
             serializer.insert_sleep(float(step_s))
