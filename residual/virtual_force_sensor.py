@@ -54,7 +54,7 @@ class SensorState(NamedTuple):
     weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
     wrench: Array  # Memory of `wrench_step`, shape (2, 3) or (2, 6)
-    follows: bool  # Whether it does so already
+    follows: bool  # Whether that memory is of a sample
     unchecked_s: float  # Time since the last consistency check [s]
     waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
     last: WrenchEstimate | None  # Last estimate; None before the first
