@@ -32,19 +32,14 @@ from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.bag_types import TopicDecoder
 
 
-@pytest.fixture
-def folder(tmp_path):
-    return tmp_path / "bag"
-
-
-def test_source_stamps_are_kept_to_the_nanosecond(folder):
-    log = read_log(write_bag(folder, insertion_rows(300)), required=["q"])
+def test_source_stamps_are_kept_to_the_nanosecond(tmp_path):
+    log = read_log(write_bag(tmp_path / "bag", insertion_rows(300)), required=["q"])
     found_ns = log.start_ns + np.rint(log.t_s * 1e9).astype(np.int64)
     assert found_ns.tolist() == [START_NS + k * STEP_NS for k in range(300)]
 
 
-def test_joints_are_put_in_the_robots_order_by_name(folder):
-    write_bag(folder, insertion_rows(4, names=("elbow", "gripper", "base")))
+def test_joints_are_put_in_the_robots_order_by_name(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(4, names=("elbow", "gripper", "base")))
     log = read_log(folder, required=["q", "tau"], joints=["base", "elbow"])
     assert log["q_rad"][1].tolist() == [1.2, 1.0]
     assert log["tau_Nm"][1].tolist() == [2.4, 2.0]
@@ -52,16 +47,16 @@ def test_joints_are_put_in_the_robots_order_by_name(folder):
     assert log["q_rad"][1].tolist() == [1.1, 1.0]
 
 
-def test_joints_under_other_names_keep_the_order_of_the_bag(folder):
-    write_bag(folder, insertion_rows(4))
+def test_joints_under_other_names_keep_the_order_of_the_bag(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(4))
     log = read_log(folder, required=["q"], joints=["x", "y", "z"])
     assert log["q_rad"][0].tolist() == [0.0, 0.1, 0.2]
     assert "has the joints a, b, c, the robot x, y, z" in log.warnings[0]
 
 
-def test_a_bag_without_numbers_or_messages_is_refused(folder, tmp_path):
+def test_a_bag_without_numbers_or_messages_is_refused(tmp_path):
     with pytest.raises(FormatError, match=r"no topic with numbers: /log .*holds no numbers"):
-        read_log(write_bag(folder, [("/log", 1, text("a"))]))
+        read_log(write_bag(tmp_path / "bag", [("/log", 1, text("a"))]))
     with pytest.raises(FormatError, match="holds no messages"):
         read_log(write_bag(tmp_path / "empty", []))
 
@@ -124,40 +119,40 @@ def test_what_is_no_bag_is_refused(tmp_path):
         read_log(tmp_path / "folder.db3")
 
 
-def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(folder):
+def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(tmp_path):
     orders = ["ab", "ba", "a"]
     places = {"a": 1.0, "b": 2.0}
     rows = [
         ("/j", k, joint_state(k + 1, order, [places[name] for name in order]))
         for k, order in enumerate(orders)
     ]
-    log = read_log(write_bag(folder, rows), required=["q"])
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
     np.testing.assert_array_equal(log["q_rad"], [[1.0, 2.0], [1.0, 2.0], [1.0, np.nan]])
     assert "/j: messages that lack joints: 1" in log.warnings
 
 
-def test_messages_of_a_gripper_on_the_same_topic_are_left_out(folder):
+def test_messages_of_a_gripper_on_the_same_topic_are_left_out(tmp_path):
     rows = []
     for k in range(1, 6):
         rows.append(("/j", k, joint_state(10 * k, "ab", [k, k])))
         rows.append(("/j", k, joint_state(10 * k + 5, ["finger"], [0.5])))
-    log = read_log(write_bag(folder, rows), required=["q"], joints=["a", "b"])
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["a", "b"])
     np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(1.0, 6.0))
     assert "/j: messages without any of the joints, left out: 5" in log.warnings
 
 
-def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(folder):
+def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(tmp_path):
     rows = [("/force", k, number(k)) for k in range(0, 1000, 10)]
     rows += [("/depth", k, number(2.0 * k)) for k in range(0, 1000, 100)]
-    log = read_log(write_bag(folder, sorted(rows, key=lambda row: row[1])))
+    log = read_log(write_bag(tmp_path / "bag", sorted(rows, key=lambda row: row[1])))
     np.testing.assert_allclose(log["depth_m"][:91], 20.0 * np.arange(91))
     assert np.isnan(log["depth_m"][91:]).all()
     assert "rows are the messages of /force" in log.warnings[0]
     assert "/depth" in log.warnings[0]
 
 
-def test_the_mapping_may_choose_the_clock(folder):
-    write_bag(folder, insertion_rows(40))
+def test_the_mapping_may_choose_the_clock(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(40))
     mapping = ColumnMapping(
         reference_topic="/depth_mm", channels=mapped(force="/ft/wrench/force_xyz[2]").channels
     )
@@ -167,13 +162,13 @@ def test_the_mapping_may_choose_the_clock(folder):
         read_log(folder, ColumnMapping(reference_topic="/none"), required=["depth"])
 
 
-def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(folder):
+def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(tmp_path):
     rows = [
         (topic, k, joint_state(k, names, [k, factor * k], [k, k], [factor * k, k]))
         for k in range(1, 4)
         for topic, names, factor in (("/arm", "ab", 2.0), ("/hand", "xy", 3.0))
     ]
-    write_bag(folder, rows)
+    folder = write_bag(tmp_path / "bag", rows)
     asked = {"required": ["q", "tau"], "optional": ["dq"]}
     assert read_log(folder, joints=["b", "a"], **asked)["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
     several = r"several columns would fit \(/arm/position, /hand/position\)"

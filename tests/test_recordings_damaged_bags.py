@@ -22,27 +22,9 @@ from needleforce.recordings import (
 from needleforce.recordings.bag_messages import read_messages
 from needleforce.recordings.errors import MAX_BYTES
 
-
-@pytest.fixture
-def folder(tmp_path):
-    return tmp_path / "bag"
-
-
 COUNT = 6000
 KINDS = {"mcap": ("mcap", None), "zstd": ("mcap", "STORAGE"), "sqlite3": ("sqlite3", None)}
 MCAP = ("mcap", "zstd")
-
-
-@pytest.fixture(scope="module")
-def bags(tmp_path_factory):
-    """One bag of each kind, with several chunks or many pages: its file's bytes and name."""
-    folder = tmp_path_factory.mktemp("bags")
-    made = {}
-    for kind, (storage, compression) in KINDS.items():
-        rows = insertion_rows(COUNT)
-        bag = write_bag(folder / kind, rows, storage=storage, compression=compression)
-        made[kind] = (data_file(bag).name, data_file(bag).read_bytes())
-    return made
 
 
 def messages_in(path):
@@ -52,27 +34,29 @@ def messages_in(path):
 
 
 @pytest.fixture(scope="module")
-def whole(bags, tmp_path_factory):
-    """What an intact bag holds, in order."""
-    folder = tmp_path_factory.mktemp("whole")
-    found = {}
-    for kind, (name, data) in bags.items():
-        (folder / name).write_bytes(data)
-        found[kind], faults = messages_in(folder / name)
+def bags(tmp_path_factory):
+    """One of each kind, of several chunks or pages: name and bytes of its file, its messages."""
+    folder = tmp_path_factory.mktemp("bags")
+    made = {}
+    for kind, (storage, compression) in KINDS.items():
+        rows = insertion_rows(COUNT)
+        path = data_file(write_bag(folder / kind, rows, storage=storage, compression=compression))
+        found, faults = messages_in(path)
         assert faults == []
-        assert len(found[kind]) == 2 * COUNT + COUNT // 5
-    return found
+        assert len(found) == 2 * COUNT + COUNT // 5
+        made[kind] = path.name, path.read_bytes(), found
+    return made
 
 
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("share", [0.0002, 0.2, 0.5, 0.95])
-def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, whole, kind, share):
-    name, data = bags[kind]
+def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, share):
+    name, data, whole = bags[kind]
     (tmp_path / name).write_bytes(data[: int(share * len(data))])
     found, faults = messages_in(tmp_path / name)
     # In a compressed chunk the last block of 128 KiB cannot be unpacked in part.
     slack = 0.15 if kind == "zstd" else 0.03
-    assert len(found) >= (share - slack) * len(whole[kind])
+    assert len(found) >= (share - slack) * len(whole)
     assert faults == [f"{name} is cut short"]
 
 
@@ -102,7 +86,7 @@ def test_messages_that_a_killed_recorder_left_beside_the_file_are_reported(tmp_p
 def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
     tmp_path_factory, bags, kind, where, mask, width
 ):
-    name, data = bags[kind]
+    name, data, _ = bags[kind]
     start = int(where * len(data))
     damaged = bytes(byte ^ mask for byte in data[start : start + width])
     path = tmp_path_factory.mktemp("damaged") / name
@@ -115,7 +99,7 @@ def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
 
 
 def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
-    name, data = bags["zstd"]
+    name, data, _ = bags["zstd"]
     (tmp_path / name).write_bytes(data.replace(b"zstd", b"lzma", 1))
     with pytest.raises(FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"):
         read_table(tmp_path / name)
@@ -123,12 +107,12 @@ def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
 
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.9])
-def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, whole, kind, share):
-    name, data = bags[kind]
+def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, share):
+    name, data, whole = bags[kind]
     at = int(share * len(data))
     (tmp_path / name).write_bytes(data[:at] + data[at + 1 :])
     found, faults = messages_in(tmp_path / name)
-    assert found == whole[kind][: len(found)] or len(found) < len(whole[kind])
+    assert found == whole[: len(found)] or len(found) < len(whole)
     assert f"{name} is damaged at byte" in faults[-1]
 
 
@@ -167,9 +151,9 @@ def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path
 
 
 @pytest.mark.parametrize("is_set", [False, True])
-def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(folder, is_set):
+def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, is_set):
     rows = [("/j", k * STEP_NS, joint_state(k * STEP_NS * is_set, "ab", [k, k])) for k in (1, 2, 3)]
-    log = read_log(write_bag(folder, rows), required=["q"])
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
     assert log.start_ns == 0
     assert log.t_s.tolist() == [k * STEP_NS / 1e9 for k in (1, 2, 3)]
     note = "/j: messages without a source time stamp; the recorder's was taken: 3"
@@ -177,15 +161,15 @@ def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(folder, is_
 
 
 @pytest.mark.parametrize("names", [("", "", ""), ("a", "a", "a"), ("a", "", "b")])
-def test_joints_whose_names_identify_none_keep_their_places(folder, names):
+def test_joints_whose_names_identify_none_keep_their_places(tmp_path, names):
     rows = [("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)]
-    log = read_log(write_bag(folder, rows), required=["q"], joints=["x", "y", "z"])
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"])
     np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
 
 
 @pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
 def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, share):
-    name, data = bags["sqlite3"]
+    name, data, _ = bags["sqlite3"]
     (tmp_path / name).write_bytes(data[: int(share * len(data))])
     with pytest.raises(FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"):
         read_table(tmp_path / name)
@@ -222,8 +206,8 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     assert "x.mcap has a chunk whose checksum is wrong, which was left out" in log.warnings[0]
 
 
-def test_without_rosbags_the_error_says_what_to_install(folder, monkeypatch):
-    write_bag(folder, insertion_rows(4))
+def test_without_rosbags_the_error_says_what_to_install(tmp_path, monkeypatch):
+    folder = write_bag(tmp_path / "bag", insertion_rows(4))
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     with pytest.raises(FileAccessError, match="pip install rosbags mcap"):
         read_log(folder)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from bag_samples import mapped
+from bag_samples import START_NS, mapped
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -113,9 +113,6 @@ def test_a_log_shows_that_its_clock_was_set_back():
     assert "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]
 
 
-EPOCH_NS = 1_700_000_000_123_456_789
-
-
 @given(
     first_ns=st.one_of(st.integers(0, 1 << 40), st.integers(1 << 60, (1 << 62) - 1)),
     since_ns=st.lists(st.integers(0, 86_400 * 10**9), min_size=1, max_size=20),
@@ -129,12 +126,12 @@ def test_stamps_come_back_from_seconds(first_ns, since_ns):
 
 @pytest.mark.parametrize("suffix", ["csv", "ragged.csv", "npz", "parquet"])
 def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
-    stamps_ns = EPOCH_NS + np.cumsum(np.arange(5000)) % 7 + 1_000_003 * np.arange(5000)
+    stamps_ns = START_NS + np.cumsum(np.arange(5000)) % 7 + 1_000_003 * np.arange(5000)
     path = tmp_path / f"log.{suffix}"
     write_table(path, {"time [ns]": stamps_ns, "force_N": np.ones(5000)})
     if suffix == "ragged.csv":
         lines = path.read_text().splitlines()
-        lines[3000:3000] = ["1,2,3", f"{EPOCH_NS}"]
+        lines[3000:3000] = ["1,2,3", f"{START_NS}"]
         path.write_text("\n".join(lines) + "\n")
     else:
         assert read_table(path).columns["time [ns]"].tolist() == stamps_ns.tolist()

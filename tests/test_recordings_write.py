@@ -4,6 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from bag_samples import START_NS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -22,7 +23,6 @@ from needleforce.recordings import (
 from needleforce.recordings.output import open_table
 from needleforce.recordings.table import Labels
 
-START_NS = 1_700_000_000_123_456_789
 T_S = np.arange(3) / 1000.0
 
 
@@ -133,16 +133,11 @@ def path(tmp_path):
     return tmp_path / "out.mcap"
 
 
-def joint_columns(rows=20):
+def joint_columns():
     rng = np.random.default_rng(3)
-    return {
-        "t_s": np.arange(rows) / 1000,
-        "q_rad": rng.normal(size=(rows, 2)),
-        "dq_rad_s": rng.normal(size=(rows, 2)),
-        "tau_Nm": rng.normal(size=(rows, 2)),
-        "ft_force_N": rng.normal(size=(rows, 3)),
-        "ft_torque_Nm": rng.normal(size=(rows, 3)),
-    }
+    sizes = {"q_rad": 2, "dq_rad_s": 2, "tau_Nm": 2, "ft_force_N": 3, "ft_torque_Nm": 3}
+    signals = {name: rng.normal(size=(20, size)) for name, size in sizes.items()}
+    return {"t_s": np.arange(20) / 1000, **signals}
 
 
 def estimate_columns(rows=20):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from residual_signals import MIDDLE
+from residual_signals import BIAS, MIDDLE
 
 from groundtruth.arm_plant import BearingFriction
 from groundtruth.plant_model import CLEAN
@@ -21,7 +21,8 @@ LOOPS = 3
 FORWARD, STILL = np.zeros((8, 7)), np.zeros((8, 7))
 FORWARD[:LOOPS] = np.sign(TOWARDS)
 LATE, GROWING = np.arange(300) > 270, np.linspace(-2.0, 1.0, 300).clip(0.0)
-OFFSET = np.array([0.3, -0.8, 0.4, 0.5, -0.2, 0.1, -0.05])
+AHEAD = (MIDDLE + 0.8 * TOWARDS, FORWARD, 20.0)
+"""Posture, state of the loops and seconds since the tare, at which a fit is judged."""
 
 
 def stroke(
@@ -71,27 +72,23 @@ def test_bias_is_linear_in_its_physical_causes(lwr, basis):
 @pytest.mark.parametrize("seed", range(3))
 def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
-    ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
-    truth = basis.columns(ahead, forward, 20.0) @ theta
+    truth = basis.columns(*AHEAD) @ theta
     fitted = FreeMotionFit(basis, blocks).tare
     fit = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks)
     loops = basis.groups["hysteresis"]  # the narrowest first
     assert fitted.mean[loops][7:].min() > -1e-9 > theta[loops][7:].min()
-    ours = np.abs(basis.bias_Nm(fitted, ahead, forward, 20.0) - truth).max()
-    paper = np.abs(fit.basis.bias_Nm(fit.tare, ahead, forward, 20.0) - truth).max()
+    ours = np.abs(basis.bias_Nm(fitted, *AHEAD) - truth).max()
+    paper = np.abs(fit.basis.bias_Nm(fit.tare, *AHEAD) - truth).max()
     assert ours < 0.5 * paper
 
 
 def test_stated_covariance_is_believable(lwr, basis):
-    ahead, forward, scores = MIDDLE + 0.8 * TOWARDS, FORWARD, []
+    scores = []
     for seed in range(20):
         theta, blocks = stroke(lwr, basis, seed=seed)
         fitted = FreeMotionFit(basis, blocks).tare
-        error = (
-            basis.bias_Nm(fitted, ahead, forward, 20.0)
-            - basis.columns(ahead, forward, 20.0) @ theta
-        )
-        covariance = basis.covariance_Nm2(fitted, ahead, forward, 20.0) - fitted.noise_Nm2
+        error = basis.bias_Nm(fitted, *AHEAD) - basis.columns(*AHEAD) @ theta
+        covariance = basis.covariance_Nm2(fitted, *AHEAD) - fitted.noise_Nm2
         scores.append((error**2 / covariance.diagonal())[1:4])
     assert 0.5 < np.mean(scores) < 1.6
 
@@ -100,19 +97,12 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)))
     ripple = 0.02 * np.sin(320.0 * blocks.q_rad + 1.0)
     wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
-    ahead, forward = MIDDLE + 0.8 * TOWARDS, FORWARD
-
-    def uncertainty(tare):
-        return np.sqrt(
-            (basis.covariance_Nm2(tare, ahead, forward, 0.0) - tare.noise_Nm2).diagonal()
-        )
-
-    fitted = FreeMotionFit(basis, wavy).tare
-    smooth = uncertainty(FreeMotionFit(basis, blocks).tare)
-    assert (uncertainty(fitted)[1:4] > 1.5 * smooth[1:4]).all()
-    assert (
-        np.abs(basis.bias_Nm(fitted, ahead, forward, 0.0))[1:4] < 3.0 * uncertainty(fitted)[1:4]
-    ).all()
+    at_once = (*AHEAD[:2], 0.0)
+    tares = [FreeMotionFit(basis, each).tare for each in (blocks, wavy)]
+    covariances = [basis.covariance_Nm2(tare, *at_once) - tare.noise_Nm2 for tare in tares]
+    smooth, rough = (np.sqrt(covariance.diagonal()[1:4]) for covariance in covariances)
+    assert (rough > 1.5 * smooth).all()
+    assert (np.abs(basis.bias_Nm(tares[1], *at_once))[1:4] < 3.0 * rough).all()
 
 
 def test_uncertainty_grows_with_distance_and_time(lwr, basis):
@@ -128,7 +118,7 @@ def test_uncertainty_grows_with_distance_and_time(lwr, basis):
 
 def test_constant_kind_is_the_mean_residual(lwr):
     basis = BiasModel(lwr, "constant", BiasPrior())
-    _, blocks = stroke(lwr, basis, truth=OFFSET)
+    _, blocks = stroke(lwr, basis, truth=BIAS)
     tare = FreeMotionFit(basis, blocks).tare
     mean = blocks.residual_Nm.mean(axis=0)
     np.testing.assert_allclose(basis.bias_Nm(tare, MIDDLE, STILL, 5.0), mean, atol=2e-4)
@@ -224,7 +214,9 @@ def place(t_s):
 class Arm:
     """Residuals of a simulated arm whose bearings rub; no tissue but what a test adds."""
 
-    def __init__(self, robot, coulomb_Nm, seed):
+    def __init__(self, robot, seed, factor=1.0):
+        # 0.02 to 0.1 Nm of friction, equal chance per octave.
+        coulomb_Nm = factor * 0.02 * 5.0 ** np.random.default_rng([seed, 1]).uniform(size=7)
         rng = self.rng = np.random.default_rng(seed)
         model = replace(
             CLEAN, joint_coulomb=1.0, joint_viscous_Nms_per_rad=(0.3 * coulomb_Nm.max(),) * 7
@@ -233,10 +225,10 @@ class Arm:
         self.offset = rng.uniform(-0.5, 0.5, 7)
         self.wrench = WrenchEstimator(robot)
 
-    def feed(self, estimator, times, force=lambda _t: 0.0, *, record=True):
+    def feed(self, estimator, start_s, end_s, force=lambda _t: 0.0, *, record=True):
         """Feed an estimator; returns error and std of the axial force at every sample."""
         found = []
-        for t in times:
+        for t in np.arange(start_s, end_s, DT_S):
             q = MIDDLE + place(t) * REACH_RAD
             dq = (place(t + 1e-4) - place(t - 1e-4)) / 2e-4 * REACH_RAD
             rubbed = self.bearings.step(dq, DT_S)
@@ -255,22 +247,13 @@ class Arm:
         return np.array(found).T
 
 
-def tare_times(end_s=13.0):
-    return np.arange(0.0, end_s, DT_S)
-
-
-def drawn_friction(seed, factor=1.0):
-    """0.02 to 0.1 Nm, equal chance per octave."""
-    return factor * 0.02 * 5.0 ** np.random.default_rng([seed, 1]).uniform(size=7)
-
-
 @pytest.mark.parametrize(("factor", "most_N"), [(1.0, 0.05), (3.0, 0.1)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, seed):
-    arm, estimator = Arm(lwr, drawn_friction(seed, factor), seed), BiasEstimator(lwr, DEFAULT)
-    arm.feed(estimator, tare_times())
+    arm, estimator = Arm(lwr, seed, factor), BiasEstimator(lwr, DEFAULT)
+    arm.feed(estimator, 0.0, 13.0)
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
-    error, std = arm.feed(estimator, np.arange(13.0, 21.0, DT_S), record=False)
+    error, std = arm.feed(estimator, 13.0, 21.0, record=False)
     assert np.sqrt(np.mean(error**2)) < most_N
     assert np.mean(np.abs(error) < 2.0 * std) > 0.85
 
@@ -278,17 +261,17 @@ def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, s
 @pytest.mark.parametrize("since_s", [5.0, 11.0])
 @pytest.mark.parametrize("seed", [2, 3])
 def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
-    arm, estimator = Arm(lwr, drawn_friction(seed), seed), BiasEstimator(lwr, DEFAULT)
-    arm.feed(estimator, tare_times(), force=lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3))
+    arm, estimator = Arm(lwr, seed), BiasEstimator(lwr, DEFAULT)
+    arm.feed(estimator, 0.0, 13.0, lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3))
     with pytest.raises(TareError, match="in contact"):
         estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
 
 
 def test_a_short_tare_says_what_it_does_not_know(lwr):
-    arm, estimator = Arm(lwr, drawn_friction(5), 5), BiasEstimator(lwr, DEFAULT)
-    arm.feed(estimator, tare_times(1.0))
+    arm, estimator = Arm(lwr, 5), BiasEstimator(lwr, DEFAULT)
+    arm.feed(estimator, 0.0, 1.0)
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
-    _, at_rest = arm.feed(estimator, np.arange(0.9, 1.0, DT_S), record=False)
-    error, moving = arm.feed(estimator, np.arange(1.0, 3.0, DT_S), record=False)
+    _, at_rest = arm.feed(estimator, 0.9, 1.0, record=False)
+    error, moving = arm.feed(estimator, 1.0, 3.0, record=False)
     assert moving[-1] > 3.0 * at_rest[-1]
     assert np.mean(np.abs(error) < 2.0 * moving) > 0.85
