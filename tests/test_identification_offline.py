@@ -10,20 +10,15 @@ THICKNESS_M = 0.03
 STIFFNESS, FRICTION = 30.0, 9000.0
 
 
-def _insertion(speed_of_t, duration_s=20.0, dt_s=0.002):
-    t = np.arange(0.0, duration_s, dt_s)
+def _insertion(speed_of_t, duration_s=20.0):
+    t = np.arange(0.0, duration_s, 0.002)
     v = speed_of_t(t)
-    z = np.cumsum(v) * dt_s
-    return t, z, v
+    return t, np.cumsum(v) * 0.002, v
 
 
 def _one_layer(t, z):
-    rupture = float(t[np.searchsorted(z, THICKNESS_M)])
-    start = LayerSpan(
-        start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=rupture - 1e-9
-    )
-    matrix = regression_matrix(t, z, np.gradient(z, t), [start])
-    return start, matrix
+    end_s = float(t[np.searchsorted(z, THICKNESS_M)]) - 1e-9
+    return LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=end_s)
 
 
 def _constant(t):
@@ -37,7 +32,7 @@ def _sinusoidal(t):
 @pytest.mark.parametrize("speed", [_constant, _sinusoidal])
 def test_full_traversal_identifies_both_parameters(speed):
     t, z, v = _insertion(speed)
-    span, _ = _one_layer(t, z)
+    span = _one_layer(t, z)
     force = regression_matrix(t, z, v, [span]) @ [STIFFNESS, FRICTION]
     fit = identify_offline(t, z, v, force, [span])
     layer = fit.layers[0]
@@ -63,7 +58,7 @@ def test_constant_speed_inside_one_layer_separates_nothing():
 def test_standard_deviations_cover_the_truth():
     rng = np.random.default_rng(1)
     t, z, v = _insertion(_sinusoidal)
-    span, _ = _one_layer(t, z)
+    span = _one_layer(t, z)
     clean = regression_matrix(t, z, v, [span]) @ [STIFFNESS, FRICTION]
     errors = []
     for _ in range(40):
@@ -97,6 +92,9 @@ def test_friction_column_shrinks_again_on_the_way_out():
     assert np.allclose(column, [0.0, 0.01, 0.02, 0.01, 0.0])
 
 
+SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9.0}
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -110,12 +108,8 @@ def test_friction_column_shrinks_again_on_the_way_out():
 def test_bad_columns_are_refused(change, message):
     log = {key: [0.0, 0.1, 0.2] for key in ("depth_m", "speed_m_s", "force_N")}
     log["t_s"] = [0.0, 1.0, 2.0]
-    span = LayerSpan(start_s=0.0, start_depth_m=0.0, thickness_m=0.1, rupture_s=9.0)
     with pytest.raises(InvalidLogError, match=message):
-        identify_offline(**(log | change), layers=[span])
-
-
-SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9.0}
+        identify_offline(**(log | change), layers=[LayerSpan(**SPAN)])
 
 
 @pytest.mark.parametrize(

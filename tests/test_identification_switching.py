@@ -87,13 +87,8 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
     assert first.contact_depth_m == pytest.approx(0.0, abs=0.5e-3)
     assert 0.0 < first.alarm_s - first.time_s < 0.06
     identified = of(estimates, "identified_layer")
-    assert [(one.layer, one.is_final) for one in identified] == [
-        (1, False),
-        (1, True),
-        (2, False),
-        (2, True),
-    ]
-    assert [one.rupture.is_final for one in identified] == [False, True, False, True]
+    numbers = [(one.layer, one.is_final, one.rupture.is_final) for one in identified]
+    assert numbers == [(k, is_final, is_final) for k in (1, 2) for is_final in (False, True)]
     last = estimates[-1]
     assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
     assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)
@@ -115,19 +110,12 @@ def test_jitter_of_the_speed_is_no_sign_that_friction_is_the_same_at_all_speeds(
 def test_tip_and_friction_are_within_their_deviations(seed):
     rows = straight(seed)
     _, estimates = run(rows)
-    truth = [tissue_N(row[0]) for row in rows]
-    judged = slice(6000, None)
-    tip = np.array([one.tip_force_N for one in estimates])[judged]
-    std = np.array([one.tip_force_std_N for one in estimates])[judged]
-    off = np.abs(tip - [true for true, _ in truth][judged])
-    assert np.mean(off < 2.0 * std + 5e-3) > 0.9
-    friction = np.array([one.shaft_friction_N for one in estimates])[judged]
-    spread = np.array([one.shaft_friction_std_N for one in estimates])[judged]
-    assert (
-        np.mean(np.abs(friction - [sum(each) for _, each in truth][judged]) < 2 * spread + 5e-3)
-        > 0.9
-    )
-    assert spread[-1] < 0.1 * friction[-1]
+    true = [tissue_N(row[0]) for row in rows[6000:]]
+    truths = {"tip_force": [tip for tip, _ in true], "shaft_friction": [sum(f) for _, f in true]}
+    for name, truth_N in truths.items():
+        found, std = (np.array(of(estimates[6000:], f"{name}{end}")) for end in ("_N", "_std_N"))
+        assert np.mean(np.abs(found - truth_N) < 2.0 * std + 5e-3) > 0.9
+    assert std[-1] < 0.1 * found[-1]
 
 
 def test_the_tissue_may_beat():

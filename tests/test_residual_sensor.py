@@ -127,15 +127,18 @@ def test_bad_first_sample_gives_finite_numbers_and_no_knowledge(lwr):
     assert all(np.isfinite(value).all() for value in estimate[:8])
 
 
-def test_tare_in_contact_is_refused_unless_ignored(lwr):
-    sensor = VirtualForceSensor(lwr)
+def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(lwr):
+    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
-    for k in range(len(q)):
+    for k in range(2995):
         touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
-        sensor.update(q[k], dq[k], tau[k] - touching, 1e-3)
+        for one in (sensor, twin):
+            one.update(q[k], dq[k], tau[k] - touching, 1e-3)
     with pytest.raises(TareError, match="in contact"):
         sensor.tare()
     assert not sensor.tared
+    ours, theirs = (one.update(q[2995], dq[2995], tau[2995], 1e-3) for one in (sensor, twin))
+    assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
     sensor.tare(ignore_contact=True)
     assert sensor.tared
 

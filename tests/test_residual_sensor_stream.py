@@ -22,20 +22,6 @@ def test_a_second_tare_needs_new_motion(lwr):
     assert abs(sensor.update(q[-1], dq[-1], shifted[-1], 1e-3).axial) < 0.02
 
 
-def test_a_refused_tare_leaves_the_next_estimate_as_it_was(lwr):
-    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
-    for k in range(2995):
-        touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
-        for one in (sensor, twin):
-            one.update(q[k], dq[k], tau[k] - touching, 1e-3)
-    with pytest.raises(TareError):
-        sensor.tare()
-    next_sample = (q[2995], dq[2995], tau[2995], 1e-3)
-    ours, theirs = sensor.update(*next_sample), twin.update(*next_sample)
-    assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
-
-
 def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
     sensor = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.2, start=2.0, amplitude=0.03)
