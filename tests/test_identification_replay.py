@@ -76,11 +76,6 @@ def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(colu
         assert words in check.hints()[-1]
 
 
-def ruptures_s(result):
-    """When the layers ruptured."""
-    return [layer.rupture.time_s for layer in result.layers]
-
-
 def test_repeated_rows_change_no_layer(columns):
     t_s, depth_m, force_N, _ = columns
     once = replay(t_s, depth_m, force_N)
@@ -95,8 +90,8 @@ def test_late_rows_shift_no_event(columns, has_speed):
     late_s = t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
     clean, late = (replay(t, depth_m, force_N, speed_m_s) for t in (t_s, late_s))
-    assert len(clean.layers) == 1
-    assert ruptures_s(late) == pytest.approx(ruptures_s(clean), abs=0.02)
+    (expected,), (found,) = clean.layers, late.layers
+    assert found.rupture.time_s == pytest.approx(expected.rupture.time_s, abs=0.02)
 
 
 @pytest.mark.parametrize("has_speed", [True, False])
@@ -111,10 +106,10 @@ def test_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
     )
     rejected = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
     assert len([k for k in rejected if k != 300]) <= 12
-    assert len(followed.layers) == len(clean.layers) == 1
+    (expected,), (found,) = clean.layers, followed.layers
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
-    assert ruptures_s(followed) == pytest.approx([ruptures_s(clean)[0] - 20.0], abs=0.03)
+    assert found.rupture.time_s == pytest.approx(expected.rupture.time_s - 20.0, abs=0.03)
 
 
 def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):

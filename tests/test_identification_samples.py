@@ -144,11 +144,10 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
         other = moved.update(depth + (0.05 if k > 500 else 0.0), 2.5e-3, force, 1e-3)
         assert (other.rupture is None) == (found.rupture is None)
     one, two = plain.layers[0], moved.layers[0]
-    assert two.rupture.depth_m - one.rupture.depth_m == pytest.approx(0.05, abs=1e-5)
-    assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == pytest.approx(
-        0.05, abs=1e-5
-    )
-    assert two.start_depth_m - one.start_depth_m == pytest.approx(0.05, abs=1e-5)
+    shift_m = pytest.approx(0.05, abs=1e-5)
+    assert two.rupture.depth_m - one.rupture.depth_m == shift_m
+    assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == shift_m
+    assert two.start_depth_m - one.start_depth_m == shift_m
     assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
 
 

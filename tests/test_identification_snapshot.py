@@ -7,7 +7,6 @@ import pytest
 
 from identification import MULTILAYER, PUBLISHED, Identifier
 from identification.errors import InvalidSnapshotError
-from identification.published_identifier import PublishedState
 from needleforce import read_snapshot, write_snapshot
 
 both_methods = pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
@@ -38,13 +37,6 @@ def test_memory_is_bounded(config):
     assert max(sizes) < max(2 * sizes[2], 4096 * 7 * 10)
 
 
-def is_at_work(state):
-    """Whether the work of a block or the wait for a force drop has begun and not ended."""
-    if isinstance(state, PublishedState):
-        return state.ruptured is not None
-    return state.stage != 0
-
-
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
 def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config, least, tmp_path):
     """Each seventh one, and from a file each fifth one that is taken while work is left."""
@@ -53,9 +45,10 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config,
         found.append(whole.update(*row))
         assert part.update(*row) == found[-1]
         kept = part.snapshot()
-        if is_at_work(kept.state):
-            files += 1
-        if is_at_work(kept.state) and files % 5 == 1:
+        # Whether the work of a block or the wait for a force drop has begun and not ended.
+        is_at_work = kept.state.stage != 0 if config is MULTILAYER else bool(kept.state.ruptured)
+        files += is_at_work
+        if is_at_work and files % 5 == 1:
             write_snapshot(kept, tmp_path / "kept.json")
             kept = read_snapshot(tmp_path / "kept.json")
         elif k % 7:
@@ -69,13 +62,10 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config,
     assert run(part, samples()) == found
 
 
-def with_corner(number):
-    def change(matrix):
-        matrix = matrix.copy()
-        matrix[0, 1] = number
-        return matrix
-
-    return change
+def with_corner(matrix):
+    matrix = matrix.copy()
+    matrix[0, 1] = 0.3
+    return matrix
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +80,7 @@ def in_tissue():
 @pytest.mark.parametrize(
     ("config", "place", "change"),
     [
-        (MULTILAYER, "bank.spreads", with_corner(0.3)),
+        (MULTILAYER, "bank.spreads", with_corner),
         (MULTILAYER, "bank.spreads", lambda spreads: spreads[:, :2, :2]),
         (MULTILAYER, "bank.facts", lambda facts: facts + 7.0),
         (MULTILAYER, "bank.log_weights", lambda weights: weights.astype(int)),

@@ -126,31 +126,23 @@ COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0
 COLUMNS |= {"force_std_N": np.where(ROWS < HEAD_ROWS, np.nan, 0.1)}  # for none in the first rows
 
 
-def piped(data, path, size):
-    """The log of a recording that comes through a pipe."""
-    os.mkfifo(path)
+@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
+@pytest.mark.parametrize("size", [3000, 1 << 20])
+def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
+    path, pipe = tmp_path / f"log.{suffix.removesuffix('.gz')}", tmp_path / "pipe"
+    write_table(path, COLUMNS)
+    data = gzip.compress(path.read_bytes()) if suffix.endswith("gz") else path.read_bytes()
+    os.mkfifo(pipe)
 
     def write():
-        with path.open("wb", buffering=0) as out:
+        with pipe.open("wb", buffering=0) as out:
             for at in range(0, len(data), size):
                 out.write(data[at : at + size])
 
     writer = threading.Thread(target=write)
     writer.start()
-    tables = stream_tables(path, FollowOptions())
-    log = LogStream(tables).joined()
+    found = LogStream(stream_tables(pipe, FollowOptions())).joined()
     writer.join()
-    return log
-
-
-@pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
-@pytest.mark.parametrize("size", [3000, 1 << 20])
-def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
-    path = tmp_path / f"log.{suffix.removesuffix('.gz')}"
-    write_table(path, COLUMNS)
-    data = path.read_bytes()
-    packed = gzip.compress(data) if suffix.endswith("gz") else data
-    found = piped(packed, tmp_path / "pipe", size)
     assert_same(found, read_log(path))
     assert list(found.channels) == ["depth_m", "force_N"]
 

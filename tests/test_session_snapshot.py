@@ -29,7 +29,7 @@ from needleforce import (
 )
 from needleforce.snapshot import MOST_BYTES, SNAPSHOT_VERSION
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
-from urdf import NeedleTool, Payload, load_lwr
+from urdf import Payload
 
 CONFIGS = {"multilayer": MULTILAYER, "published": PUBLISHED}
 TARE = tare_index(short_run())
@@ -100,10 +100,8 @@ def test_external_torque_resumes_too(tmp_path):
 
 def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
     kept = stopped_after(IN_TISSUE)
-    heavier = load_lwr(payload=NeedleTool()).with_payload(
-        NeedleTool().payload
-        + Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
-    )
+    more = Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
+    heavier = lwr.with_payload(lwr.payload + more)
     robot = short_run().robot
     for foreign, error, match in [
         (InsertionSession(heavier), SnapshotError, "another robot"),
