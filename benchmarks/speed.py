@@ -1,4 +1,4 @@
-"""What an update of the estimators costs, beside the bare Pinocchio calls it cannot do without."""
+"""What an update of the estimators costs, beside the bare Pinocchio calls of its equations."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace

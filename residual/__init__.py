@@ -10,12 +10,8 @@ from residual.bias_model import BiasPrior
 from residual.config import DEFAULT, PUBLISHED, SensorConfig
 from residual.errors import ConfigurationError, ResidualError, SampleError, SnapshotError, TareError
 from residual.estimate import SensorWarning, Status, WrenchEstimate
-from residual.momentum_observer import (
-    FrictionModel,
-    JointFriction,
-    MomentumObserver,
-    SigmoidFriction,
-)
+from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
+from residual.momentum_observer import MomentumObserver
 from residual.velocity_estimator import VelocityEstimator
 from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator

@@ -8,7 +8,8 @@ import numpy as np
 from residual.bias_model import BiasPrior, TareKind
 from residual.errors import ConfigurationError
 from residual.input_validation import check_choice, check_positive, shown
-from residual.momentum_observer import Alignment, FrictionModel
+from residual.joint_friction import FrictionModel
+from residual.momentum_observer import Alignment
 from residual.tool_kinematics import check_offset, unit_axis
 
 Mode = Literal["axial", "point", "full"]

@@ -3,17 +3,22 @@
 Momentum ``p = M(q) dq`` obeys ``dp/dt = tau + C' dq - g - tau_f + tau_ext``. With
 ``u = tau + C' dq - (g + tau_f)`` the residual ``dr/dt = K (dp/dt - u - r)`` is the first-order
 low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
+
+Neither M nor C is formed. With the twist v of every link and the spatial momentum h of all that
+hangs on its joint, both from one pass over the links, ``p = S . h`` and ``C' dq = (v x S) . h`` for
+a joint that moves along S: the gradient of the kinetic energy (in the spirit of De Luca and
+Ferrajoli, ICRA 2009), in a third of the time of the matrices.
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
+from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled, compiled_or, dot
 from residual.errors import Array, ConfigurationError
 from residual.input_validation import (
     MOST_PLAUSIBLE,
@@ -25,6 +30,7 @@ from residual.input_validation import (
     check_rows,
     read_rows,
 )
+from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 
 Alignment = Literal["hold", "trapezoid"]
@@ -37,7 +43,8 @@ carries a rupture."""
 NOISE_THRESHOLD_SIGMAS = 3.0  # Distance of the momentum at which the bandwidth has doubled
 _LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
-_PACKED = {(8,)}  # distance in memory of the numbers of a contiguous array
+_MOST_SQUARED = (1.0 + 1e-9) * MOST_PLAUSIBLE**2  # Rounding makes no difference to `check_rows`
+_PACKED = (8,)  # distance in memory of the numbers of a contiguous array
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
@@ -65,16 +72,45 @@ def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, h
         row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
+def _momentum_by_numpy(
+    motion: tuple[Array, Array], joints: tuple[Array, Array, Array], velocity: Array, rows: Array
+) -> None:
+    """`set_momentum` where nothing compiles."""
+    (twists, momenta), (directions, crossing, armature) = motion, joints
+    rows[MOMENTUM + END] = np.vecdot(directions, momenta) + armature * velocity
+    turned = crossing.dot(twists.ravel()).reshape(momenta.shape)
+    rows[CORIOLIS + END] = np.vecdot(turned, momenta)
+
+
+@compiled_or(_momentum_by_numpy)
+def set_momentum(
+    motion: tuple[Matrix, Matrix],
+    joints: tuple[Matrix, Matrix, Vector],
+    velocity: Vector,
+    rows: WrittenMatrix,
+) -> None:
+    """Write momentum p and C' dq at the end of a tick; arguments as of `momentum_step`."""
+    (twists, momenta), (directions, crossing, armature) = motion, joints
+    for j in range(len(velocity)):
+        along, turned = armature[j] * velocity[j], 0.0
+        for a in range(6):
+            along += directions[j, a] * momenta[j, a]
+            for b in range(6):
+                turned += momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
+        rows[MOMENTUM + END, j], rows[CORIOLIS + END, j] = along, turned
+
+
 @compiled
 def momentum_step(
     rows: WrittenMatrix,
-    dynamics: tuple[Matrix, Matrix, Vector],
-    velocity: Vector,
-    tau: Vector,
+    motion: tuple[Matrix, Matrix],
+    joints: tuple[Matrix, Matrix, Vector],
+    load: Vector,
+    sample: tuple[Vector, Vector, Vector],
     weights: Matrix,
     noise_threshold: Vector,
     dt_s: float,
-) -> None:
+) -> bool:
     """One tick of the residual: the momentum is smoothed, then comes the exact step.
 
     During an insertion the arm's own inertial force is a few hundredths of a newton, but the noise
@@ -85,16 +121,26 @@ def momentum_step(
 
     Args:
         rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of the tick.
-        dynamics: M, C and g + tau_f at its end.
-        velocity: dq there [rad/s], shape (n,).
-        tau: Measured torque there [Nm], shape (n,).
+        motion: Twist v of every link at its end, and momentum h of all that hangs on its joint, in
+            the link's axes, shape (n, 6).
+        joints: Direction S of every joint, shape (n, 6); what makes v x S of all twists,
+            shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
+        load: g + tau_f there [Nm], shape (n,).
+        sample: q [rad], dq [rad/s] and measured torque [Nm] there, each of shape (n,).
         weights: See `set_step_weights`.
         noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of length 0 where
             nothing is smoothed.
         dt_s: Length of the tick [s]; 0 at a first sample, which only sets the momentum.
+
+    Returns:
+        Whether the sample is finite and of plausible size; if not, nothing has happened.
     """
-    inertia, coriolis_matrix, load = dynamics
-    momentum = inertia.dot(velocity)
+    q, velocity, tau = sample
+    most = _MOST_SQUARED  # A NaN is not below it either.
+    if not (dot(q, q) < most and dot(velocity, velocity) < most and dot(tau, tau) < most):
+        return False
+    set_momentum(motion, joints, velocity, rows)
+    momentum = rows[MOMENTUM + END]
     if dt_s > 0.0 and noise_threshold.size:
         tick = BANDWIDTH_PER_S * dt_s
         behind = momentum - rows[MOMENTUM]
@@ -106,8 +152,6 @@ def momentum_step(
         ratio += 1.0 + tick
         behind /= ratio
         momentum -= behind
-    rows[MOMENTUM + END] = momentum
-    rows[CORIOLIS + END] = velocity.dot(coriolis_matrix)
     rows[GRAVITY + END] = load
     rows[TORQUE + END] = tau
     if dt_s > 0.0:
@@ -116,113 +160,7 @@ def momentum_step(
         else:
             rows[RESIDUAL] = (weights.T * rows).sum(axis=0)
     rows[MOMENTUM:BEFORE] = rows[BEFORE:]
-
-
-_MOST_EXPONENT = 700.0  # Its exponential is a float still, and the sigmoid is zero there
-
-
-class FrictionModel(Protocol):
-    """Anything that gives the friction torque of every joint at a velocity."""
-
-    def torque(self, dq: Array) -> Array:
-        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
-        ...
-
-
-def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
-    """Store each named field as a read-only float copy; all of one length."""
-    sizes = set()
-    for name in names:
-        given = getattr(owner, name)
-        try:
-            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            array = np.full(0, np.nan)
-        array = np.atleast_1d(array)
-        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
-        array.setflags(write=False)
-        object.__setattr__(owner, name, array)
-        sizes.add(array.size)
-    if len(sizes) > 1:
-        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class JointFriction:
-    """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
-
-    ``tau_f = viscous * dq + coulomb * tanh(dq / reversal_speed) + offset``
-
-    Attributes:
-        viscous_Nms: Viscous coefficient per joint [Nm s/rad].
-        coulomb_Nm: Coulomb level per joint [Nm].
-        offset_Nm: Constant per joint [Nm].
-        reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
-
-    Raises:
-        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
-            coefficient is negative, or the reversal speed is not positive.
-    """
-
-    viscous_Nms: Array
-    coulomb_Nm: Array
-    offset_Nm: Array
-    reversal_speed_rad_s: float = 0.01
-
-    def __post_init__(self) -> None:
-        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
-        if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
-            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
-        check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
-
-    def torque(self, dq: Array) -> Array:
-        """Friction torque opposing the motion [Nm], shape (n,)."""
-        smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
-        return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SigmoidFriction:
-    """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
-
-    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
-    level that may differ between the two directions.
-
-    Attributes:
-        amplitude_Nm: A per joint [Nm].
-        slope_s_rad: alpha per joint [s/rad].
-        shift_rad_s: s per joint [rad/s].
-
-    Raises:
-        ConfigurationError: If lengths differ or a number is not finite.
-    """
-
-    amplitude_Nm: Array
-    slope_s_rad: Array
-    shift_rad_s: Array
-    _level_at_rest: Array = field(init=False, repr=False)
-
-    def __post_init__(self) -> None:
-        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
-        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
-
-    def torque(self, dq: Array) -> Array:
-        """Friction torque opposing the motion [Nm], shape (n,)."""
-        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
-
-    def _sigmoid(self, speed: Array) -> Array:
-        return 1.0 / (1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT)))
-
-
-def _check_friction(friction: FrictionModel, joints: int) -> None:
-    try:
-        torques = [friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)]
-    except ValueError as error:
-        raise ConfigurationError(f"friction does not fit {joints} joints: {error}") from error
-    for torque in torques:
-        if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
-            raise ConfigurationError(f"friction gives {torque!r}, expected {joints} finite numbers")
+    return True
 
 
 @dataclass(slots=True, eq=False)
@@ -252,7 +190,6 @@ class MomentumObserver:
         max_gap_s: Longest time step that is still integrated [s].
 
     Attributes:
-        data: Workspace; joint placements and Jacobians of the latest sample stand in it.
         memory: All that it remembers.
 
     Raises:
@@ -276,9 +213,11 @@ class MomentumObserver:
         # One where it serves all: on an uneven clock its weights change every tick.
         self._gains = gains[:1].copy() if np.ndim(gain_per_s) == 0 else gains
         if friction is not None:
-            _check_friction(friction, n)
+            check_friction(friction, n)
         self._model, self._friction = robot.model, friction
-        self.data = robot.create_data()
+        self._directions = _joint_directions(robot)
+        self._data = robot.create_data()
+        self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
         self._held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._weights = np.zeros((len(self._gains), ROWS))
@@ -313,42 +252,50 @@ class MomentumObserver:
                 not advance; the state is then unchanged.
         """
         sample: Any = (q, dq, tau)
-        # Compiled code takes contiguous arrays.
-        if not all_fit(sample, self._joints) or {sample[1].strides, sample[2].strides} != _PACKED:
-            sample = tuple(read_rows(_NAMES, sample, self._joints))
         position, velocity, torque = sample
-        numbers = (*position.tolist(), *velocity.tolist(), *torque.tolist())
-        if not math.hypot(*numbers) < MOST_PLAUSIBLE:
-            check_rows(_NAMES, np.stack(sample))
+        # Compiled code takes contiguous arrays.
+        if not (
+            all_fit(sample, self._joints)
+            and position.strides == velocity.strides == torque.strides == _PACKED
+        ):
+            position, velocity, torque = read_rows(_NAMES, sample, self._joints)
+        if self._friction is not None:  # Its model need not take what is not finite.
+            check_rows(_NAMES, np.stack((position, velocity, torque)))
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
         residual = self.absorb(position, velocity, torque, dt_s)
         residual.setflags(False)  # pyright: ignore[reportCallIssue]  # thrice as long by name
         return residual
 
     def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
-        """As `update`, for finite, contiguous arrays of the right shape and a checked time step."""
+        """As `update`, for contiguous arrays of the right shape and a checked time step."""
         memory = self.memory
         if not memory.started or dt_s > self._max_gap_s:
-            memory.started, dt_s = True, 0.0
+            dt_s = 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
             set_step_weights(self._weights, self._gains, dt_s, self._held)
             self._dt_s = dt_s
         rows, weights, threshold = memory.rows, self._weights, self._noise_threshold
-        momentum_step(rows, self._dynamics(q, dq), dq, tau, weights, threshold, dt_s)
-        return rows[0].copy()
-
-    def _dynamics(self, q: Array, dq: Array) -> tuple[Array, Array, Array]:
-        """M [kg m^2] and C, both (n, n), and g + tau_f [Nm], (n,), at (q, dq), both (n,)."""
-        model, data = self._model, self.data
-        inertia = pin.crba(model, data, q)
-        coriolis = pin.computeCoriolisMatrix(model, data, q, dq)
+        model, data = self._model, self._data
         load = pin.computeGeneralizedGravity(model, data, q)
         if self._friction is not None:
             # A model that writes into its argument must not change the caller's sample.
             still = dq.view()
             still.setflags(write=False)
             load += self._friction.torque(still)
-        return inertia, coriolis, load
+        pin.computeCentroidalMomentum(model, data, q, dq)
+        motion, joints = self._motion, self._directions
+        sample = q, dq, tau
+        if not momentum_step(rows, motion, joints, load, sample, weights, threshold, dt_s):
+            check_rows(_NAMES, np.stack(sample))
+        memory.started = True
+        return rows[0].copy()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: kept for name, kept in vars(self).items() if name != "_motion"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)  # A copy has a workspace of its own.
+        self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
         """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
@@ -359,7 +306,7 @@ class MomentumObserver:
                 noise of velocity into noise of momentum.
         """
         noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
-        inertia = pin.crba(self._model, self.data, check_joint_vector("q", q, self._joints))
+        inertia = pin.crba(self._model, self._data, check_joint_vector("q", q, self._joints))
         variance = np.square(inertia).dot(np.square(noise))
         self.memory.noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
         self.restore(self.memory)
@@ -382,6 +329,26 @@ class MomentumObserver:
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
         self.restore(MomentumState(np.zeros((ROWS, self._joints))))
+
+
+def _joint_directions(robot: Robot) -> tuple[Array, Array, Array]:
+    """What `momentum_step` calls ``joints``."""
+    model, data, n = robot.model, robot.create_data(), robot.nv
+    directions, crossing = np.zeros((n, 6)), np.zeros((6 * n, 6 * n))
+    for k, at in enumerate(range(0, 6 * n, 6)):
+        jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), k + 1)
+        directions[k] = jacobian.reshape(6, n)[:, k]
+        crossing[at : at + 6, at : at + 6] = -pin.Motion(directions[k]).action  # v x S = -(S x v)
+    return directions, crossing, np.array(model.armature)
+
+
+def _shared_rows(vectors: Any) -> Array:
+    """The spatial vectors of all joints of a Pinocchio workspace, in place, shape (n, 6)."""
+    first, last, step = vectors[1].vector, vectors[len(vectors) - 1].vector, 6 * 8
+    rows = np.lib.stride_tricks.as_strided(first, (len(vectors) - 1, 6), (step, 8))
+    if rows[-1].ctypes.data != last.ctypes.data:
+        raise ConfigurationError("this version of pinocchio lays out its workspace in another way")
+    return rows
 
 
 def _gain_vector(gain_per_s: float | ArrayLike, joints: int) -> Array:

@@ -30,7 +30,6 @@ class TorqueSample(NamedTuple):
     tau: Array  # Measured torque [Nm]; the external torque where the robot sends that
     residual: Array  # External joint torque before offset removal [Nm]
     settled: bool  # Whether the filters have forgotten their start
-    data: pin.Data | None = None  # In which joint placements and Jacobians at q stand
 
 
 @dataclass(slots=True, eq=False)
@@ -152,7 +151,7 @@ class SampleStream:
         if memory.probe is not None:
             self._learn_noise(memory.probe, observer, rows, q, last_s)
         settled = memory.age_s >= self._settling_s and memory.probe is None
-        return _new(TorqueSample, (q, dq, tau, residual, settled, observer.data))
+        return _new(TorqueSample, (q, dq, tau, residual, settled))
 
     def _learn_noise(
         self, probe: NoiseProbe, observer: MomentumObserver, rows: Array, q: Array, dt_s: float

@@ -48,14 +48,10 @@ class ToolKinematics:
         self.jacobian = np.zeros((6, robot.nv))
         self.pose = np.eye(4)
 
-    def update(self, q: Array, computed: pin.Data | None = None) -> None:
-        """Move to a configuration [rad], shape (n,).
-
-        ``computed`` is a workspace in which joint placements and Jacobians of q stand already.
-        """
-        data = self._data if computed is None else computed
-        if computed is None:
-            pin.computeJointJacobians(self._model, data, q)
+    def update(self, q: Array) -> None:
+        """Move to a configuration [rad], shape (n,)."""
+        data = self._data
+        pin.computeJointJacobians(self._model, data, q)
         if self._is_at_frame:  # by its number: two microseconds less
             jacobian = pin.getFrameJacobian(self._model, data, self._frame_id, _LOCAL)
             self.pose = pin.updateFramePlacement(self._model, data, self._frame_id).homogeneous

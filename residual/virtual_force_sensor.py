@@ -335,7 +335,7 @@ class VirtualForceSensor:
         self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
         """Remove the offset, project, and say what the caller should know."""
-        q, dq, tau, residual, settled, data = sample
+        q, dq, tau, residual, settled = sample
         self._clock.missed_s = 0.0
         self.elapsed_s, self.lag_s = elapsed_s, stream.lag_s
         offset, wrench, monitor = self._offset, self._wrench, self._monitor
@@ -352,7 +352,7 @@ class VirtualForceSensor:
             self._waiting = 2 if renewed else waiting - 1
             if weighs and (offset.is_covariance_due or monitor.wants_widening):
                 self._weigh()
-        wrench.kinematics.update(q, data)
+        wrench.kinematics.update(q)
         # Smoothing and the lag that follows the force begin where the force is.
         tick, fraction, lag_s = 0.0, 1.0, stream.lag_s
         if self._follows:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, dot
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -115,9 +115,9 @@ def smoothing_step(smoothed: WrittenVector, wrench: Vector, axis: Vector, tick: 
     """
     behind = wrench - smoothed
     if tick > 0.0:
-        beside = float(axis[:3].dot(behind[:3])) ** 2
+        beside = float(dot(axis[:3], behind[:3])) ** 2
         # Of the lateral force two components are noisy.
-        beside_across = 0.5 * (float(behind[:3].dot(behind[:3])) - beside)
+        beside_across = 0.5 * (float(dot(behind[:3], behind[:3])) - beside)
         ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
         tick *= 1.0 + ratio * ratio
         behind *= tick / (1.0 + tick)
@@ -159,22 +159,24 @@ def wrench_step(
         nothing else has happened, where the arm has turned too far for the gain.
     """
     turned = q - rows[0]
-    if not turned.dot(turned) <= MOST_TURN_RAD**2:
+    if not dot(turned, turned) <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
     size = len(rows) - 1
-    corrected = residual - offset
-    found[size:] = corrected
+    wrench, corrected = found[:size], found[size:]
+    np.subtract(residual, offset, corrected)
+    np.dot(rows[1:], corrected, wrench)
     along_needle, variance, lateral_variance = axis[:3], axis[3], axis[4]
-    smoothed, followed, wrench = memory[0], memory[1], rows[1:].dot(corrected)
+    unsmoothed = -float(dot(along_needle, wrench[:3]))
+    smoothed, followed = memory[0], memory[1]
     smoothing_step(smoothed, wrench, axis, lags[0])
-    found[:size] = smoothed
+    wrench[:] = smoothed
     force = smoothed[:3]
-    axial = float(along_needle.dot(force))
-    across = force - axial * along_needle
+    axial = float(dot(along_needle, force))
+    across = max(float(dot(force, force)) - axial * axial, 0.0)
     behind = smoothed - followed
     followed += lags[1] * behind
-    missed = float(along_needle.dot(behind[:3]))
-    missed_across = float(behind[:3].dot(behind[:3])) - missed * missed
+    missed = float(dot(along_needle, behind[:3]))
+    missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
     if lags[1] >= 1.0:
         missed = missed_across = 0.0
     hidden = max(missed * missed - 4.0 * variance, 0.0)
@@ -182,9 +184,9 @@ def wrench_step(
     return (
         -axial,
         math.sqrt(variance + hidden),
-        math.sqrt(float(across.dot(across))),
+        math.sqrt(across),
         math.sqrt(lateral_variance + hidden_across),
-        -float(along_needle.dot(wrench[:3])),
+        unsmoothed,
     )
 
 
@@ -348,17 +350,20 @@ class WrenchEstimator:
         rows, axis, reported, _, _ = self.gain
         size = self.size
         found = np.empty(size + self._joints)
-        scalars = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
-        if not math.isfinite(scalars[0]):
+        numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+        if not math.isfinite(numbers[0]):
             self.weigh(q)
             rows, axis, reported, _, _ = self.gain
-            scalars = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
-            if not math.isfinite(scalars[0]):
+            numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+            if not math.isfinite(numbers[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         torque = _NOTHING if size == 3 else found[3:6]
-        return *scalars[:4], found[:3], torque, *reported, scalars[4], found[size:]
+        force, left = found[:3], found[size:]
+        axial, std, lateral, across_std, raw = numbers  # unpacked twice with stars it takes longer
+        seen, ratio, removed = reported
+        return axial, std, lateral, across_std, force, torque, seen, ratio, removed, raw, left
 
     @property
     def rows(self) -> Array:

@@ -1,6 +1,6 @@
 """The momentum residual: its exact step and the observer around it."""
 
-from copy import deepcopy
+from copy import deepcopy as copy
 
 import numpy as np
 import pinocchio as pin
@@ -19,6 +19,7 @@ from residual import (
 )
 from residual.momentum_observer import ROWS, set_step_weights
 from residual.velocity_estimator import lag_pair_coefficients
+from urdf import Robot
 
 numbers = st.floats(-100.0, 100.0)
 
@@ -68,17 +69,34 @@ def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(alignment
     assert found == pytest.approx(np.expm1(-0.05) * torque)
 
 
+@pytest.fixture(scope="module")
+def askew():
+    """Sliding and turning joints along odd directions, a branch, and rotors."""
+    model, along = pin.Model(), np.array([0.6, 0.0, 0.8])
+    turning, sliding = pin.JointModelRevoluteUnaligned(along), pin.JointModelPY()
+    joints = [pin.JointModelRX(), sliding, turning, pin.JointModelPrismaticUnaligned(-along)]
+    pin.seed(1)
+    for k, parent in enumerate((0, 1, 2, 1, 4, 5, 5)):
+        model.addJoint(parent, joints[k % 4], pin.SE3.Random(), f"j{k}")
+        model.appendBodyToJoint(k + 1, pin.Inertia.Random(), pin.SE3.Identity())
+    return Robot(bare_model=model, tool_frame="universe", flange_frame="universe").with_armature(
+        np.linspace(0.0, 0.6, 7)
+    )
+
+
 @pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
 @pytest.mark.parametrize("gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"])
-def test_observer_and_pure_step_agree(lwr, gain, alignment):
-    observer = MomentumObserver(lwr, gain, alignment=alignment)
-    times, q, dq, tau = swing(lwr, seconds=0.1)
-    data = lwr.create_data()
+@pytest.mark.parametrize("arm", ["lwr", "askew"])
+def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, request):
+    robot = request.getfixturevalue(arm)
+    observer = copy(MomentumObserver(robot, gain, alignment=alignment))
+    times, q, dq, tau = swing(robot, seconds=0.1, amplitude=1.0)
+    data = robot.create_data()
 
     def sample_rows(k):
-        inertia = pin.crba(lwr.model, data, q[k]).copy()
-        coriolis = pin.computeCoriolisMatrix(lwr.model, data, q[k], dq[k]).copy()
-        gravity = pin.computeGeneralizedGravity(lwr.model, data, q[k]).copy()
+        inertia = pin.crba(robot.model, data, q[k]).copy()
+        coriolis = pin.computeCoriolisMatrix(robot.model, data, q[k], dq[k]).copy()
+        gravity = pin.computeGeneralizedGravity(robot.model, data, q[k]).copy()
         return np.stack([np.zeros(7), inertia @ dq[k], coriolis.T @ dq[k], gravity, tau[k]])
 
     expected, before = np.zeros(7), sample_rows(0)
@@ -134,7 +152,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
     one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
     one.smooth_momentum(np.full(7, 1e-3), q[0])
     feed(one, rows_of(q, dq, tau)[:50])
-    other.restore(deepcopy(one.memory))
+    other.restore(copy(one.memory))
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
     handed_out = one.update(*sample)

@@ -1,0 +1,116 @@
+"""Friction of a joint, modelled: what of its torque no environment makes."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from residual.errors import Array, ConfigurationError
+from residual.input_validation import check_positive
+
+_MOST_EXPONENT = 700.0  # Its exponential is a float still, and the sigmoid is zero there
+
+
+class FrictionModel(Protocol):
+    """Anything that gives the friction torque of every joint at a velocity."""
+
+    def torque(self, dq: Array) -> Array:
+        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
+        ...
+
+
+def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
+    """Store each named field as a read-only float copy; all of one length."""
+    sizes = set()
+    for name in names:
+        given = getattr(owner, name)
+        try:
+            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
+        except (TypeError, ValueError, OverflowError):
+            array = np.full(0, np.nan)
+        array = np.atleast_1d(array)
+        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
+            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
+        array.setflags(write=False)
+        object.__setattr__(owner, name, array)
+        sizes.add(array.size)
+    if len(sizes) > 1:
+        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class JointFriction:
+    """Viscous and Coulomb friction with a smooth reversal, plus a constant offset.
+
+    ``tau_f = viscous * dq + coulomb * tanh(dq / reversal_speed) + offset``
+
+    Attributes:
+        viscous_Nms: Viscous coefficient per joint [Nm s/rad].
+        coulomb_Nm: Coulomb level per joint [Nm].
+        offset_Nm: Constant per joint [Nm].
+        reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
+            coefficient is negative, or the reversal speed is not positive.
+    """
+
+    viscous_Nms: Array
+    coulomb_Nm: Array
+    offset_Nm: Array
+    reversal_speed_rad_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
+        if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
+            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
+        check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
+
+    def torque(self, dq: Array) -> Array:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
+        return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SigmoidFriction:
+    """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
+
+    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
+    level that may differ between the two directions.
+
+    Attributes:
+        amplitude_Nm: A per joint [Nm].
+        slope_s_rad: alpha per joint [s/rad].
+        shift_rad_s: s per joint [rad/s].
+
+    Raises:
+        ConfigurationError: If lengths differ or a number is not finite.
+    """
+
+    amplitude_Nm: Array
+    slope_s_rad: Array
+    shift_rad_s: Array
+    _level_at_rest: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+        object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
+
+    def torque(self, dq: Array) -> Array:
+        """Friction torque opposing the motion [Nm], shape (n,)."""
+        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
+
+    def _sigmoid(self, speed: Array) -> Array:
+        return 1.0 / (1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT)))
+
+
+def check_friction(friction: FrictionModel, joints: int) -> None:
+    """Refuse, with a `ConfigurationError`, a model that does not fit so many joints."""
+    try:
+        torques = [friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)]
+    except ValueError as error:
+        raise ConfigurationError(f"friction does not fit {joints} joints: {error}") from error
+    for torque in torques:
+        if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
+            raise ConfigurationError(f"friction gives {torque!r}, expected {joints} finite numbers")
