@@ -7,8 +7,11 @@ where the system grants it.
 """
 
 import os
-from contextlib import ExitStack, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from math import inf
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import perf_counter_ns
 from typing import Any
 
@@ -19,24 +22,27 @@ from benchmarks.benchmark import Progress
 from benchmarks.tables import ResultTable
 from groundtruth import simulate
 from needleforce import InsertionSession
-from needleforce.devices import FriArm
+from needleforce.cli.live_recorder import Recorder
+from needleforce.devices import ArmSample, FriArm
 from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri, take_real_time
+from urdf import Robot
 
 SCENARIO, PLANT = "gel-25-constant", "fri"
 WARM_UP = 2000
 """Cycles before which nothing is counted: what is compiled or loaded late."""
+ALONE, SCENE, RECORDER = "alone", "with the scene", "with a recorder"
 QUANTILES = (50.0, 99.0, 99.9, 100.0)
 
 
 def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
-    """Run the loop, alone and, if wanted, with the scene in another process."""
+    """Run the loop, alone and, if wanted, with the scene and with a recorder beside it."""
     if not 0.0 < seconds < inf:
         raise BenchmarkError(f"--loop {seconds:g}: expected a positive number of seconds")
     run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
-    kinds = ("alone", "with the scene") if with_scene else ("alone",)
+    kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
     lines = []
     for number, kind in enumerate(kinds):
-        lines += [(kind, *line) for line in _one(run, seconds, has_scene=number > 0)]
+        lines += [(kind, *line) for line in _one(run, seconds, kind)]
         progress(0.2 + 0.8 * (number + 1) / len(kinds))
     quantiles = tuple(f"p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
     is_real_time = "with" if _is_real_time() else "without"
@@ -60,7 +66,23 @@ def _give_back() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _one(run: Any, seconds: float, *, has_scene: bool) -> list[tuple[str, ...]]:
+@contextmanager
+def _beside(kind: str, robot: Robot) -> Iterator[Callable[[Any, ArmSample], None]]:
+    """What takes the estimate and the sample of every tick."""
+    if kind == SCENE:
+        from needleforce.scene import open_viewer
+
+        with open_viewer(robot) as view:
+            yield lambda now, sample: view.put(now, sample.q_rad)
+    elif kind == RECORDER:
+        names = robot.joint_names
+        with TemporaryDirectory() as at, Recorder(Path(at) / "loop.mcap", names) as recorder:
+            yield lambda _, sample: recorder.put(sample)
+    else:
+        yield lambda *_: None
+
+
+def _one(run: Any, seconds: float, kind: str) -> list[tuple[str, ...]]:
     signals, cycles = run.signals, round(1e3 * seconds) + WARM_UP
     arm, session = FriArm(port=0, give_up_s=0.5), InsertionSession(run.robot)
     settings = FriSettings(
@@ -73,19 +95,14 @@ def _one(run: Any, seconds: float, *, has_scene: bool) -> list[tuple[str, ...]]:
     arrived_us, taken_us = list[float](), list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
-        view = None
-        if has_scene:
-            from needleforce.scene import open_viewer
-
-            view = stack.enter_context(open_viewer(run.robot))
+        put = stack.enter_context(_beside(kind, run.robot))
         controller = stack.enter_context(Emulator(emulate_fri, settings))
         take_real_time()
         for sample in arm:
             before, tau = perf_counter_ns(), sample.tau_Nm
             assert tau is not None  # an LWR sends it
             now = session.update(sample.q_rad, None, tau, sample.dt_s)
-            if view is not None:
-                view.put(now, sample.q_rad)
+            put(now, sample)
             arrived_us.append(before / 1e3)
             taken_us.append((perf_counter_ns() - before) / 1e3)
         _give_back()

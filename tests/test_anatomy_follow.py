@@ -16,6 +16,7 @@ from needleforce import InsertionError, InsertionSession, read_snapshot, write_s
 from needleforce.anatomy import Layer, PlanMatch
 from needleforce.anatomy.plan_match import OUTSIDE
 from needleforce.cli import live, main
+from needleforce.devices.proxy import ReadOnlyArm
 from needleforce.plan_follower import PlanFollower
 
 RUN = short_run()
@@ -176,6 +177,28 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     assert re.search(
         r"in outside \(\d+ %\), gel at .*in gel \(\d+ %\), behind at .* offset", said, re.S
     )
+
+
+def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
+    class Sensor(ReadOnlyArm):
+        def __init__(self, host):
+            assert host == "127.0.0.9"
+            super().__init__()
+            self.weight, self.k = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]), -1
+
+        def read(self):
+            self.k += 1
+            is_lost = self.k % 100 == 0 or self.k > TARE + 15_000
+            return None if is_lost else RUN.signals.ft_wrench[self.k] + self.weight
+
+    monkeypatch.setattr(live, "NetFT", Sensor)
+    options = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
+    assert main(["live", arm, *options]) == 0
+    said = capsys.readouterr()
+    assert "(reference nan N, rms difference nan N)" in said.out.splitlines()[0]
+    last = re.findall(r"reference nan N, rms difference (.*) N of (\d+) ticks", said.err)[0]
+    assert 0.005 < float(last[0]) < 0.05
+    assert 14_000 < int(last[1]) < 15_000
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,9 @@
 """Arms, force sensors and haptic devices against emulators in processes of their own."""
 
+import collections
 import io
 import json
+import multiprocessing
 import signal
 import socket
 import threading
@@ -14,7 +16,10 @@ import pytest
 
 from benchmarks.cli import main as measure
 from needleforce.cli import main
+from needleforce.cli.live_recorder import Recorder
+from needleforce.cli.terminal import CommandError
 from needleforce.devices import (
+    ArmSample,
     DeviceSettingError,
     FriArm,
     LinkError,
@@ -34,7 +39,7 @@ from needleforce.devices.emulators import (
     emulate_rdt,
 )
 from needleforce.devices.proxy import LOOPBACK
-from needleforce.recordings import read_log
+from needleforce.recordings import FileAccessError, read_log
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
@@ -135,9 +140,11 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
                 box.sendto(bytes(900), arm.address)
                 box.sendto(measurement(count=5), arm.address)
 
-        threading.Thread(target=flood, daemon=True).start()
+        flooding = threading.Thread(target=flood, daemon=True)
+        flooding.start()
         assert list(samples) == []
         is_over.set()
+        flooding.join()
         assert 0.3 <= time.monotonic() - begin_s < 0.3 + PATIENCE_S
     assert min(arm.report.malformed, arm.report.stale) > 3
 
@@ -166,6 +173,28 @@ def test_a_signal_ends_a_recording_whether_or_not_something_comes(
     assert code == (0 if sends else 2)
     assert (f" s in {path}" if sends else "error: no sample came from") in capsys.readouterr().err
     assert not sends or len(read_log(path)) == arm.report.used > 350
+
+
+SAMPLE = ArmSample(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
+
+
+def test_a_recorder_whose_process_dies_says_so(tmp_path):
+    recorder = Recorder(tmp_path / "x.csv", ("a",) * 7)
+    for process in multiprocessing.active_children():
+        process.kill()
+        process.join()
+    with pytest.raises(CommandError, match="process that writes the recording has ended"), recorder:
+        collections.deque(map(recorder.put, [SAMPLE] * 100))
+    assert recorder.rows == 50
+
+
+def test_a_recorder_that_cannot_write_says_why(tmp_path):
+    with pytest.raises(FileAccessError, match="no known suffix"):
+        Recorder(tmp_path / "x.txt", ())
+    recorder = Recorder(tmp_path / "x.csv", ())
+    (tmp_path / "x.csv").mkdir()
+    with pytest.raises(FileAccessError, match=r"cannot write .*x\.csv"), recorder:
+        recorder.put(SAMPLE)
 
 
 def test_commands_that_cannot_be_are_refused():
@@ -272,16 +301,18 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
 
 
 def test_a_force_sensor_that_loses_records_says_how_many():
-    settings = RdtSettings(wrench=WRENCH, faults=Faults(lost=0.01, truncated=0.01, repeated=0.01))
+    faults = Faults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
+    most_N, found = np.abs(WRENCH).max() + 1e-6, []
     with (
-        Emulator(emulate_rdt, settings) as box,
+        Emulator(emulate_rdt, RdtSettings(wrench=WRENCH, faults=faults)) as box,
         NetFT(port=box.ready["port"], scale=Scale(1e6, 1e6)) as ft,
     ):
         end_s = time.monotonic() + PATIENCE_S
         while ft.report.used <= 5000 and time.monotonic() < end_s:
             time.sleep(1e-3)
-            ft.read()
+            found.append(ft.read())
     report = ft.report
+    assert all(np.abs(wrench).max() <= most_N for wrench in found if wrench is not None)
     assert report.used > 5000
     assert report.missed == pytest.approx(0.02 * (report.used + report.missed), rel=0.5)
     assert report.malformed > 20
@@ -329,6 +360,23 @@ def test_a_sensor_that_reports_a_fault_gives_no_force():
             time.sleep(0.05)
             assert ft.read() is not None
             assert (ft.report.used, ft.report.malformed) == (2, 1)
+
+
+@pytest.mark.parametrize(("first", "anew"), [(5, 10_000_000), (5_000_000, 0)])
+def test_a_sensor_that_counts_anew_is_heard_again_but_not_at_one_odd_record(first, anew):
+    record = np.zeros(1, rdt.RECORD)
+    counts = [*range(first, first + 50), anew, first + 50, first + 51, *range(anew, anew + 50)]
+    with socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.bind((LOOPBACK, 0))
+        with NetFT(port=box.getsockname()[1], scale=Scale(1.0, 1.0)) as ft:
+            _, asked_from = box.recvfrom(64)
+            for record["count"][0] in counts:
+                box.sendto(record.tobytes(), asked_from)
+            time.sleep(0.05)
+            assert ft.read() is not None
+            stale = 1 + rdt.RENUMBERED + 1
+            assert (ft.report.used, ft.report.stale) == (len(counts) - stale, stale)
+            assert ft.report.missed == 0
 
 
 def test_a_haptic_device_moves_and_is_felt():

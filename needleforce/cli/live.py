@@ -14,17 +14,16 @@ import numpy as np
 
 from groundtruth import simulate
 from needleforce.cli.live_commands import LiveOptions, WatchOptions
+from needleforce.cli.live_recorder import Recorder
 from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, handled, progress_bar, say, write_out
-from needleforce.devices import ArmSample, FrankaArm, FriArm, ReplayArm, UrArm, paced
-from needleforce.recordings.output import open_table
-from needleforce.recordings.table import Labels
+from needleforce.devices import ArmSample, FrankaArm, FriArm, NetFT, ReplayArm, UrArm, paced
+from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
-CHUNK = 500  # Samples written at a time
 PANEL_s, LINE_s = 0.1, 1.0
 """Between two pictures on a terminal, and two lines elsewhere."""
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}  # Of a kind of arm, unless described
@@ -121,43 +120,26 @@ def _require_samples(arm_name: str, arm: Any) -> None:
 
 def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions) -> int:
     """Write the joint signals of an arm as they come; return the exit code."""
+    has_torque = True
     with (
         arm_named(arm_name, robot, options.motor_constants) as (arm, model),
-        open_table(
-            output, is_live=True, labels=lambda: Labels(joint_names=model.joint_names)
-        ) as to,
+        Recorder(output, model.joint_names) as to,
     ):
-        has_torque, t_s, rows, samples = True, 0.0, 0, _until(arm, options)
-        while chunk := [sample for _, sample in zip(range(CHUNK), samples, strict=False)]:
-            times = t_s + np.cumsum([sample.dt_s for sample in chunk])
-            if rows == 0:
-                times -= chunk[0].dt_s
-            to.append({"t_s": times, **_columns(chunk)})
-            t_s, rows = float(times[-1]), rows + len(chunk)
-            has_torque = chunk[0].tau_Nm is not None
+        for sample in _until(arm, options):
+            to.put(sample)
+            has_torque = sample.tau_Nm is not None
     _require_samples(arm_name, arm)
-    say(f"{rows} samples, {t_s:.3f} s in {output}; {arm.report}")
+    say(f"{to.rows} samples, {to.time_s:.3f} s in {output}; {arm.report}")
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0
 
 
-def _columns(chunk: list[ArmSample]) -> dict[str, Any]:
-    names = {"q_rad": "q_rad", "dq_rad_s": "dq_rad_s", "tau_Nm": "tau_Nm"}
-    names |= {"external_Nm": "tau_ext_Nm", "current_A": "current_A"}
-    found = {}
-    for field, name in names.items():
-        values = [getattr(sample, field) for sample in chunk]
-        if values[0] is not None:
-            found[name] = np.array(values)
-    return found
-
-
 class _Watch:
     """What a session knows, as a panel on a terminal or a line a second elsewhere."""
 
-    def __init__(self, arm: Any) -> None:
-        self._arm, self._next_s = arm, 0.0
+    def __init__(self, arm: Any, reference: ReferenceForce | None) -> None:
+        self._arm, self._reference, self._next_s = arm, reference, 0.0
         self._events: list[str] = []
 
     def show(self, now: SessionEstimate, live: Any) -> None:
@@ -177,9 +159,10 @@ class _Watch:
     def _lines(self, now: SessionEstimate) -> list[str]:
         wrench, found = now.wrench, now.identification
         depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {found.layer}"
+        beside = "" if self._reference is None else f" ({_reference_words(self._reference)})"
         return [
             f"{now.time_s:8.1f} s  {now.status}",
-            f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N",
+            f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N{beside}",
             f"tip {found.tip_force_N:6.2f} N  {depth}",
             *(() if now.plan is None else (_plan_words(now.plan),)),
             *self._events[-5:],
@@ -203,11 +186,26 @@ def _events(now: SessionEstimate) -> Iterator[str]:
         yield f"no rupture of layer {found.retracted.layer} after all: the force came back"
 
 
+def _reference_words(reference: ReferenceForce) -> str:
+    return f"reference {reference.axial_N:.2f} N, rms difference {reference.rms_N:.3f} N"
+
+
 def _plan_words(plan: Any) -> str:
     text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
     if plan.next_name:
         text += f", {plan.next_name} at {1e3 * plan.next_m:.1f} ± {1e3 * plan.next_std_m:.1f} mm"
     return f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
+
+
+@contextmanager
+def _reference(watched: WatchOptions) -> Iterator[ReferenceForce | None]:
+    """The force sensor beside the session, if one is named."""
+    if watched.reference is None:
+        yield None
+        return
+    with NetFT(watched.reference) as sensor:
+        yield ReferenceForce(sensor, watched.reference_axis)
+        say(f"reference: {sensor.report}")
 
 
 @contextmanager
@@ -241,22 +239,29 @@ def watch_arm(
     plan = None if watched.plan is None else read_plan(watched.plan)
     with (
         arm_named(arm_name, robot, options.motor_constants) as (arm, model),
+        _reference(watched) as reference,
         _page(kind, watched, model, plan, robot) as page,
     ):
         session = InsertionSession(model)
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m)
-        view = _Watch(arm)
+        view = _Watch(arm, reference)
         with _panel() as panel:
             for sample in _until(arm, options):
                 if sample.tau_Nm is None:
                     raise CommandError(f"{arm_name}: {NO_TORQUES}")
                 now = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
                 tare.after(session, now)
+                if reference is not None:
+                    reference.update(now.wrench)
+                    if session.tared and not reference.is_zeroed:
+                        reference.zero()
                 view.show(now, panel)
                 if page is not None:
                     page.put(now, sample.q_rad)
     _require_samples(arm_name, arm)
+    if reference is not None:
+        say(f"{_reference_words(reference)} of {reference.count} ticks since the tare")
     say(f"{arm.report}; {session.rejected} samples rejected by the session")
     return 0
 

@@ -35,6 +35,15 @@ class WatchOptions:
 
     plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
     """Plan to match ruptures with (plan.json, or its folder): see docs/scene.md."""
+    reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
+    """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
+    stand beside."""
+    reference_axis: Annotated[tuple[float, float, float], Parameter(metavar="X Y Z", group=LOG)] = (
+        0.0,
+        0.0,
+        1.0,
+    )
+    """Direction of insertion in that sensor's axes (default: 0 0 1)."""
     view: Annotated[bool, Parameter(negative="")] = False
     """Open the scene in a browser page beside the session."""
     port: Annotated[int, Parameter(metavar="N")] = 8080

@@ -2,11 +2,6 @@
 
 An arm is iterated over: one sample per cycle, in SI units; what the interface lacks is None. Arms
 and haptic devices satisfy the protocols of `needleforce.control.ports`, as the simulated ones do.
-
-    with FriArm() as arm:
-        for sample in arm:
-            session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-    print(arm.report)
 """
 
 import socket

@@ -16,13 +16,14 @@ import numpy as np
 
 from needleforce.devices.proxy import LOOPBACK, Array, DatagramLink, DeviceSettingError, LinkError
 
-PORT = 49152
+PORT, REQUEST_MARK = 49152, 0x1234
 REQUEST = struct.Struct(">HHI")
-REQUEST_MARK = 0x1234
 STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
 RECORD = np.dtype([("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 COUNTS = 1 << 32
 LONGEST_COUNTED_s = 1.0  # A sensor silent for longer may have been off, and count from zero
+MOST_AHEAD = 10_000  # Records of such a time; what counts further on, or back, is no new record
+RENUMBERED = 20  # Unless so many in a row do: the sensor then counts anew
 MOST_REPLY = 1 << 20
 ROOM = 1 << 22  # Bytes for the records of half a second, if net.core.rmem_max allows as many
 FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
@@ -101,6 +102,7 @@ class NetFT(DatagramLink):
         self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
+        self._other = self._others = 0  # Last count that was none of the row, and how many in a row
         self._arrival_s = monotonic()
         self._zero, self._newest = np.zeros(6), np.zeros(6)
         self._request(self._mode)
@@ -158,16 +160,20 @@ class NetFT(DatagramLink):
             report.longest_gap_s = max(report.longest_gap_s, now_s - self._arrival_s)
         self._arrival_s = now_s
         for record in np.frombuffer(data, RECORD):
-            count, last = int(record["count"]), self._last
-            ahead = 1 if last is None else (count - last) % COUNTS
-            if ahead == 0 or ahead >= COUNTS // 2:
+            count, status, last = int(record["count"]), int(record["status"]), self._last
+            is_faulty, ahead = status & FAULT_BITS, 1 if last is None else (count - last) % COUNTS
+            if not 0 < ahead <= MOST_AHEAD:
+                follows = 0 < (count - self._other) % COUNTS <= MOST_AHEAD
+                self._other, self._others = count, self._others + 1 if follows else 0
                 report.stale += 1
+                if self._others >= RENUMBERED:
+                    self._last = None
                 continue
-            self._last, self.status = count, int(record["status"])
-            report.missed += ahead - 1
-            if self.status & FAULT_BITS:
-                report.malformed += 1
-                continue
-            report.used += 1
-            self._newest = record["counts"] / self._divisor
-            yield self._newest - self._zero
+            report.malformed += bool(is_faulty)
+            if last is not None or not is_faulty:  # a faulty first one may be none of its records
+                self._last, self.status, self._others = count, status, 0
+                report.missed += ahead - 1
+            if not is_faulty:
+                report.used += 1
+                self._newest = record["counts"] / self._divisor
+                yield self._newest - self._zero

@@ -20,9 +20,8 @@ from needleforce.devices.proxy import (
     client,
 )
 
-FRANKA_PERIOD_s = 1e-3
 POLLS = 0.2  # Of a period, between two looks for a newer sample
-UR_JOINTS, FRANKA_JOINTS = 6, 7
+UR_JOINTS, FRANKA_JOINTS, FRANKA_PERIOD_s = 6, 7, 1e-3
 UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
 
 
