@@ -93,9 +93,16 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
 
     With a plant model without such errors the bodies are exactly the estimator's.
     """
-    robot = load_lwr(payload=tool)
+    robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
+    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
+    if size_m or size_rad:
+        displaced = pin.Model(robot.bare_model)
+        for joint in range(1, displaced.njoints):
+            turn = pin.exp3(size_rad * rng.standard_normal(3))
+            displaced.jointPlacements[joint] *= pin.SE3(turn, size_m * rng.standard_normal(3))
+        kinematics = replace(robot, bare_model=displaced)
 
     def with_error(part: Payload) -> pin.Inertia:
         inertia_kg_m2 = part.inertia_kg_m2 * mass_factor
@@ -103,25 +110,11 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
 
     return PlantBodies(
         robot=robot,
-        kinematics=_with_displaced_joints(robot, plant_model, rng),
+        kinematics=kinematics,
         links=blended_links(robot.bare_model, plant_model.cad_fraction),
         sensor=with_error(tool.sensor),
         needle=with_error(tool.beyond_sensor),
     )
-
-
-def _with_displaced_joints(
-    robot: Robot, plant_model: PlantModel, rng: np.random.Generator
-) -> Robot:
-    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
-    if size_m == size_rad == 0.0:
-        return robot
-    model = pin.Model(robot.bare_model)
-    for joint in range(1, model.njoints):
-        turn = pin.exp3(size_rad * rng.standard_normal(3))
-        error = pin.SE3(turn, size_m * rng.standard_normal(3))
-        model.jointPlacements[joint] = model.jointPlacements[joint] * error
-    return replace(robot, bare_model=model)
 
 
 def _placement(robot: Robot, frame: str) -> pin.SE3:

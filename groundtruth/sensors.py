@@ -4,6 +4,8 @@ Every function takes true signals at all ticks, a plant model that says how larg
 and the generator that they are drawn from.
 """
 
+from itertools import accumulate
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,13 +101,9 @@ def backlash(signal: Array, half_width: Array) -> Array:
 
     It starts on the signal, shape (n, k), and stays within the half-width, shape (k,), of it.
     """
-    low, high = signal - half_width, signal + half_width
-    out = np.empty_like(signal)
-    held = signal[0]
-    for row, (below, above) in enumerate(zip(low, high, strict=True)):
-        held = np.minimum(np.maximum(held, below), above)
-        out[row] = held
-    return out
+    edges = zip(signal - half_width, signal + half_width, strict=True)
+    rows = accumulate(edges, lambda held, edge: held.clip(*edge), initial=signal[0])
+    return np.array(list(rows)[1:])
 
 
 def measured_position(q_rad: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:

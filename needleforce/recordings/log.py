@@ -343,25 +343,17 @@ class LogStream:
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
         """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
-        chunks: list[LogChunk] = []
-        size = 0
+        parts, size = list[dict[str, FloatArray]](), 0
         for chunk in self:
-            chunks.append(chunk)
-            size += chunk.t_s.nbytes + sum(values.nbytes for values in chunk.channels.values())
+            parts.append({"t_s": chunk.t_s, **chunk.channels})
+            size += sum(values.nbytes for values in parts[-1].values())
             require_size(size, max_bytes, "what is read of it")
-        return Log(
-            t_s=np.concatenate([chunk.t_s for chunk in chunks]),
-            channels={
-                key: np.concatenate([chunk.channels[key] for chunk in chunks])
-                for key in chunks[0].channels
-            },
-            warnings=self.take_warnings(),
-            start_ns=self.start_ns,
-        )
+        whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        t_s, warnings = whole.pop("t_s"), self.take_warnings()
+        return Log(t_s=t_s, channels=whole, warnings=warnings, start_ns=self.start_ns)
 
 
 def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:
-    """Refuse channels that differ in length or in the number of joints."""
     shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
@@ -374,9 +366,8 @@ def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
         listed = "; ".join(
-            f"{source.channel.name} has {joints[key]} ({', '.join(source.columns)})"
-            for key, source in sources.items()
-            if key in joints
+            f"{sources[key].channel.name} has {count} ({', '.join(sources[key].columns)})"
+            for key, count in joints.items()
         )
         raise LogError(
             f"channels differ in the number of joints: {listed}. Name the columns of all joints, "
