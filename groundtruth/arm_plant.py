@@ -89,10 +89,7 @@ class PlantBodies:
 
 
 def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator) -> PlantBodies:
-    """Draw the true LWR 4+ with its needle: errors of payload and kinematics.
-
-    With a plant model without such errors the bodies are exactly the estimator's.
-    """
+    """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and kinematics."""
     robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
@@ -251,10 +248,7 @@ class ArmPlant:
         friction: BearingFriction | None = None,
         touching: Sequence[Contact] = (),
     ) -> None:
-        """Compile the model of the true arm, and let contacts act on it besides the tissue.
-
-        `PlantError` if MuJoCo is not installed.
-        """
+        """Compile the true arm, with contacts besides the tissue; `PlantError` without MuJoCo."""
         if mujoco is None:
             raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
         self._model = arm_model(bodies, SUBSTEP_s)
@@ -282,10 +276,7 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state of joint positions and velocities, shape (7,) each.
-
-        All contacts but the tissue begin there.
-        """
+        """Put the arm into a state, shape (7,) each, in which all contacts but the tissue begin."""
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()

@@ -195,8 +195,7 @@ STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
 PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
-INDENTATION_FRACTION = (0.1, 0.3)
-"""Of the layer's thickness: the bovine capsule is pushed in by 11 mm on 32."""
+INDENTATION_FRACTION = (0.1, 0.3)  # of the thickness: the bovine capsule's is 11 mm on 32
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
 PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s

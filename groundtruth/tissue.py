@@ -22,8 +22,7 @@ RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
 8.5 s (median), the quick loss of viscous friction at the stop included."""
 RECOVERY_M = 0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
-UNLOADING_M = 0.5e-3
-"""Backward travel over which the tip unloads: it leaves the front of a channel already cut."""
+UNLOADING_M = 0.5e-3  # Backward travel over which the tip unloads: it leaves the channel's front
 
 
 class TissueForce(NamedTuple):

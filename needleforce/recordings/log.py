@@ -139,8 +139,7 @@ _LIMITS = {
     "speed_m_s": ("speed", 1.0, "mm/s"),
     "force_N": ("force", 200.0, "mN"),
 }
-# Steps of so many units belong to logs between 10 Hz and 10 kHz.
-_STEPS = ((1e5, "ns"), (200.0, "us"))
+_STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz to 10 kHz
 
 
 class _Watch:
@@ -190,13 +189,10 @@ class _Watch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LogChunk:
-    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`.
-
-    `dt_s` is the time since the latest row that advanced, shape (n,), see `RowClock`.
-    """
+    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`."""
 
     t_s: FloatArray
-    dt_s: FloatArray
+    dt_s: FloatArray  # since the latest row that advanced, shape (n,), see `RowClock`
     channels: Mapping[str, FloatArray]
 
 

@@ -125,12 +125,11 @@ def stream_tables(
         # It is not read in the order of its bytes.
         with TemporaryDirectory() as folder:
             copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"
-            whole, size = replace(options, follow=False), 0
+            whole = replace(options, follow=False)
             with file_errors(copy, "write"), copy.open("wb") as file:
                 for block in blocks:
-                    size += len(block)
-                    require_size(size, max_bytes, f"{name}: what comes through it")
                     file.write(block)
+                    require_size(file.tell(), max_bytes, f"{name}: what comes through it")
             try:
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:
