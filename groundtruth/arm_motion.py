@@ -108,10 +108,7 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
 
 
 def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
-    """Move all joints at once about a posture in free air, by slow sines from rest to rest.
-
-    A rest of 1 s at both ends is part of the duration.
-    """
+    """Move all joints about a posture by slow sines; the first and the last second are at rest."""
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     moving_s = duration_s - 2.0 * _REST_s
     moving = np.clip(time - _REST_s, 0.0, moving_s)

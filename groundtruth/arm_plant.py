@@ -89,13 +89,17 @@ class PlantBodies:
 
 
 def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator) -> PlantBodies:
-    """Draw the true LWR 4+ with its needle: errors of payload and kinematics.
-
-    With a plant model without such errors the bodies are exactly the estimator's.
-    """
-    robot = load_lwr(payload=tool)
+    """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and kinematics."""
+    robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
+    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
+    if size_m or size_rad:
+        displaced = pin.Model(robot.bare_model)
+        for joint in range(1, displaced.njoints):
+            turn = pin.exp3(size_rad * rng.standard_normal(3))
+            displaced.jointPlacements[joint] *= pin.SE3(turn, size_m * rng.standard_normal(3))
+        kinematics = replace(robot, bare_model=displaced)
 
     def with_error(part: Payload) -> pin.Inertia:
         inertia_kg_m2 = part.inertia_kg_m2 * mass_factor
@@ -103,25 +107,11 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
 
     return PlantBodies(
         robot=robot,
-        kinematics=_with_displaced_joints(robot, plant_model, rng),
+        kinematics=kinematics,
         links=blended_links(robot.bare_model, plant_model.cad_fraction),
         sensor=with_error(tool.sensor),
         needle=with_error(tool.beyond_sensor),
     )
-
-
-def _with_displaced_joints(
-    robot: Robot, plant_model: PlantModel, rng: np.random.Generator
-) -> Robot:
-    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
-    if size_m == size_rad == 0.0:
-        return robot
-    model = pin.Model(robot.bare_model)
-    for joint in range(1, model.njoints):
-        turn = pin.exp3(size_rad * rng.standard_normal(3))
-        error = pin.SE3(turn, size_m * rng.standard_normal(3))
-        model.jointPlacements[joint] = model.jointPlacements[joint] * error
-    return replace(robot, bare_model=model)
 
 
 def _placement(robot: Robot, frame: str) -> pin.SE3:
@@ -258,10 +248,7 @@ class ArmPlant:
         friction: BearingFriction | None = None,
         touching: Sequence[Contact] = (),
     ) -> None:
-        """Compile the model of the true arm, and let contacts act on it besides the tissue.
-
-        `PlantError` if MuJoCo is not installed.
-        """
+        """Compile the true arm, with contacts besides the tissue; `PlantError` without MuJoCo."""
         if mujoco is None:
             raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
         self._model = arm_model(bodies, SUBSTEP_s)
@@ -289,10 +276,7 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state of joint positions and velocities, shape (7,) each.
-
-        All contacts but the tissue begin there.
-        """
+        """Put the arm into a state, shape (7,) each, in which all contacts but the tissue begin."""
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()

@@ -190,10 +190,7 @@ class Layer:
         return 0.0 if self.membrane is None else self.membrane.indentation_m
 
     def tip_force_N(self, penetration_m: float) -> float:
-        """Elastic and cutting force at the advancing tip, tissue not relaxed.
-
-        The penetration is the travel of the tip since it began to cut this layer.
-        """
+        """Elastic and cutting force, not relaxed, after this travel since the tip began to cut."""
         if penetration_m <= 0.0:
             return 0.0
         cut_m = self.thickness_m - self.entry_m

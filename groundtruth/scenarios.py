@@ -106,16 +106,14 @@ def _insertions(
     """At constant speed; and at sinusoidal speed, if there is a stroke."""
     depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
     even = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
-    yield Scenario(
-        id=f"{name}-constant", title=f"{title}, constant speed", layers=layers, motion=even
-    )
+    motions = {"constant": even}
     if stroke_m is not None:
-        sine = sinusoidal_motion(
+        motions["sinusoidal"] = sinusoidal_motion(
             stroke_m=stroke_m, frequency_hz=GEL_FREQUENCY_HZ, standoff_m=SINE_STANDOFF_M
         )
-        yield Scenario(
-            id=f"{name}-sinusoidal", title=f"{title}, sinusoidal speed", layers=layers, motion=sine
-        )
+    for kind, motion in motions.items():
+        line = f"{title}, {kind} speed"
+        yield Scenario(id=f"{name}-{kind}", title=line, layers=layers, motion=motion)
 
 
 def _catalogue() -> Iterator[Scenario]:
@@ -197,8 +195,7 @@ STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
 PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
-INDENTATION_FRACTION = (0.1, 0.3)
-"""Of the layer's thickness: the bovine capsule is pushed in by 11 mm on 32."""
+INDENTATION_FRACTION = (0.1, 0.3)  # of the thickness: the bovine capsule's is 11 mm on 32
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
 PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
@@ -210,17 +207,22 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     """Draw one to four layers, a speed profile, and membranes on a quarter of the layers."""
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
-    speed = _uniform(rng, PEAK_SPEED_M_S if sine else SPEED_M_S)
+    speed = rng.uniform(*(PEAK_SPEED_M_S if sine else SPEED_M_S))
     thickness = rng.uniform(*THICKNESS_M, size=count)
     thickness *= min(1.0, TOTAL_MAX_M / thickness.sum())
     layers = tuple(_layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1))
     kind = "sinusoidal" if sine else "constant"
-    return Scenario(
-        id=RANDOM_STACK,
-        title=f"{count} random layers, {kind} speed up to {speed * 1e3:.1f} mm/s",
-        layers=layers,
-        motion=_motion(rng, float(thickness.sum()), speed, sine=sine),
-    )
+    depth = float(thickness.sum()) + rng.uniform(*RANDOM_BEYOND_M)
+    if sine:
+        standoff = rng.uniform(*RANDOM_STANDOFF_M)
+        stroke = depth + standoff
+        motion = sinusoidal_motion(
+            stroke_m=stroke, frequency_hz=speed / (np.pi * stroke), standoff_m=standoff
+        )
+    else:
+        motion = constant_motion(speed_m_s=speed, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+    title = f"{count} random layers, {kind} speed up to {speed * 1e3:.1f} mm/s"
+    return Scenario(id=RANDOM_STACK, title=title, layers=layers, motion=motion)
 
 
 def random_tissue(rng: np.random.Generator) -> Scenario:
@@ -229,10 +231,6 @@ def random_tissue(rng: np.random.Generator) -> Scenario:
     layers = tuple(random_variation(rng).layer(layer, rng) for layer in stack.layers)
     title = f"{stack.title}, each of its own law"
     return replace(stack, id=RANDOM_TISSUE, title=title, layers=layers)
-
-
-def _uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    return float(rng.uniform(*limits))
 
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
@@ -245,17 +243,17 @@ def _layer(rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: f
     friction = ShaftFriction.calibrated(
         force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
         reference_speed_m_s=speed_m_s,
-        coulomb_fraction=_uniform(rng, COULOMB_FRACTION),
-        presliding_m=_uniform(rng, PRESLIDING_M),
+        coulomb_fraction=rng.uniform(*COULOMB_FRACTION),
+        presliding_m=rng.uniform(*PRESLIDING_M),
     )
     return Layer(
         exit_force_N=_log_uniform(rng, EXIT_FORCE_N),
         name=name,
         thickness_m=thickness_m,
-        cutting_fraction=_uniform(rng, CUTTING_FRACTION),
-        stiffening=_uniform(rng, STIFFENING),
-        release_m=_uniform(rng, RELEASE_M),
-        relaxed_fraction=_uniform(rng, RELAXED_FRACTION),
+        cutting_fraction=rng.uniform(*CUTTING_FRACTION),
+        stiffening=rng.uniform(*STIFFENING),
+        release_m=rng.uniform(*RELEASE_M),
+        relaxed_fraction=rng.uniform(*RELAXED_FRACTION),
         friction=friction,
         membrane=_membrane(rng, thickness_m),
     )
@@ -266,18 +264,7 @@ def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane | None:
         return None
     return Membrane(
         puncture_N=_log_uniform(rng, PUNCTURE_N),
-        indentation_m=_uniform(rng, INDENTATION_FRACTION) * thickness_m,
-        hardening=_uniform(rng, HARDENING),
-        release_m=_uniform(rng, RELEASE_M),
-    )
-
-
-def _motion(rng: np.random.Generator, total_m: float, speed_m_s: float, *, sine: bool) -> Motion:
-    depth = total_m + _uniform(rng, RANDOM_BEYOND_M)
-    if not sine:
-        return constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
-    standoff = _uniform(rng, RANDOM_STANDOFF_M)
-    stroke = depth + standoff
-    return sinusoidal_motion(
-        stroke_m=stroke, frequency_hz=speed_m_s / (np.pi * stroke), standoff_m=standoff
+        indentation_m=rng.uniform(*INDENTATION_FRACTION) * thickness_m,
+        hardening=rng.uniform(*HARDENING),
+        release_m=rng.uniform(*RELEASE_M),
     )

@@ -4,6 +4,8 @@ Every function takes true signals at all ticks, a plant model that says how larg
 and the generator that they are drawn from.
 """
 
+from itertools import accumulate
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,10 +20,7 @@ JITTER_LIMIT = 0.4  # Largest error of a time stamp in ticks; below one half sta
 def measured_torque(
     tau_Nm: Array, q_rad: Array, limit_Nm: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Link-side joint torques, shape (n, 7), as the strain gauges report them.
-
-    The effort limits, shape (7,), are the ranges of the sensors.
-    """
+    """Link-side joint torques, shape (n, 7), as gauges of these ranges, shape (7,), report them."""
     sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
     lagging = tau_Nm
     if plant_model.torque_hysteresis > 0.0:
@@ -99,13 +98,9 @@ def backlash(signal: Array, half_width: Array) -> Array:
 
     It starts on the signal, shape (n, k), and stays within the half-width, shape (k,), of it.
     """
-    low, high = signal - half_width, signal + half_width
-    out = np.empty_like(signal)
-    held = signal[0]
-    for row, (below, above) in enumerate(zip(low, high, strict=True)):
-        held = np.minimum(np.maximum(held, below), above)
-        out[row] = held
-    return out
+    edges = zip(signal - half_width, signal + half_width, strict=True)
+    rows = accumulate(edges, lambda held, edge: held.clip(*edge), initial=signal[0])
+    return np.array(list(rows)[1:])
 
 
 def measured_position(q_rad: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
@@ -136,10 +131,7 @@ def measured_wrench(wrench: Array, plant_model: PlantModel, rng: np.random.Gener
 
 
 def time_stamps(true_s: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
-    """Time stamps as written, shape (n,): the true instants with the clock's jitter.
-
-    The samples themselves are taken on the tick; only their stamps are wrong.
-    """
+    """Stamps, shape (n,), of samples taken on the tick: the true instants but for clock jitter."""
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
     return true_s + np.clip(error, -JITTER_LIMIT * TICK_s, JITTER_LIMIT * TICK_s)
 

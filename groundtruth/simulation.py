@@ -88,9 +88,6 @@ def simulate(
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
-    Returns:
-        Signals and truth, apart.
-
     Raises:
         ScenarioError: There is no scenario of that name.
         PlantModelError: There is no plant model of that name.

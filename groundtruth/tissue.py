@@ -7,6 +7,7 @@ at each layer's reference speed, the shaft friction. Our multilayer estimator do
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, cast
@@ -21,8 +22,7 @@ RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
 8.5 s (median), the quick loss of viscous friction at the stop included."""
 RECOVERY_M = 0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
-UNLOADING_M = 0.5e-3
-"""Backward travel over which the tip unloads: it leaves the front of a channel already cut."""
+UNLOADING_M = 0.5e-3  # Backward travel over which the tip unloads: it leaves the channel's front
 
 
 class TissueForce(NamedTuple):
@@ -90,6 +90,7 @@ class Tissue:
         """Lay fresh, uncut tissue; no layers are free air."""
         self.layers = tuple(layers)
         self.interfaces = interfaces(self.layers)
+        self._onsets_m = [boundary.onset_m for boundary in self.interfaces]  # ascending
         self._depth_m: float | None = None  # at the last step
         self._deepest_m = 0.0  # the end of the channel
         self._ruptured = 0  # interfaces ruptured so far, a bare surface included
@@ -116,12 +117,7 @@ class Tissue:
         travel = 0.0 if self._depth_m is None else depth_m - self._depth_m
         self._depth_m = depth_m
         self._deepest_m = max(self._deepest_m, depth_m)
-        boundaries = self.interfaces
-        while (
-            self._ruptured < len(boundaries)
-            and self._deepest_m >= boundaries[self._ruptured].onset_m
-        ):
-            self._ruptured += 1
+        self._ruptured = bisect_right(self._onsets_m, self._deepest_m)
         self._bristles = [
             bristle_step(w, travel, dt_s, layer.friction.presliding_m, layer.relaxed_fraction)
             for w, layer in zip(self._bristles, self.layers, strict=True)

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from groundtruth.layers import Layer, ShaftFriction, Texture
+from groundtruth.layers import Layer, Texture
 
 TEXTURE_LENGTH_M = 0.5e-3  # over which a texture is correlated
 
@@ -30,7 +30,22 @@ class TissueVariation:
 
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
         """The layer under this variation, its texture drawn; `TissueError` if it is too thin."""
-        friction, tip_N = self._friction_and_tip(layer)
+        friction, tip_N = layer.friction, layer.exit_force_N
+        coulomb, viscous = friction.coulomb_N_per_m, friction.viscous_Ns_per_m2
+        if self.speed_exponent != 1.0:
+            coulomb, viscous = 0.0, friction.equivalent_viscous_Ns_per_m2
+        if self.friction_fraction is not None:
+            shaft_N = friction.sliding_N_per_m(friction.reference_speed_m_s) * layer.thickness_m
+            scale = self.friction_fraction * (shaft_N + tip_N) / shaft_N
+            coulomb, viscous = scale * coulomb, scale * viscous
+            tip_N += (1.0 - scale) * shaft_N
+        friction = replace(
+            friction,
+            coulomb_N_per_m=coulomb,
+            viscous_Ns_per_m2=viscous,
+            length_exponent=self.length_exponent,
+            speed_exponent=self.speed_exponent,
+        )
         change: dict[str, Any] = {"tip_exponent": self.tip_exponent}
         if self.texture_N:
             change["texture"] = Texture.drawn(self.texture_N, TEXTURE_LENGTH_M, rng)
@@ -41,25 +56,6 @@ class TissueVariation:
             change |= {"release_m": self.release_m, "membrane": membrane}
         change |= {"friction": friction, "exit_force_N": tip_N, "kept_fraction": self.kept_fraction}
         return replace(layer, **change)
-
-    def _friction_and_tip(self, layer: Layer) -> tuple[ShaftFriction, float]:
-        """Friction, and tip force at the end of the layer."""
-        friction, tip_N = layer.friction, layer.exit_force_N
-        coulomb, viscous = friction.coulomb_N_per_m, friction.viscous_Ns_per_m2
-        if self.speed_exponent != 1.0:
-            coulomb, viscous = 0.0, friction.equivalent_viscous_Ns_per_m2
-        if self.friction_fraction is not None:
-            shaft_N = friction.sliding_N_per_m(friction.reference_speed_m_s) * layer.thickness_m
-            scale = self.friction_fraction * (shaft_N + tip_N) / shaft_N
-            coulomb, viscous = scale * coulomb, scale * viscous
-            tip_N += (1.0 - scale) * shaft_N
-        return replace(
-            friction,
-            coulomb_N_per_m=coulomb,
-            viscous_Ns_per_m2=viscous,
-            length_exponent=self.length_exponent,
-            speed_exponent=self.speed_exponent,
-        ), tip_N
 
 
 # "Liver": 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett": needles in

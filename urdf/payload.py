@@ -20,12 +20,9 @@ from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
 
-# Tables carry a few digits: a thin rod, once rounded, may miss the boundary by this fraction.
-_ROUNDING = 1e-6
-# Fraction of the inertia about the origin that subtracting m c^2 may lose in double precision.
-_CANCELLATION = 1e-12
-# No link or tool comes near this in kg, kg m or kg m^2, and no product of them overflows.
-_LARGEST_PARAMETER = 1e9
+_ROUNDING = 1e-6  # A thin rod in a table of a few digits may miss the boundary by this fraction
+_CANCELLATION = 1e-12  # Of the inertia about the origin, lost in doubles when m c^2 is subtracted
+_LARGEST_PARAMETER = 1e9  # kg, kg m, kg m^2: beyond any link, and no product of them overflows
 
 
 def require_mass(parameters: Array, owner: str) -> None:

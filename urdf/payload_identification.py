@@ -19,15 +19,11 @@ from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.payload import Payload
 from urdf.robot import Robot
 
-# A length of the size of payloads, m: in units of it the parameters are of comparable size.
-_LENGTH_M = 0.1
+_LENGTH_M = 0.1  # The size of payloads: in units of it the parameters are of comparable size
 _UNITS = np.array([1.0, *[_LENGTH_M] * 3])
-# Below this a payload is none, kg: its centre of mass would be noise divided by noise.
-_NO_MASS_KG = 1e-6
-# Singular values below this fraction of the largest are not determined by the data.
-_RANK_TOLERANCE = 1e-8
-# Rounds of re-weighting when the noise of the joints is not given.
-_REWEIGHTINGS = 3
+_NO_MASS_KG = 1e-6  # Below this a payload is none: its centre of mass would be noise over noise
+_RANK_TOLERANCE = 1e-8  # Singular values below this part of the largest are not determined
+_REWEIGHTINGS = 3  # Rounds, when the noise of the joints is not given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

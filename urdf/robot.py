@@ -161,10 +161,7 @@ def assemble_robot(
     *,
     check_inertias: bool,
 ) -> Robot:
-    """Complete a model in place: set gravity, mount the tool, check that it can be simulated.
-
-    Arguments and errors as in `urdf.load_urdf`.
-    """
+    """Set gravity, mount the tool, check the model; arguments and errors as in `urdf.load_urdf`."""
     if payload is not None and not isinstance(payload, Payload | NeedleTool):
         raise InputError(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"

@@ -175,10 +175,7 @@ def check_outputs(source: str, output: Output) -> None:
 
 @contextmanager
 def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[OpenTable | None]:
-    """Open the table that the command line names; yields None if it names none.
-
-    The start of the clock is the log's, known when there are rows.
-    """
+    """Open the table that the command line names, on the log's clock; None if it names none."""
     path = output.output
     if path is None:
         yield None

@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 FAILED = 2  # exit code after one line that says what is wrong with options or files
@@ -132,10 +132,5 @@ def write_out(text: str, *, to_stderr: bool = False) -> None:
 
 def _close_output() -> None:
     """Let what is still buffered go nowhere, or Python would complain at its end."""
-    try:
-        handle = sys.stdout.fileno()
-    except (OSError, ValueError):
-        return
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, handle)
-    os.close(nowhere)
+    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -136,8 +136,7 @@ class Chart:
         return replace(self, panels=panels, x_limits=(first, last))
 
 
-MOST_OF, MOST_OF_BAND = 99.8, 95.0
-"""Per cent of each curve, and of the edges of its band, that its panel shows."""
+MOST_OF, MOST_OF_BAND = 99.8, 95.0  # per cent of a curve, and of its band's edges, that show
 MARGIN = 0.06
 
 

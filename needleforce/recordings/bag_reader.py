@@ -89,9 +89,8 @@ class Topic:
         """Return the topic in one line."""
         what = "source stamps" if self.has_stamp else "stamps of the recorder"
         what = self.fault or (what if self.columns else "no numbers")
-        return (
-            f"{self.name}: {self.topic.kind}, {self.count} messages, {self.rate_hz:.4g} Hz, {what}"
-        )
+        seen = f"{self.count} messages, {self.rate_hz:.4g} Hz"
+        return f"{self.name}: {self.topic.kind}, {seen}, {what}"
 
     def choose(self, columns: Collection[str], joints: Collection[str]) -> None:
         """Begin to collect rows of some columns, with the joints in this order."""
@@ -258,10 +257,7 @@ class JoinedRows:
         self._is_new = True
 
     def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
-        """Turn the messages of the topics into tables of at most `MOST_ROWS`, with `t_s`.
-
-        Rows do not wait for what comes after `NONE_YET`.
-        """
+        """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at `NONE_YET`."""
         reference = self.reference
         for message in messages:
             if message.topic.name in self.topics:
@@ -374,10 +370,7 @@ def survey(
     growing: FollowOptions | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> JoinedRows | None:
-    """Learn the topics of a bag, of all its messages.
-
-    If it is still growing, until it is clear which rows are read: return these then.
-    """
+    """Learn a bag's topics to its end; of a growing one until its rows are clear: return these."""
     reported, settled_ns = "", 0
     for message in read_messages(bag.path, bag.faults, max_bytes, growing):
         if message is NONE_YET:

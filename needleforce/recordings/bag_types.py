@@ -167,8 +167,7 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
     return topic.name if path == ("data",) else "/".join((topic.name, *path))
 
 
-OutTopic = tuple[str, str, Iterable[Any]]
-"""Name and type of a topic to write, and its messages, one for each row."""
+OutTopic = tuple[str, str, Iterable[Any]]  # name, type and messages, one for each row
 
 
 def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> Iterator[OutTopic]:
@@ -232,10 +231,7 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
 
 
 class McapWriter:
-    """Writes a bag as one MCAP file: each row as one message on each topic, of the row's time.
-
-    Chunks are compressed and carry checksums.
-    """
+    """Writes one MCAP file, compressed, with checksums: of each row a message on each topic."""
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         self._types, self._labels, self._stream = standard_types(), labels, stream

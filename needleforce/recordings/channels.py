@@ -1,7 +1,7 @@
 """The channels of a log, their units, and how their columns are found by name."""
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from itertools import pairwise
@@ -149,8 +149,7 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     return name, None
 
 
-Found = list[tuple[str, np.ndarray]]
-"""Names and values of columns in the file's unit, shape (n,) or (n, k)."""
+Found = list[tuple[str, np.ndarray]]  # names and values, in the file's unit, (n,) or (n, k)
 
 
 def width_of(values: np.ndarray) -> int:
@@ -171,8 +170,14 @@ def find_columns(table: Table, pattern: str) -> Found:
     if pattern in table.columns:
         return [(pattern, table.columns[pattern])]
     if match := _RANGE.search(pattern):
-        names = _expanded_range(pattern, match)
-        return [column for name in names for column in find_columns(table, name)]
+        first, last = match["first"], match["last"]
+        step, width = 1 if int(first) <= int(last) else -1, len(first) * first.startswith("0")
+        found: Found = []
+        # One at a time: the first that is not there ends the search, however long the range is.
+        for number in range(int(first), int(last) + step, step):
+            name = f"{pattern[: match.start()]}{number:0{width}d}{pattern[match.end() :]}"
+            found += find_columns(table, name)
+        return found
     if "*" in pattern:
         return _find_numbered(table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1))
     if match := _ELEMENT.match(pattern):
@@ -184,16 +189,6 @@ def find_columns(table: Table, pattern: str) -> Found:
             raise ColumnError(f"{pattern!r}: {what}")
         return [(pattern, values[:, index])]
     return _find_numbered(table, pattern, rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?")
-
-
-def _expanded_range(pattern: str, match: re.Match[str]) -> Iterator[str]:
-    first, last = match["first"], match["last"]
-    step = 1 if int(first) <= int(last) else -1
-    width = len(first) if first.startswith("0") else 1
-    head, tail = pattern[: match.start()], pattern[match.end() :]
-    # One at a time: the first that is not there ends the search, however long the range is.
-    numbers = range(int(first), int(last) + step, step)
-    return (f"{head}{number:0{width}d}{tail}" for number in numbers)
 
 
 def _find_numbered(table: Table, pattern: str, expression: str) -> Found:

@@ -272,15 +272,11 @@ def csv_tables(
 
 
 class CsvWriter:
-    """Writes a header, then rows; floats so that they read back bit for bit.
-
-    The start of the clock, unless it is zero, goes into a comment.
-    """
+    """Writes a header and rows that read back bit for bit; the start of the clock as a comment."""
 
     def __init__(self, stream: BinaryIO, labels: Labels) -> None:
         self._comment = f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else ""
-        self._stream = stream
-        self._has_header = False
+        self._stream, self._has_header = stream, False
 
     def append(self, columns: Columns) -> None:
         """Write rows of checked columns, the same in every call."""

@@ -72,10 +72,7 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
 
 
 def readable_path(path: str | Path) -> Path:
-    """Return a path that may be opened for reading; that it exists is checked by opening it.
-
-    Refuse names that no file can have, and devices, which never end.
-    """
+    """Return a path to be opened; refuse devices, which never end, and names no file can have."""
     path = Path(path)
     with file_errors(path):
         if path.exists() and not (path.is_file() or path.is_dir() or path.is_fifo()):

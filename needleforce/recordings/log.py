@@ -139,8 +139,7 @@ _LIMITS = {
     "speed_m_s": ("speed", 1.0, "mm/s"),
     "force_N": ("force", 200.0, "mN"),
 }
-# Steps of so many units belong to logs between 10 Hz and 10 kHz.
-_STEPS = ((1e5, "ns"), (200.0, "us"))
+_STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz to 10 kHz
 
 
 class _Watch:
@@ -190,13 +189,10 @@ class _Watch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LogChunk:
-    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`.
-
-    `dt_s` is the time since the latest row that advanced, shape (n,), see `RowClock`.
-    """
+    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`."""
 
     t_s: FloatArray
-    dt_s: FloatArray
+    dt_s: FloatArray  # since the latest row that advanced, shape (n,), see `RowClock`
     channels: Mapping[str, FloatArray]
 
 
@@ -343,25 +339,17 @@ class LogStream:
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
         """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
-        chunks: list[LogChunk] = []
-        size = 0
+        parts, size = list[dict[str, FloatArray]](), 0
         for chunk in self:
-            chunks.append(chunk)
-            size += chunk.t_s.nbytes + sum(values.nbytes for values in chunk.channels.values())
+            parts.append({"t_s": chunk.t_s, **chunk.channels})
+            size += sum(values.nbytes for values in parts[-1].values())
             require_size(size, max_bytes, "what is read of it")
-        return Log(
-            t_s=np.concatenate([chunk.t_s for chunk in chunks]),
-            channels={
-                key: np.concatenate([chunk.channels[key] for chunk in chunks])
-                for key in chunks[0].channels
-            },
-            warnings=self.take_warnings(),
-            start_ns=self.start_ns,
-        )
+        whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+        t_s, warnings = whole.pop("t_s"), self.take_warnings()
+        return Log(t_s=t_s, channels=whole, warnings=warnings, start_ns=self.start_ns)
 
 
 def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:
-    """Refuse channels that differ in length or in the number of joints."""
     shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
@@ -374,9 +362,8 @@ def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
         listed = "; ".join(
-            f"{source.channel.name} has {joints[key]} ({', '.join(source.columns)})"
-            for key, source in sources.items()
-            if key in joints
+            f"{sources[key].channel.name} has {count} ({', '.join(sources[key].columns)})"
+            for key, count in joints.items()
         )
         raise LogError(
             f"channels differ in the number of joints: {listed}. Name the columns of all joints, "

@@ -37,7 +37,7 @@ SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be rea
 def read_table(
     path: str | Path, request: ChannelRequest | None = None, *, max_bytes: int = MAX_BYTES
 ) -> Table:
-    """Read a file's columns as they stand, without saying what they mean.
+    """Read a file's columns as they stand, in its units, without saying what they mean.
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
@@ -45,17 +45,13 @@ def read_table(
         request: what is read of a bag; of other files everything is.
         max_bytes: the most memory that the content of the file may take.
 
-    Returns:
-        The columns in the file's units.
-
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
         ColumnError: a bag has not what is requested.
     """
-    return joined_tables(
-        stream_tables(path, FollowOptions(), request, max_bytes=max_bytes), max_bytes
-    )
+    tables = stream_tables(path, FollowOptions(), request, max_bytes=max_bytes)
+    return joined_tables(tables, max_bytes)
 
 
 def read_log(
@@ -67,7 +63,7 @@ def read_log(
     joints: Iterable[str] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Log:
-    """Read a recording into SI units: all rows of its `LogStream`.
+    """Read a recording into SI units: all rows of its `LogStream`; `warnings` say what is wrong.
 
     Args:
         path: see `read_table`.
@@ -78,9 +74,6 @@ def read_log(
         optional: channels taken if they are there. With neither given, all are optional.
         joints: names of the robot's joints; a recording that names joints is put into this order.
         max_bytes: the most memory that the content of the file may take.
-
-    Returns:
-        The log. Its `warnings` report what is wrong with the recording.
 
     Raises:
         RecordingError: see `read_table`; or time, a required or a mapped channel was not found or
@@ -132,12 +125,11 @@ def stream_tables(
         # It is not read in the order of its bytes.
         with TemporaryDirectory() as folder:
             copy = Path(folder) / f"{Path(name).name}{BINARY[head]}"
-            whole, size = replace(options, follow=False), 0
+            whole = replace(options, follow=False)
             with file_errors(copy, "write"), copy.open("wb") as file:
                 for block in blocks:
-                    size += len(block)
-                    require_size(size, max_bytes, f"{name}: what comes through it")
                     file.write(block)
+                    require_size(file.tell(), max_bytes, f"{name}: what comes through it")
             try:
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:

@@ -29,10 +29,7 @@ WRITERS: Mapping[str, Callable[[BinaryIO, Labels], Any]] = {
 
 
 class OpenTable:
-    """A table under construction; made by `open_table`.
-
-    `begin` opens the file and returns what writes its format, with the first rows.
-    """
+    """A table of `open_table`; `begin` opens its file with the first rows and returns a writer."""
 
     def __init__(self, begin: Callable[[], Any], name: str) -> None:
         self._begin, self._name = begin, name

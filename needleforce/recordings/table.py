@@ -133,10 +133,7 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
 
 
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
-    """Return columns of one value a row; `q_rad` becomes `q_rad_1`, `q_rad_2`, ...
-
-    `LogError` if a name would stand twice.
-    """
+    """Return columns of one value a row, `q_rad_1`, ... of `q_rad`; `LogError` for a name twice."""
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         parts = {name: values}
