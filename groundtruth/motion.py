@@ -64,19 +64,14 @@ class Stroke:
         elif self.profile == "cosine":
             done, rate = 0.5 - 0.5 * np.cos(np.pi * s), 0.5 * np.pi * np.sin(np.pi * s)
         elif self.profile == "cruise":
-            done, rate = _cruise(s, self.ramp_fraction)
+            # Speed rises as 3q² - 2q³, holds, and falls alike.
+            mirrored, ramp = np.minimum(s, 1.0 - s), self.ramp_fraction
+            q, full = np.minimum(mirrored / ramp, 1.0), 1.0 / (1.0 - ramp)
+            half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
+            done, rate = np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
         else:
             done, rate = np.zeros_like(s), np.zeros_like(s)
         return self.start_m + self.travel_m * done, self.travel_m / self.duration_s * rate
-
-
-def _cruise(s: Array, ramp: float) -> tuple[Array, Array]:
-    """Fraction of the travel done and its rate: speed rises as 3q² - 2q³, holds, falls alike."""
-    mirrored = np.minimum(s, 1.0 - s)
-    q = np.minimum(mirrored / ramp, 1.0)
-    full = 1.0 / (1.0 - ramp)
-    half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
-    return np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

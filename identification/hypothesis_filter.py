@@ -421,10 +421,9 @@ def shaft_mixture(
 ) -> tuple[Vector, Matrix, float, float]:
     """Friction of the shaft at a depth, all hypotheses together, those of no weight left out.
 
-    Returns:
-        Mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole shaft,
-        c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been met,
-        and at which depth.
+    Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
+    shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been
+    met, and at which depth.
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))

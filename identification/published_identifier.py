@@ -217,8 +217,7 @@ def _regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Pair:
 def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
     """Use one force sample: equations (7) and (8) with lambda = 1, written out for two columns.
 
-    Returns:
-        The estimate after the sample, and the error e_k = f_k - phi_k' theta_{k-1}.
+    Returns the estimate after the sample, and the error e_k = f_k - phi_k' theta_{k-1}.
     """
     k, b, p11, p12, p22 = rls
     x, y = phi
@@ -297,9 +296,8 @@ def published_step(
 ) -> tuple[int, bool, bool, Outputs]:
     """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state machine.
 
-    Returns:
-        Number of the rupture machine's state, whether the reset window is full, whether that state
-        is a new one, and what to report if neither is.
+    Returns the number of the rupture machine's state, whether the reset window is full, whether
+    that state is a new one, and what to report if neither is.
     """
     (dt_s, depth_m, speed_m_s, force_N), before = motion, int(m[_STATE])
     is_ml, drift, threshold, reset_Hz, constant_s, least_m_s = setting

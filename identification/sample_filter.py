@@ -298,9 +298,8 @@ def take_sample(
     measured is the last one estimated, which contradicts no depth. Time runs on over a sample that
     is rejected, as long as its interval is valid: a dropped force does not shift the clock.
 
-    Returns:
-        The status by its place in `STATUSES`, and of a sample to use the interval since the one
-        used before [s]; the time since the start; the depth less the jumps removed; the motion.
+    Returns the status by its place in `STATUSES`, and of a sample to use the interval since the one
+    used before [s]; the time since the start; the depth less the jumps removed; the motion.
     """
     speed = speed_m_s if is_measured else memory[_SPEED]
     number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0

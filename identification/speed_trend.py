@@ -38,8 +38,7 @@ def follow_speed(
     depth is: of white noise of density r a steady filter of bandwidth w leaves the variances
     1.06 r w in the depth and 0.354 r w³ in the speed.
 
-    Returns:
-        The speed, and the trend, of shape (13,); before the first block it is zero.
+    Returns the speed, and the trend, of shape (13,); before the first block it is zero.
     """
     depth_std, speed_std = noise
     white = 0.545 * depth_std**3 / max(speed_std, 1e-9) + 1e-12

@@ -112,7 +112,11 @@ class SwitchingMethod:
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         if self._tissue.is_known:
-            sample = _in_tissue(sample, self._tissue)
+            time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
+            place_m, speed = (part / _MM for part in self._tissue.at(clock_s))
+            depth_m, speed_m_s, raw_m = depth_m - place_m, speed_m_s - speed, raw_m - place_m
+            # As the tissue, which moves, meets the needle.
+            sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
         motion = sample[2], sample[3], sample[4], sample[5], sample[8]
         known = self._memory, self._answer, self._left
         is_full, outputs = samples.update_switching(motion, sample[6], sample[1], *known)
@@ -316,14 +320,6 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, f
     lag_s = reports.speed_lag(jitter, speed_noise)
     at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
     return Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before), jitter, speed_noise
-
-
-def _in_tissue(sample: Sample, tissue: TissueMotion) -> Sample:
-    """A sample as the tissue, which moves, meets it."""
-    time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
-    place, speed = tissue.at(clock_s)
-    depth_m, speed_m_s = depth_m - place / _MM, speed_m_s - speed / _MM
-    return time_s, dt_s, depth_m, speed_m_s, *others, raw_m - place / _MM, clock_s  # type: ignore
 
 
 def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:

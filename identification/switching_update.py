@@ -211,8 +211,7 @@ def update_switching(
 ) -> tuple[bool, Outputs]:
     """Use one sample: depth, speed and the deviations of their noise, unfiltered depth; the force.
 
-    Returns:
-        Whether the block being filled is full, and what to report, see `switching_outputs`.
+    Returns whether the block being filled is full, and what to report, see `switching_outputs`.
     """
     m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m) = memory, motion
     w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]

@@ -10,8 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from residual import Status, WrenchEstimate
 from residual.tool_kinematics import unit_axis
 
-ZERO_READINGS = 500
-"""The zero is the mean of so many readings before it: half a second at 1 kHz."""
+ZERO_READINGS = 500  # The zero is the mean of so many before it: half a second at 1 kHz
 LOST_TICKS = 100  # Without a reading: the last one is then too old to be shown
 
 
@@ -26,21 +25,17 @@ class ForceSensor(Protocol):
 class ReferenceForce:
     """What a sensor between flange and tool says of the force that a session estimates.
 
-    Its zero is set once, with the tare. The weight of the tool is part of that: a needle that leans
-    more or less afterwards reads otherwise. The estimate is some hundredths of a second late (the
-    observer's lag); that counts as difference.
+    Its zero is set with the tare and holds the weight of the tool: a needle that leans more or less
+    afterwards reads otherwise. The lag of the estimate counts as difference.
 
     Args:
         sensor: Read once per tick.
-        axis: Direction of insertion in the sensor's axes, shape (3,).
+        axis: Direction of insertion in the sensor's axes, shape (3,), not all zero.
 
     Attributes:
         axial_N: Resistance to insertion that it reads, positive where tissue pushes back; NaN
             before `zero`, and where nothing has come for 100 ticks.
         count: Ticks that were compared: those with a reading and a valid estimate.
-
-    Raises:
-        residual.ConfigurationError: For an axis that is none.
     """
 
     def __init__(self, sensor: ForceSensor, axis: ArrayLike = (0.0, 0.0, 1.0)) -> None:
@@ -50,33 +45,28 @@ class ReferenceForce:
         self._squares_N2, self.count, self._silent = 0.0, 0, 0
 
     @property
-    def is_zeroed(self) -> bool:
-        """Whether there is a zero."""
-        return not math.isnan(self._zero_N)
-
-    @property
     def rms_N(self) -> float:
         """Root mean square of estimate less reading since the zero [N]; NaN before any."""
         return math.sqrt(self._squares_N2 / self.count) if self.count else math.nan
 
-    def zero(self) -> None:
-        """Take the mean of the latest readings for no force; nothing is compared yet."""
-        if self._readings:
-            self._zero_N = float(np.mean(self._readings))
-            self._squares_N2, self.count = 0.0, 0
+    def zero(self) -> bool:
+        """Take the mean of the latest readings for no force; False if there is none."""
+        self._zero_N = float(np.mean(self._readings)) if self._readings else math.nan
+        self._squares_N2, self.count = 0.0, 0
+        return bool(self._readings)
 
     def update(self, wrench: WrenchEstimate) -> None:
         """Read the sensor, and compare with the session's estimate of the same tick."""
         reading = self._sensor.read()
-        if reading is None:
-            self._silent += 1
-            if self._silent >= LOST_TICKS:
-                self.axial_N = math.nan
-            return
-        self._silent = 0
-        resistance_N = -float(self._axis.dot(reading[:3]))
-        self._readings.append(resistance_N)
-        self.axial_N = resistance_N - self._zero_N
-        if self.is_zeroed and wrench.status is Status.OK:
-            self._squares_N2 += (wrench.axial - self.axial_N) ** 2
-            self.count += 1
+        self._silent = self._silent + 1 if reading is None else 0
+        if reading is not None:
+            resistance_N = -float(self._axis.dot(reading[:3]))
+            self._readings.append(resistance_N)
+            self.axial_N = resistance_N - self._zero_N
+            difference_N = wrench.axial - self.axial_N
+            if wrench.status is Status.OK and math.isfinite(difference_N):
+                self._squares_N2 += difference_N**2
+                self.count += 1
+        elif self._silent >= LOST_TICKS:
+            self.axial_N = math.nan
+            self._readings.clear()  # of another posture perhaps

@@ -73,8 +73,7 @@ def _is_real(value: object) -> bool:
 def check_joint_vector(name: str, value: object, joints: int) -> Array:
     """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
 
-    `SampleError` for another shape, or unless all are real, finite and below `MOST_PLAUSIBLE` as a
-    vector.
+    `SampleError` for another shape, or unless real, finite and below `MOST_PLAUSIBLE` as a vector.
     """
     try:
         array = _real(value)

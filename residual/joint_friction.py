@@ -7,6 +7,7 @@ import numpy as np
 
 from residual.errors import Array, ConfigurationError
 from residual.input_validation import check_positive
+from urdf.errors import InputError, finite_array
 
 _MOST_EXPONENT = 700.0  # Its exponential is a float still, and the sigmoid is zero there
 
@@ -21,19 +22,13 @@ class FrictionModel(Protocol):
 
 def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
     """Store each named field as a read-only float copy; all of one length."""
-    sizes = set()
     for name in names:
-        given = getattr(owner, name)
         try:
-            array = np.full(0, np.nan) if np.iscomplexobj(given) else np.array(given, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            array = np.full(0, np.nan)
-        array = np.atleast_1d(array)
-        if array.ndim != 1 or array.size == 0 or not np.isfinite(array).all():
-            raise ConfigurationError(f"{name} must be one finite number per joint, got {given!r}")
-        array.setflags(write=False)
+            array = finite_array(np.atleast_1d(getattr(owner, name)), (-1,), name)
+        except (InputError, ValueError) as error:
+            raise ConfigurationError(f"{error}: one finite number per joint") from error
         object.__setattr__(owner, name, array)
-        sizes.add(array.size)
+    sizes = {getattr(owner, name).size for name in names}
     if len(sizes) > 1:
         raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
 

@@ -4,10 +4,10 @@ Momentum ``p = M(q) dq`` obeys ``dp/dt = tau + C' dq - g - tau_f + tau_ext``. Wi
 ``u = tau + C' dq - (g + tau_f)`` the residual ``dr/dt = K (dp/dt - u - r)`` is the first-order
 low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 
-Neither M nor C is formed. With the twist v of every link and the spatial momentum h of all that
-hangs on its joint, both from one pass over the links, ``p = S . h`` and ``C' dq = (v x S) . h`` for
-a joint that moves along S: the gradient of the kinetic energy (in the spirit of De Luca and
-Ferrajoli, ICRA 2009), in a third of the time of the matrices.
+Neither M nor C is formed. With the twist v of every link and the spatial momentum h of the subtree
+it carries, both from one pass over the links, ``p = S . h`` and ``C' dq = (v x S) . h`` for a joint
+that moves along S: the gradient of the kinetic energy (in the spirit of De Luca and Ferrajoli,
+ICRA 2009), in a third of the time of the matrices.
 """
 
 import math
@@ -17,6 +17,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
+from scipy.linalg import block_diag
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled, compiled_or, dot
 from residual.errors import Array, ConfigurationError
@@ -44,7 +45,6 @@ NOISE_THRESHOLD_SIGMAS = 3.0  # Distance of the momentum at which the bandwidth 
 _LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
 _MOST_SQUARED = (1.0 + 1e-9) * MOST_PLAUSIBLE**2  # Rounding makes no difference to `check_rows`
-_PACKED = (8,)  # distance in memory of the numbers of a contiguous array
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
@@ -121,10 +121,10 @@ def momentum_step(
 
     Args:
         rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of the tick.
-        motion: Twist v of every link at its end, and momentum h of all that hangs on its joint, in
-            the link's axes, shape (n, 6).
-        joints: Direction S of every joint, shape (n, 6); what makes v x S of all twists,
-            shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
+        motion: Twist v of every link at its end, and momentum h of the subtree it carries, in the
+            link's axes, shape (n, 6).
+        joints: Direction S of every joint, shape (n, 6); the matrix that maps the stacked twists to
+            v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
         load: g + tau_f there [Nm], shape (n,).
         sample: q [rad], dq [rad/s] and measured torque [Nm] there, each of shape (n,).
         weights: See `set_step_weights`.
@@ -132,8 +132,7 @@ def momentum_step(
             nothing is smoothed.
         dt_s: Length of the tick [s]; 0 at a first sample, which only sets the momentum.
 
-    Returns:
-        Whether the sample is finite and of plausible size; if not, nothing has happened.
+    Returns whether the sample is finite and of plausible size; if not, nothing has happened.
     """
     q, velocity, tau = sample
     most = _MOST_SQUARED  # A NaN is not below it either.
@@ -256,14 +255,14 @@ class MomentumObserver:
         # Compiled code takes contiguous arrays.
         if not (
             all_fit(sample, self._joints)
-            and position.strides == velocity.strides == torque.strides == _PACKED
+            and position.strides == velocity.strides == torque.strides == (8,)
         ):
             position, velocity, torque = read_rows(_NAMES, sample, self._joints)
         if self._friction is not None:  # Its model need not take what is not finite.
             check_rows(_NAMES, np.stack((position, velocity, torque)))
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
         residual = self.absorb(position, velocity, torque, dt_s)
-        residual.setflags(False)  # pyright: ignore[reportCallIssue]  # thrice as long by name
+        residual.setflags(False)  # pyright: ignore[reportCallIssue]  # by name three times as long
         return residual
 
     def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
@@ -294,7 +293,7 @@ class MomentumObserver:
         return {name: kept for name, kept in vars(self).items() if name != "_motion"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)  # A copy has a workspace of its own.
+        vars(self).update(state)  # A deep copy has a workspace of its own.
         self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
@@ -331,15 +330,19 @@ class MomentumObserver:
         self.restore(MomentumState(np.zeros((ROWS, self._joints))))
 
 
+def joint_axis(joint: pin.JointModel) -> Array:
+    """Twist of a link at unit rate of its joint of one number, in the link's axes, shape (6,)."""
+    data = joint.createData()
+    joint.calc(data, np.zeros(joint.nq))
+    return np.array(data.S).ravel()
+
+
 def _joint_directions(robot: Robot) -> tuple[Array, Array, Array]:
     """What `momentum_step` calls ``joints``."""
-    model, data, n = robot.model, robot.create_data(), robot.nv
-    directions, crossing = np.zeros((n, 6)), np.zeros((6 * n, 6 * n))
-    for k, at in enumerate(range(0, 6 * n, 6)):
-        jacobian = pin.computeJointJacobian(model, data, pin.neutral(model), k + 1)
-        directions[k] = jacobian.reshape(6, n)[:, k]
-        crossing[at : at + 6, at : at + 6] = -pin.Motion(directions[k]).action  # v x S = -(S x v)
-    return directions, crossing, np.array(model.armature)
+    directions = np.array([joint_axis(joint) for joint in list(robot.model.joints)[1:]])
+    # v x S = -(S x v)
+    crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in directions)))
+    return directions, crossing, np.array(robot.model.armature)
 
 
 def _shared_rows(vectors: Any) -> Array:

@@ -9,10 +9,10 @@ from types import UnionType
 from typing import Any, get_args, get_origin, get_type_hints
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from residual.errors import Array, SnapshotError
+from residual.momentum_observer import joint_axis
 from urdf import Robot
 
 GROWING = "recorder.sums"  # End of the place of the one array that grows
@@ -107,7 +107,7 @@ def robot_digest(robot: Robot) -> str:
     arrays = [
         np.array(list(model.parents)),
         np.array([frame.parentJoint for frame in model.frames]),
-        *(_axis(joint) for joint in list(model.joints)[1:]),
+        *(joint_axis(joint) for joint in list(model.joints)[1:]),
         *(inertia.toDynamicParameters() for inertia in model.inertias),
         *(placement.homogeneous for placement in model.jointPlacements),
         *(frame.placement.homogeneous for frame in model.frames),
@@ -121,13 +121,6 @@ def robot_digest(robot: Robot) -> str:
     for array in arrays:
         found.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
     return found.hexdigest()
-
-
-def _axis(joint: pin.JointModel) -> Array:
-    """How a joint of one number moves its link: velocity and rotation for a rate of one."""
-    data = joint.createData()
-    joint.calc(data, np.zeros(joint.nq))
-    return np.asarray(data.S)
 
 
 TRIED, TRIED_S = 3, 0.03

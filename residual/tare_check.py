@@ -42,7 +42,10 @@ def check_free_of_contact(
     seen = [_beyond_prior(basis, blocks, wrench)]
     if seen[0][0] == 0.0:
         at_prior, axis = FreeMotionFit(basis, blocks, learn=False), -wrench.kinematics.axis_in_tool
-        torque = _tip_torque(blocks, wrench)
+        torque = np.empty((*blocks.q_rad.shape, 3))  # per newton on the tip, along the tool's axes
+        for k, position in enumerate(blocks.q_rad):
+            wrench.kinematics.update(position)
+            torque[k] = wrench.kinematics.jacobian[:3].T
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
         kept, contact = _likeliest_contact(at_prior, torque)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
@@ -74,15 +77,6 @@ def _beyond_prior(
         if abs(seen.axial) > excess * seen.axial_std:
             worst, excess = (seen.axial, seen.axial_std), abs(seen.axial) / seen.axial_std
     return worst
-
-
-def _tip_torque(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
-    """Joint torques per newton on the tip, along the tool's axes, shape (blocks, n, 3)."""
-    torque = np.empty((*blocks.q_rad.shape, 3))
-    for k, position in enumerate(blocks.q_rad):
-        wrench.kinematics.update(position)
-        torque[k] = wrench.kinematics.jacobian[:3].T
-    return torque
 
 
 def _likeliest_contact(fit: FreeMotionFit, torque: Array) -> tuple[NDArray[np.bool_], Array]:

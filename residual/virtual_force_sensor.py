@@ -154,7 +154,7 @@ class VirtualForceSensor:
         return self._absorb(True, q, dq, external_torque, dt_s)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
-        """Fit the offset to the free motion seen since the start or `start_tare_recording`.
+        """Fit the offset to the free motion since the start or `start_tare_recording`; return it.
 
         Call it while the arm rests or from outside the control loop: it takes a few tenths of a
         second. A contact that stands during all of the motion is noticed only if it is larger than
@@ -163,9 +163,6 @@ class VirtualForceSensor:
         Args:
             ignore_contact: Take it even where contact is seen, or torques or velocities that
                 cannot be.
-
-        Returns:
-            The fitted tare.
 
         Raises:
             TareError: Without data, a second time without `start_tare_recording`, with contact in

@@ -82,10 +82,9 @@ def weighted_inverse(
     Rows of J, shape (k, n), are directions of x; the covariance is that of the error of the torque
     [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape (k,).
 
-    Returns:
-        The matrix that makes x of the torque, shape (k, n); the covariance of x, shape (k, k), with
-        `UNSEEN_STD` squared on the diagonal where x cannot be seen; ``conditioning`` and
-        ``damping_fraction`` of `WrenchEstimate`.
+    Returns the matrix that makes x of the torque, shape (k, n); the covariance of x, shape (k, k),
+    with `UNSEEN_STD` squared on the diagonal where x cannot be seen; ``conditioning`` and
+    ``damping_fraction`` of `WrenchEstimate`.
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
@@ -153,10 +152,9 @@ def wrench_step(
         found: Where force, torque if it is asked for, and the residual less its offset are written
             [N, Nm], shape (3 + n,) or (6 + n,).
 
-    Returns:
-        Resistance to insertion, its standard deviation, size of the lateral force, the standard
-        deviation of one of its components, and resistance before it is smoothed [N]; NaN, and
-        nothing else has happened, where the arm has turned too far for the gain.
+    Returns resistance to insertion, its standard deviation, size of the lateral force, the standard
+    deviation of one of its components, and resistance before it is smoothed [N]; NaN, and nothing
+    else has happened, where the arm has turned too far for the gain.
     """
     turned = q - rows[0]
     if not dot(turned, turned) <= MOST_TURN_RAD**2:
@@ -341,11 +339,8 @@ class WrenchEstimator:
         The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
         arguments are those of `wrench_step`.
 
-        Returns:
-            The numbers of a `WrenchEstimate`, from ``axial`` to ``residual``.
-
-        Raises:
-            SampleError: For numbers that are not finite.
+        Returns the numbers of a `WrenchEstimate`, from ``axial`` to ``residual``; `SampleError` for
+        numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
         size = self.size

@@ -1,10 +1,7 @@
 """Arms, force sensors and haptic devices against emulators in processes of their own."""
 
-import collections
 import io
 import json
-import multiprocessing
-import signal
 import socket
 import threading
 import time
@@ -16,10 +13,7 @@ import pytest
 
 from benchmarks.cli import main as measure
 from needleforce.cli import main
-from needleforce.cli.live_recorder import Recorder
-from needleforce.cli.terminal import CommandError
 from needleforce.devices import (
-    ArmSample,
     DeviceSettingError,
     FriArm,
     LinkError,
@@ -39,7 +33,6 @@ from needleforce.devices.emulators import (
     emulate_rdt,
 )
 from needleforce.devices.proxy import LOOPBACK
-from needleforce.recordings import FileAccessError, read_log
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
@@ -147,54 +140,6 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
         flooding.join()
         assert 0.3 <= time.monotonic() - begin_s < 0.3 + PATIENCE_S
     assert min(arm.report.malformed, arm.report.stale) > 3
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("sends", [False, True])
-def test_a_signal_ends_a_recording_whether_or_not_something_comes(
-    number, sends, tmp_path, monkeypatch, capsys
-):
-    path, arm = tmp_path / "x.mcap", FriArm(port=0, give_up_s=PATIENCE_S)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def ask():
-        with socket.socket(type=socket.SOCK_DGRAM) as box:
-            for count in range(1, 701 if sends else 1):
-                box.sendto(measurement(count=count), arm.address)
-                time.sleep(1e-3)
-        time.sleep(0.5)
-        signal.pthread_kill(threading.main_thread().ident, number)
-
-    asking = threading.Thread(target=ask)
-    monkeypatch.setattr("needleforce.cli.live.FriArm", lambda **_: asking.start() or arm)
-    code = main(["record", "fri:0", "-o", str(path)])
-    asking.join()
-    signal.signal(signal.SIGINT, before)
-    assert code == (0 if sends else 2)
-    assert (f" s in {path}" if sends else "error: no sample came from") in capsys.readouterr().err
-    assert not sends or len(read_log(path)) == arm.report.used > 350
-
-
-SAMPLE = ArmSample(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
-
-
-def test_a_recorder_whose_process_dies_says_so(tmp_path):
-    recorder = Recorder(tmp_path / "x.csv", ("a",) * 7)
-    for process in multiprocessing.active_children():
-        process.kill()
-        process.join()
-    with pytest.raises(CommandError, match="process that writes the recording has ended"), recorder:
-        collections.deque(map(recorder.put, [SAMPLE] * 100))
-    assert recorder.rows == 50
-
-
-def test_a_recorder_that_cannot_write_says_why(tmp_path):
-    with pytest.raises(FileAccessError, match="no known suffix"):
-        Recorder(tmp_path / "x.txt", ())
-    recorder = Recorder(tmp_path / "x.csv", ())
-    (tmp_path / "x.csv").mkdir()
-    with pytest.raises(FileAccessError, match=r"cannot write .*x\.csv"), recorder:
-        recorder.put(SAMPLE)
 
 
 def test_commands_that_cannot_be_are_refused():
@@ -362,21 +307,34 @@ def test_a_sensor_that_reports_a_fault_gives_no_force():
             assert (ft.report.used, ft.report.malformed) == (2, 1)
 
 
-@pytest.mark.parametrize(("first", "anew"), [(5, 10_000_000), (5_000_000, 0)])
-def test_a_sensor_that_counts_anew_is_heard_again_but_not_at_one_odd_record(first, anew):
-    record = np.zeros(1, rdt.RECORD)
-    counts = [*range(first, first + 50), anew, first + 50, first + 51, *range(anew, anew + 50)]
+def received(*datagrams):
+    """What a sensor's link has counted of datagrams with records of these counts."""
     with socket.socket(type=socket.SOCK_DGRAM) as box:
         box.bind((LOOPBACK, 0))
         with NetFT(port=box.getsockname()[1], scale=Scale(1.0, 1.0)) as ft:
             _, asked_from = box.recvfrom(64)
-            for record["count"][0] in counts:
-                box.sendto(record.tobytes(), asked_from)
+            for counts in datagrams:
+                records = np.zeros(len(counts), rdt.RECORD)
+                records["count"] = counts
+                box.sendto(records.tobytes(), asked_from)
             time.sleep(0.05)
             assert ft.read() is not None
-            stale = 1 + rdt.RENUMBERED + 1
-            assert (ft.report.used, ft.report.stale) == (len(counts) - stale, stale)
-            assert ft.report.missed == 0
+            return ft.report
+
+
+@pytest.mark.parametrize(("first", "anew"), [(5, 10_000_000), (5_000_000, 0)])
+def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_record(first, anew):
+    odd, again = [anew], range(anew, anew + 800)
+    report = received(range(first, first + 50), odd, range(first + 50, first + 52), again)
+    stale = 1 + rdt.RENUMBERED + 1
+    assert (report.used, report.stale, report.missed) == (853 - stale, stale, 0)
+
+
+def test_datagrams_of_many_records_that_come_twice_or_late_are_not_used_again():
+    one, two, three, four = (range(k, k + 40) for k in (0, 40, 80, 120))
+    assert received(one, two, two, three).used == 120
+    late = received(one, three, two, four)
+    assert (late.used, late.stale, late.missed) == (120, 40, 40)
 
 
 def test_a_haptic_device_moves_and_is_felt():

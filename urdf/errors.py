@@ -45,6 +45,8 @@ def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     """Return a read-only copy or raise `InputError`; in ``shape`` -1 is any length above 0."""
     wanted = str(shape).replace("-1", "n")
     try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex numbers")
         array = read_only(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error

@@ -251,11 +251,10 @@ def watch_arm(
                 if sample.tau_Nm is None:
                     raise CommandError(f"{arm_name}: {NO_TORQUES}")
                 now = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-                tare.after(session, now)
                 if reference is not None:
                     reference.update(now.wrench)
-                    if session.tared and not reference.is_zeroed:
-                        reference.zero()
+                if tare.after(session, now) and reference is not None and not reference.zero():
+                    say(f"{watched.reference} had sent nothing at the tare: no reference")
                 view.show(now, panel)
                 if page is not None:
                     page.put(now, sample.q_rad)

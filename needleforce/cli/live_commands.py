@@ -37,7 +37,7 @@ class WatchOptions:
     """Plan to match ruptures with (plan.json, or its folder): see docs/scene.md."""
     reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
     """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
-    stand beside."""
+    are shown next to the estimate."""
     reference_axis: Annotated[tuple[float, float, float], Parameter(metavar="X Y Z", group=LOG)] = (
         0.0,
         0.0,

@@ -71,10 +71,10 @@ class SessionTare:
             raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
         self._every_s = self._next_s = every_s
 
-    def after(self, session: InsertionSession, now: SessionEstimate) -> None:
-        """Tare if it is time, after an update."""
+    def after(self, session: InsertionSession, now: SessionEstimate) -> bool:
+        """Tare if it is time, after an update; whether it has."""
         if session.tared or now.status is not Status.NOT_TARED or now.time_s <= self._next_s:
-            return
+            return False
         self._next_s = now.time_s + self._every_s
         try:
             session.tare()
@@ -83,6 +83,7 @@ class SessionTare:
             for words, here in _WITHOUT_OPTIONS.items():
                 reason = reason.replace(words, here)
             say(f"no tare at {now.time_s:.1f} s: {reason}")
+        return session.tared
 
 
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:

@@ -90,9 +90,6 @@ class FriArm(DatagramLink):
     connection and no error, velocities given to `send` are integrated. The interface transmits no
     velocity: samples have ``dq_rad_s=None``. After `close` the controller goes to monitor mode.
 
-    The sign of the torques is that of the controller; hang a known mass on the flange and compare
-    before you believe it.
-
     Attributes:
         robot: The model of the arm that was given, for those who need both.
         state: Of the interface, of the last sample.

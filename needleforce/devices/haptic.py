@@ -3,8 +3,6 @@
 The service speaks JSON over a websocket on this machine, in its format 3.1 as public examples show
 it. It sends the state of its devices, and the next one after a force has come. The clutch is button
 A of the grip where there is one; without a grip the hand always moves the needle.
-
-Other devices: whatever satisfies `needleforce.control.ports.HapticDevice` will do.
 """
 
 import json

@@ -22,8 +22,8 @@ STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
 RECORD = np.dtype([("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
 COUNTS = 1 << 32
 LONGEST_COUNTED_s = 1.0  # A sensor silent for longer may have been off, and count from zero
-MOST_AHEAD = 10_000  # Records of such a time; what counts further on, or back, is no new record
-RENUMBERED = 20  # Unless so many in a row do: the sensor then counts anew
+MOST_AHEAD = 10_000  # Records of such a time; one further on, or further back, is not a new record
+RENUMBERED = 400  # Unless so many in a row are: the sensor has restarted its count
 MOST_REPLY = 1 << 20
 ROOM = 1 << 22  # Bytes for the records of half a second, if net.core.rmem_max allows as many
 FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
@@ -102,7 +102,7 @@ class NetFT(DatagramLink):
         self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
-        self._other = self._others = 0  # Last count that was none of the row, and how many in a row
+        self._odd = self._odd_row = 0  # Last count out of sequence, and how many in a row
         self._arrival_s = monotonic()
         self._zero, self._newest = np.zeros(6), np.zeros(6)
         self._request(self._mode)
@@ -110,12 +110,15 @@ class NetFT(DatagramLink):
     def read(self) -> Array | None:
         """The newest wrench of all that have come: force [N], torque [Nm], shape (6,); else None.
 
-        Raises nothing: what is malformed or old is counted in `report`.
+        Raises nothing: what is malformed or old is counted in `report`. After a second without a
+        datagram the sensor is asked again.
         """
         found = None
         while self._is_open and (data := self._receive(0.0)) is not None:
             for wrench in self._records(data):
                 found = wrench
+        if monotonic() - self._arrival_s > LONGEST_COUNTED_s:
+            self._ask_again()
         return found
 
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
@@ -123,8 +126,7 @@ class NetFT(DatagramLink):
         while self._is_open:
             data = self._receive(wait_s)
             if data is None:
-                self.report.outages += 1
-                self._request(self._mode)
+                self._ask_again()
                 yield None
             else:
                 yield from self._records(data)
@@ -146,6 +148,11 @@ class NetFT(DatagramLink):
         self._request(STOP)
         super().close()
 
+    def _ask_again(self) -> None:
+        self.report.outages += 1
+        self._last, self._arrival_s = None, monotonic()
+        self._request(self._mode)
+
     def _request(self, command: int) -> None:
         self._send(REQUEST.pack(REQUEST_MARK, command, 0), self._sensor)
 
@@ -163,15 +170,16 @@ class NetFT(DatagramLink):
             count, status, last = int(record["count"]), int(record["status"]), self._last
             is_faulty, ahead = status & FAULT_BITS, 1 if last is None else (count - last) % COUNTS
             if not 0 < ahead <= MOST_AHEAD:
-                follows = 0 < (count - self._other) % COUNTS <= MOST_AHEAD
-                self._other, self._others = count, self._others + 1 if follows else 0
+                follows = 0 < (count - self._odd) % COUNTS <= MOST_AHEAD
+                self._odd, self._odd_row = count, self._odd_row + 1 if follows else 0
                 report.stale += 1
-                if self._others >= RENUMBERED:
+                if self._odd_row >= RENUMBERED:
                     self._last = None
                 continue
             report.malformed += bool(is_faulty)
-            if last is not None or not is_faulty:  # a faulty first one may be none of its records
-                self._last, self.status, self._others = count, status, 0
+            self.status = status
+            if last is not None or not is_faulty:  # a faulty first one may be garbage
+                self._last, self._odd_row = count, 0
                 report.missed += ahead - 1
             if not is_faulty:
                 report.used += 1

@@ -51,11 +51,7 @@ class _VendorArm(ReadOnlyArm):
 
 
 class FrankaArm(_VendorArm):
-    """A Franka FER (Panda) through libfranka: 1 kHz, torques behind the gears.
-
-    ``tau_Nm`` is the measured torque of the links with gravity; ``external_Nm`` libfranka's own
-    filtered estimate.
-    """
+    """A Franka FER (Panda) through libfranka: 1 kHz; `external_Nm` is its own filtered estimate."""
 
     def __init__(self, host: str = LOOPBACK, *, robot: Any = None) -> None:
         """Connect.
