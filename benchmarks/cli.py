@@ -340,7 +340,7 @@ def time_updates(
         soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at the end.
         control: Instead, ticks of control, and of session and control together.
         loop: Instead, so many seconds of a 1 kHz loop against an emulated FRI.
-        scene: With --loop: the same again beside the scene.
+        scene: With --loop: the same again beside the scene, and a recorder.
         kdl: Instead, error and time beside orocos KDL's estimator, if that is installed.
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.

@@ -6,9 +6,8 @@ sample least late. An overrun is a tick that takes longer than a cycle. Real-tim
 where the system grants it.
 """
 
-import os
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +21,7 @@ from benchmarks.benchmark import Progress
 from benchmarks.tables import ResultTable
 from groundtruth import simulate
 from needleforce import InsertionSession
-from needleforce.cli.live_recorder import Recorder
+from needleforce.cli.live_recorder import Recorder, leave_real_time
 from needleforce.devices import ArmSample, FriArm
 from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri, take_real_time
 from urdf import Robot
@@ -57,13 +56,8 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
 
 def _is_real_time() -> bool:
     is_granted = take_real_time()
-    _give_back()
+    leave_real_time()
     return is_granted
-
-
-def _give_back() -> None:
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 @contextmanager
@@ -105,7 +99,7 @@ def _one(run: Any, seconds: float, kind: str) -> list[tuple[str, ...]]:
             put(now, sample)
             arrived_us.append(before / 1e3)
             taken_us.append((perf_counter_ns() - before) / 1e3)
-        _give_back()
+        leave_real_time()
         counts = controller.counts()
     tick_us = np.array(taken_us[WARM_UP:])
     since_us = np.array(arrived_us[WARM_UP:])

@@ -110,10 +110,15 @@ class Recorder:
             self._raise()
 
 
+def leave_real_time() -> None:
+    """Go on with ordinary priority: a child inherits the loop's, and would take the loop's time."""
+    with suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
 def _write(queue: Any, pipe: Connection, path: Path, joint_names: tuple[str, ...]) -> None:
     """The process: into the pipe goes None when all is written, or what was wrong."""
-    with suppress(OSError, AttributeError):  # Real-time priority is the loop's alone.
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    leave_real_time()
     parent, wrong = multiprocessing.parent_process(), None
     try:
         with open_table(path, is_live=True, labels=lambda: Labels(joint_names=joint_names)) as to:
