@@ -75,13 +75,19 @@ def test_mean_normals_leave_out_bumps_and_the_far_side():
     bumps = 0.3e-3 * np.prod(np.sin(ball.vertices / 3.7e-3), axis=1)
     bumpy = Surface("ball", ball.vertices + bumps[:, None] * outward, ball.faces)
     points = outward[::50] * 0.051
+    places, facets = bumpy.nearest(points)
+    means = bumpy.mean_normals(places, facets, 7.4e-3)
+    flatness = np.linalg.norm(means, axis=1)
     tilts = [
         np.linalg.norm(np.cross(normals, outward[::50]), axis=1).mean()
-        for normals in (bumpy.nearest(points)[1], bumpy.mean_normals(points, 7.4e-3))
+        for normals in (facets, means / flatness[:, None])
     ]
+    # The mean normal of a cap of a ball that reaches so far.
+    assert flatness.mean() == pytest.approx(1.0 - (7.4 / 50.0) ** 2 / 4.0, abs=0.01)
     assert tilts[1] < 0.4 * tilts[0]
     plate = trimesh.creation.box((0.1, 0.1, 0.004)).subdivide().subdivide().subdivide().subdivide()
-    up = Surface("plate", plate.vertices, plate.faces).mean_normals(np.array([[0, 0, 0.003]]), 8e-3)
+    flat, places = Surface("plate", plate.vertices, plate.faces), np.array([[0, 0, 0.002]])
+    up = flat.mean_normals(places, np.array([[0.0, 0.0, 1.0]]), 8e-3)
     np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
 
 

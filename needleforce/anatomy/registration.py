@@ -28,17 +28,16 @@ from needleforce.anatomy.surface import Surface
 
 LEAST_WIDTH_m = 5e-3
 """Root mean square distance of landmarks from a line below which they count as collinear."""
-LARGEST_SCALE = 5.0  # Beyond this, or its inverse, units differ
 FALSE_REFUSAL = 1e-6  # Probability that good landmarks do not fit
 TOUCH_STD_m = 0.5e-3
-SURFACE_STD_m, SURFACE_REACH_m, SURFACE_BIAS_m = 0.3e-3, 3.7e-3, 0.015e-3
-"""Least error of a segmented surface, the reach of its correlation exp(-(distance / reach)^2 / 2),
-and by how much all of it is too large or too small: measured on smooth organs (liver, kidneys,
-gallbladder, urinary bladder, femur) against what segmenting them at 3 mm leaves."""
+SURFACE_STD_m, SURFACE_EDGES, SURFACE_REACH_m = 0.24e-3, 5.0, 3.7e-3
+"""Least error of a flat segmented surface, its growth towards edges, 1 + 5 (1 - flatness), and the
+reach of its correlation exp(-(distance / reach)^2 / 2): measured on liver, kidneys, gallbladder,
+bladder, femur and two muscles against what segmenting them at 3 mm leaves."""
 HOLD_REACH_m = 2.0 * SURFACE_REACH_m  # Normals averaged so far around hold hardly any of that error
-COARSE_STD_m = 0.45e-3  # More than such a surface is off as a whole
+COARSE_STD_m = 0.6e-3  # More than such a surface is off as a whole
 LEAST_TOUCHES = 15
-LARGEST = 5.0  # Metres of touches or surface, and their ratio, beyond which units differ
+LARGEST = 5.0  # Metres of touches or surface, and ratio of lengths, beyond which units differ
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
 ROUNDS, LAST_STEP_m = 60, 1e-7
@@ -47,8 +46,7 @@ FULL_STEPS = 8.0  # Later ones are shorter: from facet to facet they would go ba
 PUSH_m = 6e-3  # How far a solution is pushed along its weakest directions, measured at the touches
 BACK = 0.5  # Part of the push that may be left at the touches after fitting again
 FAR_m = 4e-3  # Another solution is another if it lies so far away at the touches
-TRIES = np.diag([0.2] * 3 + [12e-3] * 3)
-"""Other starts: turned [rad] and shifted [m] by so much, either way."""
+TRIES = np.diag([0.2] * 3 + [12e-3] * 3)  # Other starts: turned [rad], shifted [m], either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,16 +165,15 @@ def fit_landmarks(
 def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> tuple[Array, Array]:
     model, robot = (np.asarray(points, dtype=float) for points in (model_m, robot_m))
     if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
-        raise RegistrationError(
-            f"landmarks of shapes {model.shape} and {robot.shape}: expected (n, 3) twice"
-        )
+        shapes = f"{model.shape} and {robot.shape}"
+        raise RegistrationError(f"landmarks of shapes {shapes}: expected (n, 3) twice")
     if len(model) < 3:
         raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
     if not np.isfinite([model, robot]).all():
         raise RegistrationError("a landmark is not finite; touch it again")
     widths = np.array([_widths_m(model), _widths_m(robot)])
     scale = widths[1, 0] / max(widths[0, 0], 1e-12)
-    if not 1.0 / LARGEST_SCALE < scale < LARGEST_SCALE:
+    if not 1.0 / LARGEST < scale < LARGEST:
         raise RegistrationError(
             f"the touched landmarks are {scale:.3g} times as far apart as those of the model: "
             "millimetres for metres? Give both in metres"
@@ -221,6 +218,7 @@ class _Fit(NamedTuple):
     points: Array  # touches, carried into the model (n, 3)
     levers: Array  # their motion by a small rotation about their middle, and a shift (n, 3, 6)
     rows: Array  # derivatives of the distances (n, 6)
+    flatness: Array  # of the surface there, 1 for a plane (n,)
     distances: Array  # from the surface, positive outside
     weights: Array  # 0 for touches that slipped
     normal: Array  # matrix of the normal equations (6, 6)
@@ -251,7 +249,11 @@ def fit_surface(
     """
     touches = _checked_touches(surface, touches_m, touch_std_m)
     noise_m = float(np.hypot(touch_std_m, COARSE_STD_m))
-    found = _fitted(surface, start.to_model(touches), noise_m)
+    points = start.to_model(touches)
+    found = _fitted(surface, points, noise_m)
+    if found.middle_m > noise_m:
+        others = (_fitted(surface, _moved(points, step), noise_m) for step in (*TRIES, *-TRIES))
+        found = min(others, key=lambda fit: fit.middle_m)
     outliers = float(np.mean(found.weights == 0.0))
     if outliers > MOST_OUTLIERS:
         raise RegistrationError(
@@ -276,9 +278,7 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
         raise RegistrationError(f"touches of shape {touches.shape}: expected finite (n, 3)")
     if len(touches) < LEAST_TOUCHES:
-        raise RegistrationError(
-            f"too few touches: {len(touches)}; expected {LEAST_TOUCHES} or more, spread widely"
-        )
+        raise RegistrationError(f"too few touches: {len(touches)}; touch {LEAST_TOUCHES} or more")
     size_m, extent_m = float(np.linalg.norm(np.ptp(touches, axis=0))), float(surface.mesh.scale)
     if max(size_m, extent_m, size_m / extent_m) > LARGEST:
         raise RegistrationError(
@@ -302,14 +302,17 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
         distances, far = (apart * normals).sum(axis=1), np.linalg.norm(apart, axis=1)
         # While far away everything counts; then what lies further than the rest does not; last
         # what lies further than noise: many that slipped together would widen their own scale.
-        middle_m, scale = float(np.median(far)), 1.15 * noise_m
+        middle_m, scale = float(np.median(far)), noise_m
         if count < WIDE_ROUNDS:
             scale = max(1.4826 * middle_m, scale)
+        else:
+            normals = surface.mean_normals(places, normals, HOLD_REACH_m)
+        flatness = np.linalg.norm(normals, axis=1)
         weights = (1.0 - np.minimum(far / (TUKEY * scale), 1.0) ** 2) ** 2
         levers = _jacobian(points - points.mean(axis=0))
-        rows = np.einsum("ni,nij->nj", normals, levers)
+        rows = np.einsum("ni,nij->nj", normals / flatness[:, None], levers)
         normal = rows.T @ (weights[:, None] * rows)
-        found = _Fit(points, levers, rows, distances, weights, normal, middle_m)
+        found = _Fit(points, levers, rows, flatness, distances, weights, normal, middle_m)
         # What the touches do not hold is held a little, so that a sphere has a solution too.
         spins, slides = np.split(np.diag(normal), 2)
         held = normal + 1e-6 * np.diag(np.repeat([spins.sum(), slides.sum()], 3))
@@ -334,7 +337,7 @@ def _require_no_other(surface: Surface, found: _Fit, noise_m: float) -> None:
     for direction in eigh(found.normal, motion)[1][:, :3].T:
         again = _fitted(surface, _moved(found.points, PUSH_m * direction), noise_m)
         left_m = _rms(again.points - found.points)
-        if left_m > BACK * PUSH_m and again.middle_m < 1.3 * max(found.middle_m, 0.4 * noise_m):
+        if left_m > BACK * PUSH_m and again.middle_m < 1.3 * max(found.middle_m, 0.35 * noise_m):
             raise RegistrationError(
                 f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm along its "
                 f"weakest direction, the solution stays {1e3 * left_m:.1f} mm away and fits as "
@@ -354,24 +357,21 @@ def _registration(
     surface: Surface, touches: Array, found: _Fit, touch_std_m: float
 ) -> Registration:
     """The fit from model to robot, with a covariance of touches and correlated surface errors."""
-    rows, weights = found.rows, found.weights
-    kept = weights > 0.0  # the gain of the others, which slipped, is zero
+    weights, kept = found.weights, found.weights > 0.0  # the others, which slipped, gain nothing
     degrees = max(float(kept.sum()) - 6.0, 1.0)
     observed = np.average(found.distances**2, weights=weights) * kept.sum() / degrees
-    surface_var = max(observed - touch_std_m**2, SURFACE_STD_m**2)
-    # The surface's error tilts its normals, which seems to hold a round organ against spinning; the
-    # curvature of the same error, which Gauss-Newton leaves out, takes as much away.
-    normals = surface.mean_normals(found.points, HOLD_REACH_m)
-    held = np.einsum("ni,nij->nj", normals, found.levers)
-    gain = np.linalg.solve(held.T @ (weights[:, None] * held), rows.T * weights)
+    edges = 1.0 + SURFACE_EDGES * (1.0 - found.flatness)
+    flat_var = (observed - touch_std_m**2) / np.average(edges**2, weights=weights)
     same = np.exp(-0.5 * (cdist(found.points, found.points) / SURFACE_REACH_m) ** 2)
-    errors = surface_var * same + SURFACE_BIAS_m**2 + touch_std_m**2 * np.eye(len(touches))
+    surface_var = max(flat_var, SURFACE_STD_m**2) * np.outer(edges, edges) * same
+    errors = surface_var + touch_std_m**2 * np.eye(len(touches))
     rotation, translation, _ = _rigid_fit(found.points, touches)
-    turn = np.kron(np.eye(2), rotation) @ gain  # from the model's axes to the robot's
+    turn = np.kron(np.eye(2), rotation)  # from the model's axes to the robot's
+    gain = turn @ np.linalg.solve(found.normal, found.rows.T * weights)
     return Registration(
         rotation=rotation,
         translation_m=translation,
-        covariance=turn @ errors @ turn.T,
+        covariance=gain @ errors @ gain.T,
         pivot_m=touches.mean(axis=0),
         degrees=degrees,
         residual_rms_m=float(np.sqrt(np.mean(found.distances[kept] ** 2))),

@@ -68,16 +68,16 @@ class Surface:
         best = np.linalg.norm(places - points_m[:, None], axis=-1).argmin(axis=1)
         return places[rows, best], self.mesh.face_normals[near[rows, best]]
 
-    def mean_normals(self, points_m: Array, reach_m: float) -> Array:
-        """Normals averaged so far around the nearest places on the same side, of points (n, 3)."""
+    def mean_normals(self, places_m: Array, normals: Array, reach_m: float) -> Array:
+        """Means of the normals so far around places (n, 3) on it; as long as 1 where it is flat."""
         tree, kept = self._middles
-        places, normals = self.nearest(points_m)
-        areas = self.mesh.face_normals * self.mesh.area_faces[:, None]
-        for k, near in enumerate(tree.query_ball_point(places, reach_m)):
-            around = areas[kept[near]]
-            mean = around[around @ normals[k] > 0.0].sum(axis=0)
-            normals[k] = mean / np.linalg.norm(mean) if mean.any() else normals[k]
-        return normals
+        means = normals.copy()
+        for k, near in enumerate(tree.query_ball_point(places_m, reach_m)):
+            around, areas = self.mesh.face_normals[kept[near]], self.mesh.area_faces[kept[near]]
+            areas = areas * (around @ normals[k] > 0.0)  # not the other side of a thin part
+            if areas.any():
+                means[k] = areas @ around / areas.sum()
+        return means
 
 
 def surface_of(labels: "Labels", name: str) -> Surface:
