@@ -147,7 +147,7 @@ class PlainEstimator:
         q, dq, tau, dt_s = self._samples[k]
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        found = self._wrench.solve(q, residual, self._no_offset, self._memory, (0.0, 1.0))
+        found = self._wrench.solve(q, residual, self._no_offset, self._memory, (0.0, 0.0))
         self.axial_N = found[0]
 
 

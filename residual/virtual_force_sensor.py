@@ -93,6 +93,7 @@ class VirtualForceSensor:
         alone = replace(config, mode="axial", axes="base", weighting="covariance")
         self._contact = WrenchEstimator(robot, replace(alone, expected_force_N=100.0))
         self._monitor = ConsistencyMonitor(robot, self._wrench)
+        self._smoothing_s = 1.0 / (config.force_bandwidth_per_s or math.inf)
         self.reset()
 
     @property
@@ -203,9 +204,9 @@ class VirtualForceSensor:
 
     def _trust(self, covariance_Nm2: Array) -> None:
         """Weigh with a covariance of the residual from now on."""
-        tare, bandwidth_per_s = self._offset.memory.tare, self._config.force_bandwidth_per_s
+        tare = self._offset.memory.tare
         # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t / (t + T).
-        gone = 3.0 / (bandwidth_per_s or math.inf) / self._offset.block_s * tare.scatter_Nm2
+        gone = 3.0 * self._smoothing_s / self._offset.block_s * tare.scatter_Nm2
         gone *= tare.noise_Nm2.diagonal() / (tare.noise_Nm2.diagonal() + gone)
         self._wrench.set_torque_covariance(covariance_Nm2, tare.noise_Nm2, np.diag(gone))
 
@@ -337,8 +338,7 @@ class VirtualForceSensor:
         self.elapsed_s, self.lag_s = elapsed_s, stream.lag_s
         offset, wrench, monitor = self._offset, self._wrench, self._monitor
         renewed, bias = offset.follow(q, dq, tau, elapsed_s), offset.memory
-        tared = bias.tared
-        if settled and not tared:
+        if settled and not bias.tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
         waiting, checks = self._waiting, False
@@ -351,18 +351,17 @@ class VirtualForceSensor:
                 self._weigh()
         wrench.kinematics.update(q)
         # Smoothing and the lag that follows the force begin where the force is.
-        tick, fraction, lag_s = 0.0, 1.0, stream.lag_s
+        lags = 0.0, 0.0
         if self._follows:
-            tick = elapsed_s * (self._config.force_bandwidth_per_s or 0.0)
-            fraction = -math.expm1(-elapsed_s / lag_s) if lag_s > 0.0 else 1.0
-        found = wrench.solve(q, residual, bias.bias, self._followed, (tick, fraction))
+            lags = self._smoothing_s / elapsed_s, stream.lag_s / elapsed_s
+        found = wrench.solve(q, residual, bias.bias, self._followed, lags)
         self._follows = True
         if checks:
             sent = dq if stream.has_velocity else None
-            monitor.check(q, sent, found[-1], self._unchecked_s, tared=tared)
+            monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
-        if not (settled and tared) or bias.leapt_s or stream.warning or stream.question:
+        if not (settled and bias.tared) or bias.leapt_s or stream.warning or stream.question:
             status, message, warnings = self._assess(stream, settled=settled)
         last = _new(WrenchEstimate, (*found, status, message, monitor.mismatch, warnings))
         self._before, self._last = self._last, last

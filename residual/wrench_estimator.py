@@ -103,24 +103,23 @@ def weighted_inverse(
 
 
 @compiled
-def smoothing_step(smoothed: WrittenVector, wrench: Vector, axis: Vector, tick: float) -> None:
+def smoothing_step(
+    smoothed: WrittenVector, wrench: Vector, axis: Vector, slow: float, fast: float
+) -> None:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
     While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
     power of the distance to it in deviations of that noise: a rupture passes as it is. As of the
     momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
 
-    `axis` is that of `WrenchGain`, `tick` the time step in lags within the noise, 0 for none.
+    `axis` is that of `WrenchGain`; `slow` that lag, `fast` one that stays besides [time steps].
     """
     behind = wrench - smoothed
-    if tick > 0.0:
-        beside = float(dot(axis[:3], behind[:3])) ** 2
-        # Of the lateral force two components are noisy.
-        beside_across = 0.5 * (float(dot(behind[:3], behind[:3])) - beside)
-        ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
-        tick *= 1.0 + ratio * ratio
-        behind *= tick / (1.0 + tick)
-    smoothed += behind
+    beside = float(dot(axis[:3], behind[:3])) ** 2
+    # Of the lateral force two components are noisy.
+    beside_across = 0.5 * (float(dot(behind[:3], behind[:3])) - beside)
+    ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
+    smoothed += behind / (1.0 + fast + slow / (1.0 + ratio * ratio))
 
 
 @compiled
@@ -136,8 +135,8 @@ def wrench_step(
 ) -> tuple[float, float, float, float, float]:
     """Force from external joint torque, smoothed, with what its lag may hide.
 
-    One more lag of the observer's length follows the force: what it still misses is about what the
-    estimate has missed. Only what stands out of the noise counts as a change.
+    What follows the force once more with the same lags, the observer's and the smoothing's, misses
+    about what the estimate has missed. Only what stands out of the noise counts as a change.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -145,8 +144,7 @@ def wrench_step(
         offset: What it reads without contact [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
-        lags: The tick of `smoothing_step`, and the fraction of the way that the follower goes in
-            it, 1 where the observer has no lag.
+        lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
         memory: Smoothed force (and torque), then the follower, brought to the end of the tick
             [N, Nm], shape (2, 3) or (2, 6).
         found: Where force, torque if it is asked for, and the residual less its offset are written
@@ -166,16 +164,16 @@ def wrench_step(
     along_needle, variance, lateral_variance = axis[:3], axis[3], axis[4]
     unsmoothed = -float(dot(along_needle, wrench[:3]))
     smoothed, followed = memory[0], memory[1]
-    smoothing_step(smoothed, wrench, axis, lags[0])
+    smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
     wrench[:] = smoothed
     force = smoothed[:3]
     axial = float(dot(along_needle, force))
     across = max(float(dot(force, force)) - axial * axial, 0.0)
     behind = smoothed - followed
-    followed += lags[1] * behind
+    smoothing_step(followed, smoothed, axis, lags[0], lags[1])
     missed = float(dot(along_needle, behind[:3]))
     missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
-    if lags[1] >= 1.0:
+    if lags[0] + lags[1] == 0.0:
         missed = missed_across = 0.0
     hidden = max(missed * missed - 4.0 * variance, 0.0)
     hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
@@ -298,7 +296,7 @@ class WrenchEstimator:
         residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
         self.weigh(q)
         memory = np.zeros((2, self.size))
-        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 1.0)))
+        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0)))
 
     def weigh(self, q: Array) -> None:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""

@@ -162,7 +162,7 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
     torques *= 0.02
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
     for k, torque in enumerate(torques):
-        lags = (0.03 if k else 0.0, 1.0)  # of 1 ms at 30 1/s
+        lags = (100.0 / 3.0 if k else 0.0, 0.0)  # of 1 ms at 30 1/s
         found.append(estimator.solve(MIDDLE, torque, np.zeros(7), memory, lags))
     axial, stated, unsmoothed = np.array([(one[0], one[1], one[-2]) for one in found]).T
     at_rest = slice(500, 2000)
