@@ -136,7 +136,7 @@ def wrench_step(
     """Force from external joint torque, smoothed, with what its lag may hide.
 
     What follows the force once more with the same lags, the observer's and the smoothing's, misses
-    about what the estimate has missed. Only what stands out of the noise counts as a change.
+    about what the estimate has missed. Of that the square of the noise itself is taken away.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -175,8 +175,8 @@ def wrench_step(
     missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
     if lags[0] + lags[1] == 0.0:
         missed = missed_across = 0.0
-    hidden = max(missed * missed - 4.0 * variance, 0.0)
-    hidden_across = max(missed_across - 8.0 * lateral_variance, 0.0)
+    hidden = max(missed * missed - variance, 0.0)
+    hidden_across = max(missed_across - 2.0 * lateral_variance, 0.0)
     return (
         -axial,
         math.sqrt(variance + hidden),
