@@ -136,7 +136,7 @@ def wrench_step(
     """Force from external joint torque, smoothed, with what its lag may hide.
 
     What follows the force once more with the same lags, the observer's and the smoothing's, misses
-    about what the estimate has missed. Of that the square of the noise itself is taken away.
+    about what the estimate has missed. From its square the variance of the noise is subtracted.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -169,12 +169,10 @@ def wrench_step(
     force = smoothed[:3]
     axial = float(dot(along_needle, force))
     across = max(float(dot(force, force)) - axial * axial, 0.0)
-    behind = smoothed - followed
     smoothing_step(followed, smoothed, axis, lags[0], lags[1])
+    behind = smoothed - followed
     missed = float(dot(along_needle, behind[:3]))
     missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
-    if lags[0] + lags[1] == 0.0:
-        missed = missed_across = 0.0
     hidden = max(missed * missed - variance, 0.0)
     hidden_across = max(missed_across - 2.0 * lateral_variance, 0.0)
     return (
