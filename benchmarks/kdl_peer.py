@@ -139,7 +139,7 @@ class PlainEstimator:
     def __init__(self, robot: Robot, signals: JointSignals, gain_per_s: float) -> None:
         self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
         self._wrench, self._samples = WrenchEstimator(robot, PUBLISHED), signals.samples()
-        self._no_offset, self._memory = np.zeros(robot.nv), np.zeros((2, 6))
+        self._no_offset, self._memory = np.zeros(robot.nv), np.zeros((3, 6))
         self.axial_N = 0.0
 
     def __call__(self, k: int) -> None:

@@ -53,7 +53,7 @@ class SensorState(NamedTuple):
     torque_covariance: Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
     weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
-    wrench: Array  # Memory of `wrench_step`, shape (2, 3) or (2, 6)
+    wrench: Array  # Memory of `wrench_step`, shape (3, 3) or (3, 6)
     follows: bool  # Whether that memory is of a sample
     unchecked_s: float  # Time since the last consistency check [s]
     waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
@@ -231,7 +231,7 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed, self._follows = np.zeros((2, self._wrench.size)), False
+        self._followed, self._follows = np.zeros((3, self._wrench.size)), False
         self._unchecked_s = 0.0
         self._waiting = 2
 

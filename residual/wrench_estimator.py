@@ -25,6 +25,7 @@ MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
 SMOOTHED_SIGMAS = 2.0  # Distance of the force at which the bandwidth has doubled
+KEPT_SIGMAS = 6.0  # Of what the lag hid so many deviations of the force are kept at most
 
 
 class WrenchGain(NamedTuple):
@@ -136,7 +137,9 @@ def wrench_step(
     """Force from external joint torque, smoothed, with what its lag may hide.
 
     What follows the force once more with the same lags, the observer's and the smoothing's, misses
-    about what the estimate has missed. From its square the variance of the noise is subtracted.
+    about what the estimate has missed. From its square the variance of the noise is subtracted. As
+    it is late itself, where the force swings it misses nothing when most is hidden: that is kept
+    for a while; not much of it, as a rupture is over at once.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -145,8 +148,8 @@ def wrench_step(
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
         lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
-        memory: Smoothed force (and torque), then the follower, brought to the end of the tick
-            [N, Nm], shape (2, 3) or (2, 6).
+        memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid, along and
+            across [N^2], brought to the end of the tick; shape (3, 3) or (3, 6).
         found: Where force, torque if it is asked for, and the residual less its offset are written
             [N, Nm], shape (3 + n,) or (6 + n,).
 
@@ -173,13 +176,15 @@ def wrench_step(
     behind = smoothed - followed
     missed = float(dot(along_needle, behind[:3]))
     missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
-    hidden = max(missed * missed - variance, 0.0)
-    hidden_across = max(missed_across - 2.0 * lateral_variance, 0.0)
+    stated, kept = axis[3:5], 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
+    squares = np.array([missed * missed, missed_across - lateral_variance])
+    hidden = np.maximum(squares - stated, kept * memory[2, :2])
+    memory[2, :2] = np.minimum(hidden, KEPT_SIGMAS**2 * stated)
     return (
         -axial,
-        math.sqrt(variance + hidden),
+        math.sqrt(variance + hidden[0]),
         math.sqrt(across),
-        math.sqrt(lateral_variance + hidden_across),
+        math.sqrt(lateral_variance + hidden[1]),
         unsmoothed,
     )
 
@@ -293,7 +298,7 @@ class WrenchEstimator:
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
         residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
         self.weigh(q)
-        memory = np.zeros((2, self.size))
+        memory = np.zeros((3, self.size))
         return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0)))
 
     def weigh(self, q: Array) -> None:

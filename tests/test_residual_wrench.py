@@ -158,7 +158,7 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
     estimator, found = estimator_of(lwr, mode=mode), []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
     estimator.weigh(MIDDLE)
-    memory, torques = np.zeros((2, estimator.size)), np.random.default_rng(0).normal(size=(4000, 7))
+    memory, torques = np.zeros((3, estimator.size)), np.random.default_rng(0).normal(size=(4000, 7))
     torques *= 0.02
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
     for k, torque in enumerate(torques):
@@ -170,3 +170,16 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
     assert np.std(axial[at_rest]) < 0.35 * np.std(unsmoothed[at_rest])
     assert np.std(unsmoothed[at_rest]) == pytest.approx(stated[-1], rel=0.1)
     assert np.abs(axial[2001:] - 2.0).max() < 2.5 * stated[-1]
+
+
+def test_deviation_knows_what_a_lag_hides_of_a_force_that_swings(lwr):
+    estimator, lag, errors = estimator_of(lwr), 40, []  # ticks of 1 ms
+    estimator.set_torque_covariance(0.02**2 * np.eye(7))
+    estimator.weigh(MIDDLE)
+    memory, felt_N = np.zeros((3, estimator.size)), 0.0
+    unit = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
+    for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):  # of a heart
+        felt_N += (true_N - felt_N) / (1.0 + lag)
+        found = estimator.solve(MIDDLE, felt_N * unit, np.zeros(7), memory, (100.0 / 3.0, lag))
+        errors.append(abs(found[0] - true_N) / found[1])
+    assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
