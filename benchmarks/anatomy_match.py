@@ -19,8 +19,8 @@ from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch
 
-STACKS, PLANS = 100, 5
-"""Insertions, and plans for each: a few stacks whose membranes all rupture late make the rms."""
+STACKS, PLANS = 40, 5
+"""Insertions, and plans for each; 200 pairs."""
 OFFSET_STD_m, BOUNDARY_STD_m = 3e-3, 0.5e-3
 SAME_m = 3e-3
 """A rupture is that of a boundary if its release began so close to it."""
