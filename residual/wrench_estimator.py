@@ -25,7 +25,7 @@ MOST_TURN_RAD = 1e-3
 """A gain holds until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
 SMOOTHED_SIGMAS = 2.0  # Distance of the force at which the bandwidth has doubled
-KEPT_SIGMAS = 6.0  # Of what the lag hid so many deviations of the force are kept at most
+KEPT_SIGMAS = 6.0  # So many deviations of the force are kept of what a lag hid, at most
 
 
 class WrenchGain(NamedTuple):
@@ -138,8 +138,8 @@ def wrench_step(
 
     What follows the force once more with the same lags, the observer's and the smoothing's, misses
     about what the estimate has missed. From its square the variance of the noise is subtracted. As
-    it is late itself, where the force swings it misses nothing when most is hidden: that is kept
-    for a while; not much of it, as a rupture is over at once.
+    it is late itself, where the force swings it misses nothing when most is hidden. So what it
+    missed fades with twice these lags, up to `KEPT_SIGMAS`: a rupture is over at once.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -164,7 +164,7 @@ def wrench_step(
     wrench, corrected = found[:size], found[size:]
     np.subtract(residual, offset, corrected)
     np.dot(rows[1:], corrected, wrench)
-    along_needle, variance, lateral_variance = axis[:3], axis[3], axis[4]
+    along_needle, variances = axis[:3], axis[3:5]
     unsmoothed = -float(dot(along_needle, wrench[:3]))
     smoothed, followed = memory[0], memory[1]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
@@ -174,19 +174,15 @@ def wrench_step(
     across = max(float(dot(force, force)) - axial * axial, 0.0)
     smoothing_step(followed, smoothed, axis, lags[0], lags[1])
     behind = smoothed - followed
-    missed = float(dot(along_needle, behind[:3]))
-    missed_across = float(dot(behind[:3], behind[:3])) - missed * missed
-    stated, kept = axis[3:5], 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
-    squares = np.array([missed * missed, missed_across - lateral_variance])
-    hidden = np.maximum(squares - stated, kept * memory[2, :2])
-    memory[2, :2] = np.minimum(hidden, KEPT_SIGMAS**2 * stated)
-    return (
-        -axial,
-        math.sqrt(variance + hidden[0]),
-        math.sqrt(across),
-        math.sqrt(lateral_variance + hidden[1]),
-        unsmoothed,
-    )
+    missed = float(dot(along_needle, behind[:3])) ** 2
+    missed_across = float(dot(behind[:3], behind[:3])) - missed
+    # Of the lateral force two components are noisy.
+    squares = np.array([missed, missed_across - variances[1]]) - variances
+    kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
+    hidden = np.maximum(squares, kept * memory[2, :2])
+    memory[2, :2] = np.minimum(hidden, KEPT_SIGMAS**2 * variances)
+    std = np.sqrt(variances + hidden)
+    return -axial, float(std[0]), math.sqrt(across), float(std[1]), unsmoothed
 
 
 @compiled

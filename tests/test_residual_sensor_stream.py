@@ -32,7 +32,7 @@ def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
         estimate = sensor.update(q[k], dq[k], tau[k] - BIAS - step, 1e-3)
         widest = max(widest, estimate.axial_std)
     assert widest > 20 * calm
-    # Half a second later what the lag hid is forgotten; what remains is the sensors' hysteresis.
+    # What the lag hid has faded. What remains is the hysteresis of the torque sensors.
     assert estimate.axial_std < 4 * calm
 
 
