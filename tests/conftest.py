@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from urdf import NeedleTool, load_lwr
-
+# Before NumPy is imported: threads of BLAS beside one worker per processor take three times as long.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("ci")
 
@@ -15,6 +15,8 @@ settings.load_profile("ci")
 @pytest.fixture(scope="session")
 def lwr():
     """The LWR 4+ with F/T sensor and needle."""
+    from urdf import NeedleTool, load_lwr
+
     return load_lwr(payload=NeedleTool())
 
 
