@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Before NumPy is imported: threads of BLAS beside one worker per processor take three times as long.
+# Before NumPy is imported: threads of BLAS, beside one worker per processor, take thrice the time.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("ci")
