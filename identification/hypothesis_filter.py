@@ -417,32 +417,37 @@ def weigh(
 
 @compiled
 def shaft_mixture(
-    store: Store, weights: Vector, depth: float
-) -> tuple[Vector, Matrix, float, float]:
-    """Friction of the shaft at a depth, all hypotheses together, those of no weight left out.
+    store: Store, weights: Vector, scene: Scene, least: float
+) -> tuple[Vector, Matrix, float, float, float]:
+    """Friction of the shaft at a place, all hypotheses together, those of less weight left out.
 
     Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
     shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been
-    met, and at which depth.
+    met, and at which depth; and the force at the tip that the likeliest hypothesis says.
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
-    all_met, contact, rows = 0.0, 0.0, np.flatnonzero(weights)
+    all_met, contact, rows = 0.0, 0.0, np.flatnonzero(weights > least)
+    kept, best = weights[rows].sum(), np.argmax(weights)
     for k in rows:
-        row, length = np.zeros((8, UNKNOWNS)), max(depth - facts[k, ROOT], 0.0)
-        met = 1.0 if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0 else 0.0
-        if met > 0.0 and all_met == 0.0:
-            contact = records[k, CONTACT_MM]
-        all_met += weights[k] * met
+        weight, length = weights[k] / kept, max(scene[0] - facts[k, ROOT], 0.0)
+        row, met = np.zeros((8, UNKNOWNS)), 0.0
+        if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0:
+            contact = records[k, CONTACT_MM] if all_met == 0.0 else contact
+            met = 1.0
+        all_met += weight * met
         row[0, OFFSET] = 1.0
         row[1, COULOMB] = row[2, VISCOUS] = row[3, COULOMB] = row[4, VISCOUS] = met
         row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
         row[5, OWN_COULOMB] = row[6, OWN_VISCOUS] = met
         row[7, STIFFNESS] = 1.0 if facts[k, KIND] != AIR else 0.0
-        row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(depth - facts[k, TIP], 0.0)
+        row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(scene[0] - facts[k, TIP], 0.0)
         found[k] = np.dot(row, means[k])
-        total += weights[k] * found[k]
-        spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
+        total += weight * found[k]
+        spread += weight * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
     for k in rows:
-        spread += weights[k] * np.outer(found[k] - total, found[k] - total)
-    return total, spread, all_met, contact
+        spread += weights[k] / kept * np.outer(found[k] - total, found[k] - total)
+    for i in range(8):
+        spread[i, i] = max(spread[i, i], 0.0)
+    row_of_best, tip = regressor(facts[best], scene), slice(RELEASED, _AFTER_TIP)
+    return total, spread, all_met, contact, np.dot(row_of_best[tip], means[best, tip])

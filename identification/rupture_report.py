@@ -38,28 +38,39 @@ _RECENT_S = 0.5  # For so long travel since the rupture shows the speed better t
 _LEAST_PROBABILITY = 0.3  # Of all hypotheses with the last rupture, together, to say what it was
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
-_TIP = slice(law.RELEASED, law.KEPT + 1)  # the tip's unknowns
-_OF_COUNT = law.KIND, law.IS_HELD, law.RUPTURES, law.RELEASED, law.KEPT, law.HELD
+_OF_COUNT = law.KIND, law.IS_HELD, law.RELEASED, law.KEPT, law.HELD
 """Places, for compiled code: it does not use constants of another file."""
 
 
-def answer_at(memory: BankMemory, place: Place, ruptures: int, speed: float) -> Array:
+class Evidence(NamedTuple):
+    """The bank, how likely each of its n hypotheses is, and how many ruptures it admits."""
+
+    bank: Bank
+    weights: Array  # probabilities, shape (n,)
+    ruptures: Array  # number of ruptures, shape (n,); see `evidence_of`
+
+
+def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
+    """What the bank says after an alarm, the last of so many known; None before the first.
+
+    Hypotheses that know only of a rupture clearly before the alarm's deny that one.
+    """
+    before_mm = -math.inf if alarm is None else _MM * alarm.depth_m - LEAST_MM
+    ruptures, rupture_mm = bank.facts[:, law.RUPTURES], bank.records[:, law.RUPTURE_MM]
+    denied = np.minimum(ruptures, known - 1.0)
+    return Evidence(bank, bank.weights, np.where(rupture_mm < before_mm, denied, ruptures))
+
+
+def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, speed: float) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-    `ruptures` are known so far; the last was at a speed [mm/s], 0 before the first.
+    So many ruptures are known; the last was at a speed [mm/s], 0 before the first.
     """
-    bank = memory.bank
-    weights = bank.weights
-    weights = np.where(weights > _LEAST_WEIGHT, weights, 0.0)
-    weights /= weights.sum()
-    answer, best = NO_ANSWER.copy(), int(weights.argmax())
-    answer[1], answer[2:], all_met, contact = law.shaft_mixture(memory.store, weights, place.depth)
-    diagonal = answer[2:].reshape(-1)[:: len(answer[1]) + 1]
-    np.maximum(diagonal, 0.0, out=diagonal)
-    row = law.regressor(bank.facts[best], (place.depth, place.speed, place.deflection))
-    tip = float(row[_TIP] @ bank.means[best, _TIP])
+    scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
+    found = law.shaft_mixture(memory.store, weights, scene, _LEAST_WEIGHT)
+    answer[1], answer[2:], all_met, contact, tip = found
     if all_met > 0.5:
-        answer[0, :3] = 1.0, ruptures + 1, contact / _MM
+        answer[0, :3] = 1.0, known + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed
     return answer
 
@@ -73,24 +84,17 @@ class Evaluation(NamedTuple):
     best: int  # ruptures of the likeliest of all
 
 
-def denied(bank: Bank, alarm: Rupture, known: int) -> Bank:
-    """The bank, but those that know only of a rupture clearly before the last alarm's deny it."""
-    facts = bank.facts.copy()
-    is_before = bank.records[:, law.RUPTURE_MM] < _MM * alarm.depth_m - LEAST_MM
-    facts[is_before, law.RUPTURES] = np.minimum(facts[is_before, law.RUPTURES], known - 1.0)
-    return bank._replace(facts=facts)
-
-
-def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
+def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    least = max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
+    (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
     force = bank.records[:, law.RUPTURE_FORCE]
     is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
     # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
     limits = float(known), least, law.LAYER
-    found = Evaluation(*_counted(bank.weights, bank.facts, bank.means, most, limits, _OF_COUNT))
+    counted = _counted(weights, ruptures, bank.facts, bank.means, most, limits, _OF_COUNT)
+    found = Evaluation(*counted)
     lower = force[found.pick] - bank.records[found.pick, law.LEAST_FORCE]
     return found if lower > _VISIBLE * least else found._replace(more=0.0)
 
@@ -98,22 +102,22 @@ def count_ruptures(bank: Bank, known: int, place: Place) -> Evaluation:
 @compiled
 def _counted(
     weights: Vector,
+    ruptures: Vector,
     facts: Matrix,
     means: Matrix,
     most: Vector,
     limits: tuple[float, float, float],
-    places: tuple[int, int, int, int, int, int],
+    places: tuple[int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
     """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
 
     A rupture releases `most`: no more than the force there was, nothing where the force is back.
     """
-    (known, least, layer), (kind, is_held, number, released, kept, held) = limits, places
+    (known, least, layer), (kind, is_held, released, kept, held) = limits, places
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
     fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
     fallen = np.minimum(fallen, most)
-    ruptures = facts[:, number]
     is_more = (ruptures > known) & (fallen > least)
     pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
     more, fewer = weights[is_more].sum(), weights[ruptures < known].sum()
@@ -157,13 +161,13 @@ def may_be_braking(
 
 
 def rupture_of(
-    bank: Bank, pick: int, layer: int, probability: float, alarm: tuple[float, float, float]
+    evidence: Evidence, pick: int, layer: int, probability: float, alarm: tuple[float, float, float]
 ) -> Rupture:
     """The rupture that hypothesis `pick` knows of.
 
     `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
     """
-    record = bank.records[pick]
+    record = evidence.bank.records[pick]
     since_s = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0)
     return Rupture(
         layer=layer,
@@ -176,29 +180,29 @@ def rupture_of(
         probability=min(probability, 1.0),
         contact_depth_m=float(record[law.CONTACT_MM]) / _MM,
         partial_rupture_probability=partial_rupture_probability(
-            bank, int(bank.facts[pick, law.RUPTURES])
+            evidence, int(evidence.ruptures[pick])
         ),
     )
 
 
-def _is_meeting(bank: Bank) -> NDArray[np.bool_]:
-    """Which hypotheses say that the tip pushes a membrane under the last layer."""
-    return (bank.facts[:, law.KIND] == law.MEMBRANE) & (bank.facts[:, law.IS_HELD] > 0.0)
+def _weights_of(evidence: Evidence, known: int) -> tuple[Array, NDArray[np.bool_]]:
+    """Probabilities of the hypotheses that know of so many ruptures, of others 0, shape (n,).
 
-
-def _weights_of(bank: Bank, known: int) -> Array:
-    """Probabilities of the hypotheses that know of so many ruptures, of others 0, shape (n,)."""
-    return np.where(bank.facts[:, law.RUPTURES] == known, bank.weights, 0.0)
+    And which of all say that the tip pushes a membrane under the last layer.
+    """
+    facts = evidence.bank.facts
+    is_meeting = (facts[:, law.KIND] == law.MEMBRANE) & (facts[:, law.IS_HELD] > 0.0)
+    return np.where(evidence.ruptures == known, evidence.weights, 0.0), is_meeting
 
 
 def friction_left(
-    bank: Bank, known: int, force_variance: float, *, before: bool = False
+    evidence: Evidence, known: int, force_variance: float, *, before: bool = False
 ) -> tuple[float, float] | None:
     """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
 
     None where other hypotheses are likelier than those that know of this rupture as the last.
     """
-    weights, is_meeting = _weights_of(bank, known), _is_meeting(bank)
+    bank, (weights, is_meeting) = evidence.bank, _weights_of(evidence, known)
     if before:
         weights[is_meeting] = 0.0
     total = float(weights.sum())
@@ -213,13 +217,14 @@ def friction_left(
 
 
 def layer_left(
-    bank: Bank, rupture: Rupture, known: int, friction: tuple[float, float]
+    evidence: Evidence, rupture: Rupture, known: int, friction: tuple[float, float]
 ) -> LayerEstimate | None:
     """The layer, or the part of one, that the last rupture ended, with the friction it left.
 
     None where no hypothesis knows of it.
     """
-    weights = np.where(_is_meeting(bank), 0.0, _weights_of(bank, known))
+    bank, (weights, is_meeting) = evidence.bank, _weights_of(evidence, known)
+    weights[is_meeting] = 0.0
     if not weights.any():
         return None
     best = int(np.argmax(weights))
@@ -264,8 +269,8 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
     )
 
 
-def partial_rupture_probability(bank: Bank, known: int) -> float:
+def partial_rupture_probability(evidence: Evidence, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
-    weights = _weights_of(bank, known)
-    total = float(weights.sum())
-    return float(weights @ bank.records[:, law.WAS_PARTIAL]) / total if total > 0.0 else 0.0
+    weights, _ = _weights_of(evidence, known)
+    total, was_partial = float(weights.sum()), evidence.bank.records[:, law.WAS_PARTIAL]
+    return float(weights @ was_partial) / total if total > 0.0 else 0.0

@@ -230,18 +230,17 @@ class SwitchingMethod:
 
     def _report(self, sample: Sample) -> None:
         """Raise or take back an alarm, report the layer left, answer for the next samples."""
-        bank, place, alarm = self._bank.bank, self._place, self._alarm
-        if alarm is not None:
-            bank = reports.denied(bank, alarm, self._ruptures)
-        found = reports.count_ruptures(bank, self._ruptures, place)
+        place, alarm = self._place, self._alarm
+        evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
+        found = reports.count_ruptures(evidence, self._ruptures, place)
         now = RuptureState.EXPECTED if found.more > 0.5 else RuptureState.NO_RUPTURE
         self._rupture_state = RuptureState.FORCE_DROP_MEASURING if self._is_open else now
         if (
             found.more > self._config.alarm_probability
-            and self._is_settled(bank, found.pick)
-            and not reports.may_be_braking(bank, found, place, sample[-1], self._tissue)
+            and self._is_settled(evidence.bank, found.pick)
+            and not reports.may_be_braking(evidence.bank, found, place, sample[-1], self._tissue)
         ):
-            self._raise_alarm(bank, sample, found)
+            self._raise_alarm(evidence, sample, found)
         elif alarm is not None and found.fewer > _TAKEN_BACK:
             # The force has come back: no rupture was there but for what is left of its probability.
             gone = replace(alarm, probability=1.0 - found.fewer)
@@ -249,11 +248,12 @@ class SwitchingMethod:
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
         elif alarm is not None:
-            self._report_layer(bank, alarm, sample[7])
+            self._report_layer(evidence, alarm, sample[7])
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
-        ruptures = layers_traversed(self.layers) + self._is_open
-        self._answer = working_copy(reports.answer_at(self._bank, place, ruptures, speed))
+        known = layers_traversed(self.layers) + self._is_open
+        answer = reports.answer_at(self._bank, evidence.weights, place, known, speed)
+        self._answer = working_copy(answer)
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:
         """Whether the needle advances, and if the rupture was before a stop, far enough since.
@@ -265,46 +265,49 @@ class SwitchingMethod:
         resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
         return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)
 
-    def _raise_alarm(self, bank: Bank, sample: Sample, found: reports.Evaluation) -> None:
+    def _raise_alarm(
+        self, evidence: reports.Evidence, sample: Sample, found: reports.Evaluation
+    ) -> None:
         layers, identified = self.layers, self._events.identified_layer
         if layers and not layers[-1].is_final:
             identified = replace(layers[-1], is_final=True)
             self._keep((*layers[:-1], identified))
         number, at = layers_traversed(layers) + 1, (sample[0], sample[2], sample[-1])
-        self._alarm = reports.rupture_of(bank, found.pick, number, found.more, at)
-        self._ruptures = int(bank.facts[found.pick, law.RUPTURES])
+        self._alarm = reports.rupture_of(evidence, found.pick, number, found.more, at)
+        self._ruptures = int(evidence.ruptures[found.pick])
         self._rupture_state = RuptureState.DETECTED
         self._events = Events(self._alarm, identified)
         # Every beat may raise an alarm until it is known: then the window has to grow across them.
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
-    def _report_layer(self, bank: Bank, alarm: Rupture, force_std: float) -> None:
+    def _report_layer(self, evidence: reports.Evidence, alarm: Rupture, force_std: float) -> None:
         """Report the layer that the last rupture ended, twice, and keep what is known of it."""
         layers, travel = self.layers, self._place.depth / _MM - alarm.depth_m
+        is_open, is_revised = self._is_open, self._place.time_s % _REVISE_S < self._place.dt_s
+        is_due = not is_open and not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
+        if not (travel >= _PROVISIONAL_M if is_open else is_due or is_revised):
+            return
         # What the force's slow error grew by since the air is in the friction.
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0)
-        friction = reports.friction_left(bank, self._ruptures, grown)
-        if self._is_open:
-            if travel < _PROVISIONAL_M or friction is None:
-                return
-            layer = reports.layer_left(bank, alarm, self._ruptures, friction)
+        friction = reports.friction_left(evidence, self._ruptures, grown)
+        if is_open:
+            layer = None
+            if friction is not None:
+                layer = reports.layer_left(evidence, alarm, self._ruptures, friction)
             if layer is not None:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
                 self._rupture_state = RuptureState.FRICTION_IDENTIFIED
             return
-        is_due = not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
-        if not is_due and self._place.time_s % _REVISE_S >= self._place.dt_s:
-            return
         layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
         if is_due:
-            partial = reports.partial_rupture_probability(bank, self._ruptures)
+            partial = reports.partial_rupture_probability(evidence, self._ruptures)
             rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
             layer = replace(layer, is_final=True, rupture=rupture)
             self._events = self._events._replace(identified_layer=layer)
         kept = [*layers[:-1], layer]
-        earlier = reports.friction_left(bank, self._ruptures, grown, before=True)
+        earlier = reports.friction_left(evidence, self._ruptures, grown, before=True)
         if earlier is not None and len(kept) > 1:
             kept[-2] = reports.with_friction(kept[-2], *earlier)
         self._keep(tuple(kept))

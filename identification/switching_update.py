@@ -188,15 +188,20 @@ def shift_depth(memory: WrittenVector, by_m: float) -> None:
 
 
 @compiled
-def contact_along(depth_mm: Vector) -> tuple[Vector, Vector]:
-    """Presliding deflection, and part of the tip's force that is left, along a course of depths."""
-    deflection, left = np.ones(len(depth_mm)), np.ones(len(depth_mm))
-    deepest = depth_mm[0]
-    for k in range(1, len(depth_mm)):
-        travel = depth_mm[k] - depth_mm[k - 1]
-        deflection[k] = _presliding(deflection[k - 1], travel)[0]
-        deepest = max(deepest, depth_mm[k])
-        left[k] = min(max(1.0 - (deepest - depth_mm[k]) / _UNLOADING_MM, 0.0), 1.0)
+def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
+    """Presliding deflection, and part of the tip's force that is left, along courses of depths.
+
+    A course is a row, shape (m, n); so are the results.
+    """
+    deflection, left = np.ones_like(depths_mm), np.ones_like(depths_mm)
+    for course in range(len(depths_mm)):
+        depth = depths_mm[course]
+        deepest = depth[0]
+        for k in range(1, len(depth)):
+            travel = depth[k] - depth[k - 1]
+            deflection[course, k] = _presliding(deflection[course, k - 1], travel)[0]
+            deepest = max(deepest, depth[k])
+            left[course, k] = min(max(1.0 - (deepest - depth[k]) / _UNLOADING_MM, 0.0), 1.0)
     return deflection, left
 
 

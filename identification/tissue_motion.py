@@ -33,8 +33,9 @@ _SETTLE_S = 0.25  # after an alarm, until its release is over
 BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
 """Frequencies scanned [Hz]: 9 to 27 breaths and 48 to 114 beats a minute."""
 _SLOWEST_HEART = 0.6
-_SIZES_MM = {True: (1.5, 0.75), False: (0.3, 0.15)}
-"""Of breathing and of a heartbeat, of both harmonics each, one standard deviation."""
+_BREATH_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
+_HEART_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
+"""Standard deviation of a beat's frequency [Hz] from one step on, and of its sizes [mm]."""
 _PERIODS, _BREATH_S = {True: 2.0, False: 4.0}, 7.0
 """Least number of them in the window, of breathing and of a heartbeat; a window that is shorter
 takes half a breath for a quick one."""
@@ -208,27 +209,31 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
     """Place [mm] and speed [mm/s] of the tissue at n times since its phases' zero."""
     place, speed = np.zeros_like(time_s), np.zeros_like(time_s)
     for k in range(len(beats)):
-        for h in range(1, 3):
-            rate, a, b = 2.0 * math.pi * h * beats[k, 0], beats[k, 2 * h - 1], beats[k, 2 * h]
-            cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
-            place += a * cosine + b * sine
-            speed += rate * (b * cosine - a * sine)
+        rate, a, b = 2.0 * math.pi * beats[k, 0], beats[k, 1], beats[k, 2]
+        c, d = beats[k, 3], beats[k, 4]
+        cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
+        cosine_2, sine_2 = cosine * cosine - sine * sine, 2.0 * cosine * sine
+        place += a * cosine + b * sine + c * cosine_2 + d * sine_2
+        speed += rate * (b * cosine - a * sine + 2.0 * (d * cosine_2 - c * sine_2))
     return place, speed
 
 
-def _derivatives(beats: Array, time_s: Array) -> tuple[Array, Array]:
-    """Derivatives of place and speed at n times by the five numbers of each beat."""
-    hertz = 2.0 * math.pi * np.array([1.0, 2.0])
-    rate = beats[:, :1] * hertz
-    phase, a, b = rate * time_s[:, None, None], beats[:, 1::2], beats[:, 2::2]
-    cosine, sine = np.cos(phase), np.sin(phase)
-    ahead, place = b * cosine - a * sine, a * cosine + b * sine
-    places, speeds = np.empty((2, len(time_s), len(beats), 5))
-    places[..., 0] = time_s[:, None] * (ahead * hertz).sum(axis=-1)
-    speeds[..., 0] = ((ahead - phase * place) * hertz).sum(axis=-1)
-    places[..., 1::2], places[..., 2::2] = cosine, sine
-    speeds[..., 1::2], speeds[..., 2::2] = -rate * sine, rate * cosine
-    return places.reshape(len(time_s), -1), speeds.reshape(len(time_s), -1)
+@compiled
+def _derivatives(beats: Matrix, time_s: Vector) -> tuple[Matrix, Matrix]:
+    """Derivatives of place and speed at n times by the five numbers of each beat, (5 beats, n)."""
+    places, speeds = np.zeros((beats.size, len(time_s))), np.zeros((beats.size, len(time_s)))
+    for k in range(len(beats)):
+        row = 5 * k
+        for h in range(1, 3):
+            hertz = 2.0 * math.pi * h
+            rate, a, b = hertz * beats[k, 0], beats[k, 2 * h - 1], beats[k, 2 * h]
+            cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
+            ahead = b * cosine - a * sine
+            places[row] += hertz * time_s * ahead
+            speeds[row] += hertz * (ahead - rate * time_s * (a * cosine + b * sine))
+            places[row + 2 * h - 1], places[row + 2 * h] = cosine, sine
+            speeds[row + 2 * h - 1], speeds[row + 2 * h] = -rate * sine, rate * cosine
+    return places, speeds
 
 
 @compiled
@@ -239,6 +244,66 @@ def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[V
     square += np.diag(1e-9 * np.diag(square) + 1e-12)
     found = np.linalg.solve(square, np.dot(rows.T, force) + pull)
     return found, force - np.dot(rows, found)
+
+
+@compiled
+def _waves(hz: Vector, courses: Matrix, sigma: Vector, force: Vector) -> tuple[Vector, float]:
+    """Fit of a smooth course and waves that grow with the travel; mean square of the rest.
+
+    `courses`, shape (3, n), are time, travel and speed; `force` is over its deviation `sigma`.
+    """
+    time_s, y, v = courses[0] - courses[0, -1], courses[1], courses[2]
+    columns, row = np.ones((6 + 8 * len(hz), len(y))), 6
+    columns[1], columns[2], columns[3], columns[4], columns[5] = y, y * y, y**3, v, v * y
+    for k in range(2 * len(hz)):
+        phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * time_s
+        cosine, sine = np.cos(phase), np.sin(phase)
+        columns[row], columns[row + 1], columns[row + 2] = cosine, cosine * y, sine
+        columns[row + 3] = sine * y
+        row += 4
+    columns /= sigma
+    scale = np.sqrt((columns * columns).sum(axis=1)) + 1e-12
+    matrix, none = np.ascontiguousarray(columns.T / scale), np.zeros(len(scale))
+    found, error = _fitted(matrix, force, np.diag(none), none)
+    return found / scale, np.dot(error, error) / len(y)
+
+
+@compiled
+def _rows(contact: tuple[Vector, Vector], speed: Vector, powers: Matrix) -> Matrix:
+    """Rows of the law in its eight linear unknowns, each over its standard deviation, (n, 8).
+
+    `contact` holds presliding deflection and what is left of the tip's force, `speed` is relative
+    to the tissue; `powers`, shape (3, n), are 1, y and y² over the standard deviation.
+    """
+    (w, g), one, y = contact, powers[0], powers[1]
+    rows = np.empty((len(speed), 8))
+    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = one, w * one, w * y, speed * one
+    rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7] = speed * y, g * one, g * y, g * powers[2]
+    return rows
+
+
+@compiled
+def _step(
+    rows: tuple[Matrix, Matrix],
+    error: Vector,
+    prior: Matrix,
+    stds: Vector,
+    pull: Vector,
+    damping: float,
+) -> Vector:
+    """Change of the motion's numbers by a Gauss-Newton step, damped as Levenberg does.
+
+    `rows` are those of the linear unknowns, whose information beforehand is `prior`, and of the
+    numbers, which lie within `stds` beforehand and are pulled by `pull`.
+    """
+    linear, slopes = rows
+    n, size = len(prior), len(prior) + len(stds)
+    known, pulled = np.zeros((size, size)), np.zeros(size)
+    known[:n, :n], pulled[n:] = prior, pull
+    for k in range(len(stds)):
+        held = stds[k] ** -2.0
+        known[n + k, n + k] = held + damping * (held + (slopes[:, k] ** 2).sum())
+    return _fitted(np.concatenate((linear, slopes), axis=1), error, known, pulled)[0][n:]
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
@@ -254,50 +319,52 @@ class _Window:
     """The force over the last seconds, and what of it a motion explains."""
 
     def __init__(self, window: Array) -> None:
-        self.time_s, self.depth, self.speed, self.force = window.T.copy()
-        self.count, self.travel = len(window), self.depth - self.depth[0]
-        self.sigma = _NOISE_N + _LAW_ERROR * np.abs(self.force)
+        self.time_s, self.depth, self.speed, force = window.T.copy()
+        self.count, self.travel, size = len(window), self.depth - self.depth[0], np.abs(force)
+        self.sigma = _NOISE_N + _LAW_ERROR * size
         # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
-        oldest, newest = np.sort(self.force[:25])[-5], np.sort(self.force[-25:])[-5]
+        oldest, newest = np.partition(force[:25], -5)[-5], np.partition(force[-25:], -5)[-5]
         self.slope = max(float(newest - oldest) / max(float(self.travel[-1]), 1.0), 0.005)
         self.pace = max(float(self.speed.mean()), 0.3)
-        self.powers = np.vander(self.travel, 3, increasing=True) / self.sigma[:, None]
-        self.prior = self._prior()
+        one = 1.0 / self.sigma
+        self.powers = np.array((one, self.travel * one, self.travel * self.travel * one))
+        self.force, self.prior = force * one, self._prior(max(float(size.max()), 0.05))
 
-    def _prior(self) -> tuple[Array, Array]:
-        """Information and its vector on o, C, c, V, b, T, K, H beforehand."""
-        most, slope = max(float(np.abs(self.force).max()), 0.05), self.slope
+    def _prior(self, most: float) -> tuple[Array, Array]:
+        """Information and its vector on o, C, c, V, b, T, K, H beforehand; the largest force."""
+        slope, pull = self.slope, np.zeros(_LINEAR)
         stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
+        information = np.diag(stds**-2.0)
         # Growth of friction as a part of the force's; how both frictions split it, and the rest.
-        known = np.zeros((3, _LINEAR))
-        known[0, [2, 4]] = 1.0, self.pace
-        known[1, [2, 4]] = known[2, [1, 3]] = 1.0, -COULOMB_SPEED
-        known /= np.array([[FRACTION_STD * slope], [0.3 * slope], [0.3 * most]])
-        return np.diag(stds**-2.0) + known.T @ known, known[0] * FRACTION / FRACTION_STD
+        parts = ((2, 4, self.pace, FRACTION_STD), (2, 4, -COULOMB_SPEED, 0.3))
+        for i, j, other, std in (*parts, (1, 3, -COULOMB_SPEED, 0.3 * most / slope)):
+            variance = (std * slope) ** 2
+            information[i, i] += 1.0 / variance
+            information[j, j] += other * other / variance
+            information[i, j] = information[j, i] = information[i, j] + other / variance
+        pull[2] = FRACTION / (FRACTION_STD**2 * slope)
+        pull[4] = self.pace * pull[2]
+        return information, pull
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
-        (w, g), v = contact_along(self.depth - place), self.speed - speed
-        one, y, square = self.powers.T
-        columns = (one, w * one, w * y, v * one, v * y, g * one, g * y, g * square)
-        rows = np.ascontiguousarray(np.array(columns).T)  # each over its standard deviation
-        linear, error = _fitted(rows, self.force / self.sigma, *self.prior)
+        w, g = contact_along((self.depth - place)[None])
+        rows = _rows((w[0], g[0]), self.speed - speed, self.powers)
+        linear, error = _fitted(rows, self.force, *self.prior)
         return rows, linear, float(error @ error), error
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
-        line, beats = self.powers[:, :2], fit.beats
+        (one, y, _), beats = self.powers, fit.beats
         places, speeds = _derivatives(beats, self.time_s - fit.at_s)
-        place = places @ (beats * (np.arange(5) > 0)).ravel()  # linear in the sizes
-        by_w, by_v, by_g = line @ linear[1:3], line @ linear[3:5], self.powers @ linear[5:]
-        slopes = -by_v[:, None] * speeds
+        place = (beats * (np.arange(5) > 0)).ravel() @ places  # linear in the sizes
         # What turns round remembers its way there: differences.
-        w, g = contact_along(self.depth - place)
-        for k, step in enumerate((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats)):
-            turned_w, turned_g = contact_along(self.depth - place - step * places[:, k])
-            slopes[:, k] += ((turned_w - w) * by_w + (turned_g - g) * by_g) / step
-        return slopes
+        steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
+        w, g = contact_along(self.depth - np.vstack((place, place + steps * places)))
+        by_w, by_v = linear[1] * one + linear[2] * y, linear[3] * one + linear[4] * y
+        turned_by = (w[1:] - w[0]) * by_w + (g[1:] - g[0]) * (linear[5:] @ self.powers)
+        return np.ascontiguousarray((turned_by / steps - by_v * speeds).T)
 
     @property
     def still(self) -> float:
@@ -317,15 +384,9 @@ class _Window:
         return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
     def waves(self, hz: Array) -> tuple[Array, float]:
-        """Fit of a smooth course and waves that grow with the travel; mean square of the rest."""
-        phase = np.outer(np.outer(2.0 * math.pi * hz, (1.0, 2.0)), self.time_s - self.time_s[-1])
-        cosine, sine, y, v = np.cos(phase), np.sin(phase), self.travel, self.speed
-        waves = np.stack((cosine, cosine * y, sine, sine * y), axis=1).reshape(-1, self.count)
-        columns = np.array([np.ones(self.count), y, y * y, y**3, v, v * y, *waves])
-        matrix, force = np.ascontiguousarray((columns / self.sigma).T), self.force / self.sigma
-        scale = np.sqrt((matrix * matrix).sum(axis=0)) + 1e-12
-        found, error = _fitted(matrix / scale, force, np.diag(0.0 * scale), 0.0 * scale)
-        return found / scale, float(error @ error) / self.count
+        """As `_waves`, of these frequencies."""
+        courses = np.array((self.time_s, self.travel, self.speed))
+        return _waves(hz, courses, self.sigma, self.force)
 
     def first_fit(self, hz: Array, time_s: float) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
@@ -333,12 +394,11 @@ class _Window:
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
         waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
-        most = np.array([_SIZES_MM[bool(f < _SLOWEST_HEART)][0] for f in hz])[:, None]
-        fits, at_s = [], float(self.time_s[-1])
+        sizes = np.stack((waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2).reshape(-1, 4)
+        fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
         for scale in (0.5, 1.0, 2.0):
-            beats = np.column_stack((hz, np.zeros((len(hz), 4))))
-            beats[:, 1::2] = np.clip(scale * waves[:, :, 1] / rate, -most, most)
-            beats[:, 2::2] = np.clip(-scale * waves[:, :, 0] / rate, -most, most)
+            limited = np.minimum(np.maximum(scale * sizes, -most), most)
+            beats = np.hstack((hz[:, None], limited))
             fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
         return turned(min(fits, key=lambda fit: fit.error), time_s)
 
@@ -346,38 +406,30 @@ class _Window:
         """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
         beats, at_s = fit.beats, fit.at_s
         rows, linear, _, error = self.solved(beats, at_s)
-        stds = np.array([_stds(beat, is_prior=is_prior) for beat in beats]).ravel()
-        target = beats if is_prior else beats * (np.arange(5) == 0)
-        slopes = self._slopes(fit, linear)
-        information = np.zeros((_LINEAR + beats.size,) * 2)
-        information[:_LINEAR, :_LINEAR] = self.prior[0]
-        held = (1.0 + fit.damping) * stds**-2.0 + fit.damping * (slopes * slopes).sum(axis=0)
-        information[_LINEAR:, _LINEAR:] = np.diag(held)
-        pulled = np.append(np.zeros(_LINEAR), (target - beats).ravel() / stds**2)
-        step = _fitted(np.hstack((rows, slopes)), error, information, pulled)[0]
-        change = step[_LINEAR:].reshape(beats.shape)
-
-        def cost(tried: Array) -> float:
-            return float((((tried - target).ravel() / stds) ** 2).sum())
-
-        before = float(error @ error) + cost(beats)
+        stds, target = _stds(beats), beats.copy()
+        if is_prior:
+            stds[:, 0], stds[:, 1:] = 0.02, 0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:]
+        else:
+            target[:, 1:] = 0.0
+        pull = ((target - beats) / stds**2).ravel()
+        step = _step(
+            (rows, self._slopes(fit, linear)), error, self.prior[0], stds.ravel(), pull, fit.damping
+        )
+        change, left = step.reshape(beats.shape), float(error @ error)
+        before = left + float((((beats - target) / stds) ** 2).sum())
         for _ in range(3):
             tried = beats + change
-            left = self.solved(tried, at_s)[2]
-            if left + cost(tried) < before:
-                return Fit(tried, at_s, left, self._rms(left), max(0.5 * fit.damping, 1e-3))
+            error = self.solved(tried, at_s)[2]
+            if error + float((((tried - target) / stds) ** 2).sum()) < before:
+                return Fit(tried, at_s, error, self._rms(error), max(0.5 * fit.damping, 1e-3))
             change = 0.3 * change
-        left = float(error @ error)
         return fit._replace(error=left, rms_N=self._rms(left), damping=min(3.0 * fit.damping, 1.0))
 
     def _rms(self, error: float) -> float:
-        return math.sqrt(error / self.count) * float(np.median(self.sigma))
+        middle = np.partition(self.sigma, self.count // 2)[self.count // 2]
+        return math.sqrt(error / self.count) * float(middle)
 
 
-def _stds(beat: Array, *, is_prior: bool) -> Array:
-    """Standard deviations of a beat's frequency and sizes: beforehand, or from one step on."""
-    is_slow = bool(beat[0] < _SLOWEST_HEART)
-    sizes = np.repeat(_SIZES_MM[is_slow], 2)
-    if is_prior:
-        return np.array([0.02, *(0.3 * np.abs(beat[1:]) + 0.1 * sizes)])
-    return np.array([0.03 if is_slow else 0.05, *sizes])
+def _stds(beats: Array) -> Array:
+    """Standard deviations of the five numbers of each beat, whose frequencies come first."""
+    return np.where(beats[:, :1] < _SLOWEST_HEART, _BREATH_STD, _HEART_STD)

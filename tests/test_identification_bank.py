@@ -9,7 +9,7 @@ from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, fi
 from identification.rupture_report import (
     Evaluation,
     count_ruptures,
-    denied,
+    evidence_of,
     friction_left,
     may_be_braking,
     rupture_of,
@@ -71,7 +71,8 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     length = PLACE.depth - 4.0
     own = before.means[0, law.OWN_COULOMB] + PLACE.speed * before.means[0, law.OWN_VISCOUS]
     assert born.means[exits, law.LEFT] == pytest.approx(np.full(exits.sum(), length * own))
-    friction = friction_left(born._replace(log_weights=np.where(exits, 0.0, -50.0)), 2, 0.0)
+    likely = born._replace(log_weights=np.where(exits, 0.0, -50.0))
+    friction = friction_left(evidence_of(likely, None, 0), 2, 0.0)
     assert friction is not None
     assert friction[0] == pytest.approx(length * own)
 
@@ -182,7 +183,8 @@ def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(travel_s, f
     bank.means[0, law.RELEASED] = 0.3
     before = PLACE.depth - travel_s * PLACE.usual_speed
     bank.records[0, [law.RUPTURE_MM, law.RUPTURE_FORCE, law.LEAST_FORCE]] = before, 1.0, least
-    assert count_ruptures(bank, 0, PLACE._replace(force=force)).more == more
+    evidence = evidence_of(bank, None, 0)
+    assert count_ruptures(evidence, 0, PLACE._replace(force=force)).more == more
 
 
 @pytest.mark.parametrize(("reported", "left", "earlier"), [(1, 0.16, 0.3), (0, 0.46, 0.5)])
@@ -201,7 +203,7 @@ def test_friction_of_a_rupture_not_reported_counts_with_the_next(reported, left,
 def test_who_knows_only_of_an_older_rupture_denies_the_alarm():
     memory = BankMemory(hypothesis(5, law.LAYER))
     memory.spawn(PLACE, PLACE.depth - 0.1, 0.0, 0)
-    alarm = rupture_of(memory.bank, 1, 1, 0.99, (3.0, 0.012, 3.0))
-    seen = denied(memory.bank, alarm, 1)
-    assert seen.facts[:2, law.RUPTURES].tolist() == [0.0, 1.0]
+    alarm = rupture_of(evidence_of(memory.bank, None, 0), 1, 1, 0.99, (3.0, 0.012, 3.0))
+    seen = evidence_of(memory.bank, alarm, 1)
+    assert seen.ruptures[:2].tolist() == [0.0, 1.0]
     assert count_ruptures(seen, 1, PLACE).fewer > 0.9

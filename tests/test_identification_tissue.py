@@ -73,7 +73,8 @@ def test_a_motion_that_has_ended_is_given_up():
     moving = 0.2 * np.cos(2.0 * np.pi * 1.3 * np.minimum(times, 15.0))
     depths = 3.0 * times
     speeds = np.gradient(depths - moving, times)
-    (deflections, left), noise = contact_along(depths - moving), np.random.default_rng(0)
+    deflections, left = (course[0] for course in contact_along((depths - moving)[None]))
+    noise = np.random.default_rng(0)
     forces = (0.1 + 0.02 * depths) * deflections + (5e-3 + 2e-3 * depths) * speeds
     forces += (0.2 + 0.03 * depths) * left + noise.normal(0.0, 0.01, len(times))
     motion, known = TissueMotion(), []
