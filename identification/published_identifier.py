@@ -117,11 +117,11 @@ class PublishedMethod:
         if not (is_full or is_news):
             return (_STATES[at], *outputs, None, None, None)
         rupture = layer = None
-        if is_full:
-            self._windows = self._closed(self._windows)
-            self._reset_covariance()
         if is_news and at == _DETECTED:
             rupture = self._open_layer(sample)
+        elif is_full:
+            self._windows = self._closed(self._windows)
+            self._reset_covariance()
         if is_news and at == _IDENTIFIED and self._ruptured is not None:
             layer = self._identify(self._ruptured, sample[6])
         return self.report(motion, rupture, layer)
