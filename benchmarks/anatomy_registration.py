@@ -35,7 +35,7 @@ Pose = tuple[Array, Array]
 LANDMARK_DRAWS, REFUSAL_DRAWS, SYMMETRIC_FITS = 10_000, 300, 30
 MODELS, FITS, CHECKED = 120, 4, 1
 """Surfaces of an organ, fits to each, and those of them that look for other solutions: a surface's
-error is alike for all fits to it, so with 120 a fraction of 0.95 is told to some 0.01."""
+error is alike for all fits to it, so with 120 a fraction of 0.95 is known to some 0.01."""
 STD_m, TOUCHES, OUTLIERS = 0.5e-3, 100, 0.1
 TARGET_m = np.array([-0.03, 0.0, 0.01])
 ORGANS = ("liver", "kidney_right", "spleen", "stomach")

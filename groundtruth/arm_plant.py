@@ -189,7 +189,7 @@ class BearingFriction:
         sensor torque + tissue torque + friction torque = M ddq + C dq + g.
 
     It is against the joint's motion. A momentum observer takes it for an external torque: while a
-    needle goes in it looks like tissue that pushes back, and it changes sign on the way out.
+    needle goes in it looks like tissue that pushes back, and it changes sign in withdrawal.
     An insertion turns the joints by 5 mrad/s and ends in rest, so standstill decides. MuJoCo's
     ``frictionloss`` creeps under load and has no Stribeck peak; the bristle of the LuGre model
     (Canudas de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.

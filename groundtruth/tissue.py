@@ -79,7 +79,7 @@ def bristle_step(
 
 
 class Tissue:
-    """A stack of realistic layers that a needle goes through and comes back out of.
+    """A stack of realistic layers that a needle is pushed through and withdrawn from.
 
     Attributes:
         layers: First the one the needle meets first.

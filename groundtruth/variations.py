@@ -67,7 +67,7 @@ VARIATIONS = {
     # Liver: falls of the force take 0.5 to 2 mm.
     "release-1mm": TissueVariation(release_m=1e-3),
     "release-2mm": TissueVariation(release_m=2e-3),
-    # Chosen: a channel that gives way the more the deeper the tip.
+    # Chosen: a channel that yields the more the deeper the tip.
     "concave": TissueVariation(tip_exponent=0.5),
     # Okamura, Simone, O'Leary 2004: second-order spring of bovine liver.
     "quadratic": TissueVariation(tip_exponent=2.0),

@@ -58,7 +58,7 @@ class Rupture:
     depth_m: float  # depth at that instant
     force_N: float  # axial force at that instant
     speed_m_s: float  # speed at that instant
-    # That the tissue gave way there and it is no chance of the signal, 0 to 1; of a retracted one,
+    # That the tissue ruptured there and it is no chance of the signal, 0 to 1; of a retracted one,
     # what is left of it.
     probability: float
     is_final: bool = False  # whether it is settled: while False it may still be retracted

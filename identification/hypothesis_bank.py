@@ -1,4 +1,4 @@
-"""The bank: hypotheses of how the tissue gave way so far, weighed by their evidence.
+"""The bank: hypotheses of which ruptures there have been, weighed by their evidence.
 
 At every small step of fresh travel the likeliest hypothesis of each kind has children, one for each
 event that may have happened there. Those that the force speaks against are dropped; so are the

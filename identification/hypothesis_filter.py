@@ -1,6 +1,6 @@
-"""One hypothesis: what is unknown of the force, once it is given how the tissue gave way.
+"""One hypothesis: what is unknown of the force, given a history of ruptures.
 
-Given a history of events the axial force is linear in twenty unknowns:
+Given such a history the axial force is linear in twenty unknowns:
 
     f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
 
@@ -201,7 +201,7 @@ def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turn
 
 
 @compiled
-def absorb(
+def correct(
     store: Store, n: int, scene: Scene, force: float, block: tuple[float, float, float]
 ) -> None:
     """Use a block's mean force for n hypotheses: its travel, variance, the depth's deviation."""

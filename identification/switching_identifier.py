@@ -1,6 +1,6 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it absorbs its force and reports; in the
+A block's work is spread over samples: the one that fills it uses its force and reports; in the
 next hypotheses of new events begin and the least likely go; one more may look for moving tissue.
 """
 
@@ -128,7 +128,7 @@ class SwitchingMethod:
             if not is_full:  # else blocks are of one or two samples
                 break
         if is_full:
-            self._absorb(sample)
+            self._use_block(sample)
         return self._outputs(sample)
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
@@ -166,7 +166,7 @@ class SwitchingMethod:
             self._bank.spawn(begin, self._spawned, moved, self._ruptures)
             self._spawned = begin.depth
 
-    def _absorb(self, sample: Sample) -> None:
+    def _use_block(self, sample: Sample) -> None:
         """Let every hypothesis predict the force of the block, and learn from it."""
         clock_s, last, deepest, bank = sample[-1], self._place, self._deepest, self._bank
         place, depth_std, speed_std = _block(clock_s, self._memory, last.force)
@@ -371,7 +371,7 @@ def _learn(
         variance += (loose * (place.force - best[law.OFFSET])) ** 2
     scene = (place.depth, place.speed, place.deflection)
     block = (abs(place.speed) * place.dt_s, variance, depth_std)
-    law.absorb(bank.store, bank.size, scene, place.force, block)
+    law.correct(bank.store, bank.size, scene, place.force, block)
 
 
 def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:

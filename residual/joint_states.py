@@ -1,7 +1,7 @@
 """What a joint's torque sensor and bearing remember: states of hysteresis and of friction.
 
 Both are play operators. That of a torque sensor follows the torque, that of a bearing the position:
-on the way in and out of a free stroke the two are alike, at contact they part, and that is how the
+on both ways of a free stroke the two are alike, at contact they part, and that is how the
 tare distinguishes them afterwards. A bearing between torque sensor and link runs beside the
 sensor: its friction reads as an external torque against the motion, and it stays at rest.
 """

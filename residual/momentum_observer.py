@@ -261,11 +261,11 @@ class MomentumObserver:
         if self._friction is not None:  # Its model need not take what is not finite.
             check_rows(_NAMES, np.stack((position, velocity, torque)))
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        residual = self.absorb(position, velocity, torque, dt_s)
+        residual = self.step(position, velocity, torque, dt_s)
         residual.setflags(False)  # pyright: ignore[reportCallIssue]  # by name three times as long
         return residual
 
-    def absorb(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
+    def step(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
         """As `update`, for contiguous arrays of the right shape and a checked time step."""
         memory = self.memory
         if not memory.started or dt_s > self._max_gap_s:

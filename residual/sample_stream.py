@@ -137,7 +137,7 @@ class SampleStream:
             q, dq, tau = rows[0], rows[1], rows[2]
             settled = True
         else:
-            q, dq, tau, settled = self._velocity.absorb(rows, dt_s)
+            q, dq, tau, settled = self._velocity.step(rows, dt_s)
         if observer is None:
             return TorqueSample(q, dq, rows[-1], rows[-1], settled)
         if self._velocity is not None:
@@ -146,7 +146,7 @@ class SampleStream:
                 memory.age_s = 0.0
                 return TorqueSample(q, dq, tau, observer.residual, False)
             dt_s, memory.missed_s = memory.missed_s, 0.0
-        residual = observer.absorb(q, dq, tau, dt_s)
+        residual = observer.step(q, dq, tau, dt_s)
         memory.age_s = 0.0 if dt_s > self._max_gap_s else memory.age_s + dt_s
         if memory.probe is not None:
             self._learn_noise(memory.probe, observer, rows, q, last_s)

@@ -130,9 +130,9 @@ class VelocityEstimator:
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        return self.absorb(rows, dt_s)
+        return self.step(rows, dt_s)
 
-    def absorb(self, sample: Array, dt_s: float) -> MatchedSample:
+    def step(self, sample: Array, dt_s: float) -> MatchedSample:
         """As `update`, for finite numbers and a checked time step.
 
         The sample is position and torque, shape (2, n), contiguous.

@@ -138,7 +138,7 @@ class VirtualForceSensor:
         Returns:
             The wrench with its uncertainty and status. A bad sample is reported there, not raised.
         """
-        return self._absorb(False, q, dq, tau, dt_s)
+        return self._take_sample(False, q, dq, tau, dt_s)
 
     def update_external_torque(
         self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
@@ -152,7 +152,7 @@ class VirtualForceSensor:
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
         """
-        return self._absorb(True, q, dq, external_torque, dt_s)
+        return self._take_sample(True, q, dq, external_torque, dt_s)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Fit the offset to the free motion since the start or `start_tare_recording`; return it.
@@ -309,7 +309,7 @@ class VirtualForceSensor:
                     value.setflags(write=False)
             self.kinematics.update(self._offset.memory.q)
 
-    def _absorb(
+    def _take_sample(
         self, is_external: bool, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
     ) -> WrenchEstimate:
         """One sample of either kind, or why it was rejected."""

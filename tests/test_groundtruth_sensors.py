@@ -177,8 +177,8 @@ def pushed(friction, push_Nm, inertia, seconds):
 
 
 def test_a_joint_at_rest_holds_below_the_peak_without_creeping_and_breaks_loose_above_it():
-    for share in (0.5, 0.95, 1.4):
-        angles = pushed(bearings(), share * LEVEL_Nm, inertia=1.0, seconds=20.0)
+    for fraction in (0.5, 0.95, 1.4):
+        angles = pushed(bearings(), fraction * LEVEL_Nm, inertia=1.0, seconds=20.0)
         assert np.abs(angles).max() < 20.0 * PRESLIDING_rad
         middle = angles[len(angles) // 2]
         np.testing.assert_allclose(angles[-1], middle, atol=1e-3 * PRESLIDING_rad)
@@ -202,7 +202,7 @@ def test_sizes_of_single_joints_are_drawn_within_the_stated_factor():
     dq = np.ones(7)  # fast sliding, at once beyond presliding
     drawn = replace(IDEAL, joint_coulomb=COULOMB, size_spread=2.0)
     friction = (BearingFriction(drawn, LIMIT_Nm, np.random.default_rng(k)) for k in range(60))
-    share = np.array([-one.step(dq, 1.0) / LEVEL_Nm for one in friction])
-    assert 0.5 <= share.min() < 0.55
-    assert 1.9 < share.max() <= 2.0
-    assert np.median(share) == pytest.approx(1.0, rel=0.1)
+    fraction = np.array([-one.step(dq, 1.0) / LEVEL_Nm for one in friction])
+    assert 0.5 <= fraction.min() < 0.55
+    assert 1.9 < fraction.max() <= 2.0
+    assert np.median(fraction) == pytest.approx(1.0, rel=0.1)

@@ -76,10 +76,10 @@ def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_a
     layer = varied(gel(70), length_exponent=0.6)
     depth, plain = pushed_through((gel(70),), gel(70).thickness_m)
     _, power = pushed_through((layer,), gel(70).thickness_m)
-    for share in (0.25, 0.5, 1.0):
-        k = int(np.searchsorted(depth, share * gel(70).thickness_m)) - 1
+    for fraction in (0.25, 0.5, 1.0):
+        k = int(np.searchsorted(depth, fraction * gel(70).thickness_m)) - 1
         ratio = power[k].friction_N / plain[k].friction_N
-        assert ratio == pytest.approx(share**-0.4, rel=1e-3)
+        assert ratio == pytest.approx(fraction**-0.4, rel=1e-3)
         assert power[k].tip_N == plain[k].tip_N
     plain, power = gel(70).friction, varied(gel(70), speed_exponent=0.3).friction
     slid = power.sliding_N_per_m(SPEED)

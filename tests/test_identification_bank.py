@@ -98,7 +98,7 @@ def test_two_steps_of_time_and_travel_are_one():
 
 def learned(bank, force):
     memory = BankMemory(bank)
-    law.absorb(memory.store, 1, SCENE, force, (0.02, 4e-4, 0.0))
+    law.correct(memory.store, 1, SCENE, force, (0.02, 4e-4, 0.0))
     return memory.bank
 
 

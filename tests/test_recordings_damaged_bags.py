@@ -49,14 +49,14 @@ def bags(tmp_path_factory):
 
 
 @pytest.mark.parametrize("kind", MCAP)
-@pytest.mark.parametrize("share", [0.0002, 0.2, 0.5, 0.95])
-def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, share):
+@pytest.mark.parametrize("fraction", [0.0002, 0.2, 0.5, 0.95])
+def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, fraction):
     name, data, whole = bags[kind]
-    (tmp_path / name).write_bytes(data[: int(share * len(data))])
+    (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
     found, faults = messages_in(tmp_path / name)
     # In a compressed chunk the last block of 128 KiB cannot be unpacked in part.
     slack = 0.15 if kind == "zstd" else 0.03
-    assert len(found) >= (share - slack) * len(whole)
+    assert len(found) >= (fraction - slack) * len(whole)
     assert faults == [f"{name} is cut short"]
 
 
@@ -106,10 +106,10 @@ def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
 
 
 @pytest.mark.parametrize("kind", MCAP)
-@pytest.mark.parametrize("share", [0.1, 0.4, 0.7, 0.9])
-def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, share):
+@pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 0.9])
+def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, fraction):
     name, data, whole = bags[kind]
-    at = int(share * len(data))
+    at = int(fraction * len(data))
     (tmp_path / name).write_bytes(data[:at] + data[at + 1 :])
     found, faults = messages_in(tmp_path / name)
     assert found == whole[: len(found)] or len(found) < len(whole)
@@ -167,10 +167,10 @@ def test_joints_whose_names_identify_none_keep_their_places(tmp_path, names):
     np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
 
 
-@pytest.mark.parametrize("share", [0.001, 0.3, 0.99])
-def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, share):
+@pytest.mark.parametrize("fraction", [0.001, 0.3, 0.99])
+def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, fraction):
     name, data, _ = bags["sqlite3"]
-    (tmp_path / name).write_bytes(data[: int(share * len(data))])
+    (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
     with pytest.raises(FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"):
         read_table(tmp_path / name)
 
