@@ -74,38 +74,22 @@ _ROBUSTNESS = tuple(
         (MIXED, "one of these scenarios, three perturbations at a time", (MIXED,)),
     )
 )
-_RECORDED = (
-    Benchmark(
-        id="panda-real",
-        title="residual of a real Panda in free motion",
-        run=run_panda_real,
-        needs=(panda.FOLDER,),
-    ),
-    Benchmark(
-        id="panda-liver",
-        title="real liver force on the real torques of a Panda; one insertion per seed",
-        run=run_panda_liver,
-        needs=(panda.FOLDER, liver.FOLDER),
-        seeds=len(liver.NUMBERS),
-    ),
-    Benchmark(
-        id="ur10e-payload",
-        title="weight of a known payload from the currents of a real UR10e",
-        run=run_ur10e_payload,
-        needs=(ur10e.FOLDER,),
-    ),
-    Benchmark(
-        id="liver-real",
-        title="friction in 19 insertions into real liver against the pull-out force",
-        run=run_liver_real,
-        needs=(liver.FOLDER,),
-    ),
-    Benchmark(
-        id="bovine-real",
-        title="the ruptures of an insertion into real bovine liver",
-        run=run_bovine_real,
-        needs=(bovine.FOLDER,),
-    ),
+_TITLES = {
+    "panda-real": "residual of a real Panda in free motion",
+    "panda-liver": "real liver force on the real torques of a Panda; one insertion per seed",
+    "ur10e-payload": "weight of a known payload from the currents of a real UR10e",
+    "liver-real": "friction in 19 insertions into real liver against the pull-out force",
+    "bovine-real": "the ruptures of an insertion into real bovine liver",
+}
+_RECORDED = tuple(
+    Benchmark(id=name, title=_TITLES[name], run=run, needs=folders, seeds=seeds)
+    for name, run, folders, seeds in (
+        ("panda-real", run_panda_real, (panda.FOLDER,), 1),
+        ("panda-liver", run_panda_liver, (panda.FOLDER, liver.FOLDER), len(liver.NUMBERS)),
+        ("ur10e-payload", run_ur10e_payload, (ur10e.FOLDER,), 1),
+        ("liver-real", run_liver_real, (liver.FOLDER,), 1),
+        ("bovine-real", run_bovine_real, (bovine.FOLDER,), 1),
+    )
 )
 BENCHMARKS: Mapping[str, Benchmark] = {
     item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)

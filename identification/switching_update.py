@@ -128,6 +128,10 @@ def _forces(
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
     tip_std = _with_offset(answer, COULOMB, w, speed, variance)
     std, predicted = math.sqrt(max(variance, 0.0)), offset + friction + tip
+    if friction > force:
+        # No tissue pulls the tip: at rest the force relaxes faster than this friction says.
+        excess, friction = friction - force, force
+        std, tip_std = math.hypot(std, excess), math.hypot(tip_std, excess)
     return force - left, left_std, force - friction, tip_std, friction, std, predicted
 
 

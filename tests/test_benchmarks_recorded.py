@@ -128,6 +128,9 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
     assert 5.0 < by_key["guess", "pullout_error_median_pct"] < 30.0
     assert ("guess", "ruptures_per_insertion") not in by_key
     assert by_key["default", "drop_recall"] > 0.5
+    assert 0.0 < by_key["default", "pullout_coverage_42mm"] <= 1.0
+    assert 0.0 <= by_key["default", "friction_above_force_at_rest"] < 0.2
+    assert ("published", "pullout_coverage_42mm") not in by_key  # it states no deviation
     assert np.isfinite(list(by_key.values())).all()
 
 

@@ -104,6 +104,12 @@ class LiverInsertion(NamedTuple):
     withdrawal: slice
 
     @property
+    def before_withdrawal(self) -> slice:
+        """Insertion and hold: the needle does not move back yet."""
+        deepest = self.depth_m >= self.depth_m.max() - HAIR_m
+        return slice(0, int(np.flatnonzero(deepest)[-1]) + 1)
+
+    @property
     def pullout_N(self) -> tuple[float, ...]:
         """Force of pulling the needle out at each of `DEPTHS_mm`: friction alone."""
         return tuple(-self.force_at_N(self.withdrawal, mm) for mm in DEPTHS_mm)
@@ -198,6 +204,11 @@ class LiverEstimates(NamedTuple):
     friction_N: tuple[float, ...]  # at each depth
     alarms_m: Sequence[float] = ()  # depths of the ruptures reported
     enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
+    friction_std_N: tuple[float, ...] = ()  # at each depth; empty or nan where none is stated
+    # Fractions of the samples at rest where the friction exceeds the force by more than two
+    # standard deviations, and of those in contact where the tip force lies so far below zero
+    above_at_rest: float = float("nan")
+    below_zero: float = float("nan")
 
 
 def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -> LiverReference:
@@ -209,25 +220,40 @@ def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -
 def liver_estimates(
     t_s: Array, depth_m: Array, force_N: Array, method: Method, reference: LiverReference
 ) -> LiverEstimates:
-    """Shaft friction at each depth as estimated when the needle was there, and ruptures."""
+    """Shaft friction at each depth as estimated when the needle was there, and ruptures.
+
+    The needle goes in and may rest at the end.
+    """
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
-    friction = np.array([estimate.shaft_friction_N for estimate in estimates])
+    names = ("shaft_friction_N", "shaft_friction_std_N", "tip_force_N", "tip_force_std_N")
+    rows = [[getattr(estimate, name) for name in names] for estimate in estimates]
+    friction, friction_std, tip, tip_std = np.array(rows, dtype=float).T  # None becomes nan
+    rests = depth_m >= depth_m.max() - HAIR_m
+    rests[: int(np.argmax(rests)) + 1] = False
+    in_contact = np.array([estimate.in_contact for estimate in estimates])
     return LiverEstimates(
         reference,
         tuple(mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm),
         [row.rupture.alarm_depth_m for row in estimates if row.rupture is not None],
         np.array([estimate.enhanced_force_N for estimate in estimates]),
+        tuple(mean_at_depth(depth_m, friction_std, 1e-3 * mm) for mm in DEPTHS_mm),
+        float(np.mean((friction - 2.0 * friction_std > force_N)[rests])) if rests.any() else 0.0,
+        float(np.mean((tip + 2.0 * tip_std < 0.0)[in_contact])),
     )
 
 
 def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
-    """Median and 90th percentile of the errors over insertions, all depths together and each."""
+    """Median and 90th percentile of the errors over insertions, and how well they are stated."""
     true = np.array([each.reference.pullout_N for each in found])
-    errors = 100.0 * np.abs(np.array([each.friction_N for each in found]) - true) / true
-    by_depth = {f"_{mm}mm": column for mm, column in zip(DEPTHS_mm, errors.T, strict=True)}
-    for where, values in ({"": errors.ravel()} | by_depth).items():
-        for name, percent in (("median", 50.0), ("p90", 90.0)):
-            yield f"pullout_error{where}_{name}_pct", float(np.percentile(values, percent))
+    off = np.abs(np.array([each.friction_N for each in found]) - true)
+    for name, percent in (("median", 50.0), ("p90", 90.0)):
+        yield f"pullout_error_{name}_pct", float(np.percentile(100.0 * off / true, percent))
+    stds = np.array([each.friction_std_N for each in found])
+    if stds.size and np.isfinite(stds).all():
+        for mm, covers in zip(DEPTHS_mm, (off <= 2.0 * stds).T, strict=True):
+            yield f"pullout_coverage_{mm}mm", float(np.mean(covers))
+        yield "friction_above_force_at_rest", float(np.mean([e.above_at_rest for e in found]))
+        yield "tip_force_below_zero", float(np.mean([e.below_zero for e in found]))
 
 
 def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
@@ -251,20 +277,21 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
     """``liver-real``: friction estimated during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is what the
-    shaft friction was there during insertion. Methods see the insertion only.
+    shaft friction was there during insertion. Methods see the insertion and the hold only.
     """
     data = job.recordings
     by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "default": []}
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
         whole = read_liver(data, index)
-        inside = whole.insertion
-        t_s, depth, force = (each[inside] for each in (whole.t_s, whole.depth_m, whole.force_N))
+        inside, before = whole.insertion, whole.before_withdrawal
+        depth, force = whole.depth_m[inside], whole.force_N[inside]
+        course = whole.t_s[before], whole.depth_m[before], whole.force_N[before]
         reference = liver_reference(whole, depth, force)
         guess = tuple(GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
         by_method["guess"].append(LiverEstimates(reference, guess))
         for method in IDENTIFIERS:
-            by_method[method].append(liver_estimates(t_s, depth, force, method, reference))
+            by_method[method].append(liver_estimates(*course, method, reference))
     found: list[Measurement] = []
     for method, each in by_method.items():
         values = [*friction_values(each), *(rupture_values(each) if method != "guess" else ())]
