@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 from needleforce.recordings.errors import (
-    PART,
     FileAccessError,
     FormatError,
     file_errors,
@@ -27,6 +26,7 @@ BAG_SUFFIXES = (".mcap", ".db3")
 METADATA = "metadata.yaml"  # beside the files of a bag that is a folder
 _LATEST_NS = (1 << 63) - 1
 _MOST_OPEN = 64  # files
+_PARTS = 8  # one chunk or message of a bag may take this fraction (1/8) of the limit
 
 
 class BagTopic(NamedTuple):
@@ -47,7 +47,7 @@ class RawMessage(NamedTuple):
 
 
 NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
-"""Stands in place of a message wherever a bag that still grows has been read as far as it goes."""
+"""Stands in place of a message wherever more of a growing bag may have to be waited for."""
 
 
 def is_bag(path: Path) -> bool:
@@ -80,7 +80,7 @@ def read_messages(
                 if file.name.lower().endswith(".db3"):
                     yield from _sqlite_messages(readable_path(file), found)
                 else:
-                    yield from _McapReader(file, found, max_bytes // PART).messages(options)
+                    yield from _McapReader(file, found, max_bytes // _PARTS).messages(options)
         except FormatError as error:
             raise FormatError(f"{file} {error}") from error
         finally:
@@ -153,13 +153,13 @@ class _McapReader:
         """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
         held, growing = bytearray(), options is not None
         options = options or FollowOptions()
-        for block in byte_blocks(self._path, options, with_pauses=growing):
-            if not block:
-                yield NONE_YET
+        for block in byte_blocks(self._path, options):
             held += block
             yield from self._whole_records(held)
             if self._is_over:
                 return
+            if growing:
+                yield NONE_YET
         if not self._at:
             _require_magic(held, MAGIC, "MCAP")
         # A growing file may end after any record, and anywhere if it is the user who stops.

@@ -34,13 +34,11 @@ class FollowOptions:
     warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
 
 
-def byte_blocks(
-    path: Path | None, options: FollowOptions, *, with_pauses: bool = False
-) -> Iterator[bytes]:
+def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
     """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    With pauses, an empty block says each time that more is now waited for. `FileAccessError` if the
-    file cannot be read, or was shortened or rewritten while it was followed.
+    `FileAccessError` if the file cannot be read, or was shortened or rewritten while it was
+    followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:
@@ -51,7 +49,7 @@ def byte_blocks(
         else:
             handle = sys.stdin.fileno()
         try:
-            yield from (block for block in _blocks(handle, options, path) if block or with_pauses)
+            yield from _blocks(handle, options, path)
         finally:
             if path is not None:
                 os.close(handle)
@@ -78,7 +76,6 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             # The writer of a pipe that has closed it will not come back.
             if not follows:
                 return
-            yield b""
             time.sleep(_POLL_S)
         if options.idle_s is not None and time.monotonic() - last_s >= options.idle_s:
             return

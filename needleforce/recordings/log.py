@@ -26,6 +26,7 @@ from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, channel_co
 from needleforce.recordings.table import (
     HEAD_ROWS,
     NS_PER_S,
+    Faults,
     FloatArray,
     RowClock,
     Table,
@@ -147,16 +148,15 @@ class _Watch:
 
     def __init__(self, key: str, source: _Source) -> None:
         self._key, self._size, self._is_doubted = key, 0.0, source.is_unit_stated
-        self._rows = self._bad = self._first_bad = 0
-        self._any_finite = False
+        self._rows, self._any_finite, self._faults = 0, False, Faults()
 
     def update(self, values: FloatArray) -> None:
         """Take rows; the step of time is that of the first ones."""
         finite = np.isfinite(values)
         if not finite.all():
             bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
-            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
-            self._bad += bad.size
+            here = f"row {self._rows + int(bad[0]) + 1}"
+            self._faults.note(f"{self._key}: rows with NaN or infinity", here, bad.size)
         self._any_finite = self._any_finite or bool(finite.any())
         if not self._is_doubted:
             sizes = np.abs(values[finite])
@@ -168,10 +168,9 @@ class _Watch:
 
     def not_finite(self) -> tuple[str, ...]:
         """Report rows that are not finite; `LogError` if there was no finite value at all."""
-        if self._bad and not self._any_finite:
+        if self._faults and not self._any_finite:
             raise LogError(f"{self._key} has no finite value in {self._rows} rows")
-        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
-        return (f"{self._key}: {what}",) if self._bad else ()
+        return self._faults.lines()
 
     def hardly_si(self) -> tuple[str, ...]:
         """Report, once, values whose unit was assumed and that hardly are in SI units."""
@@ -219,7 +218,8 @@ class LogStream:
         self._mapping = mapping or ColumnMapping()
         self._required, self._optional = tuple(required), tuple(optional)
         self._reported: dict[str, bool] = {}
-        self._rows = self._lost = self._first_lost = self._clock_ns = 0
+        self._rows = self._kept = self._clock_ns = 0
+        self._faults = Faults()
         self._stamps = RowClock()
         self._sources: dict[str, _Source] = {}
         self._watches: dict[str, _Watch] = {}
@@ -255,10 +255,8 @@ class LogStream:
             if len(table) or table is head:
                 yield from self._chunk(table)
         # What only the whole log shows.
-        if self._lost:
-            what = f"time: rows without a stamp, left out: {self._lost}"
-            self._report((f"{what} (first: row {self._first_lost})",))
-        if self._lost == self._rows:
+        self._report(self._faults.lines())
+        if not self._kept:
             raise LogError(f"of {self._rows} rows none has a time stamp")
         self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
         self._report(self._stamps.warnings())
@@ -304,15 +302,16 @@ class LogStream:
             _check_sizes(values, self._sources)
         keep = np.isfinite(values["t_s"])
         if not keep.all():
-            self._first_lost = self._first_lost or self._rows + int(np.argmin(keep)) + 1
-            self._lost += int(np.count_nonzero(~keep))
+            here = f"row {self._rows + int(np.argmin(keep)) + 1}"
+            lost = int(np.count_nonzero(~keep))
+            self._faults.note("time: rows without a stamp, left out", here, lost)
         kept = values if keep.all() else {key: each[keep] for key, each in values.items()}
         for key, watch in self._watches.items():
             watch.update(kept[key])
         if not self._rows:
             self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
-        self._rows += rows
         t_s = kept.pop("t_s")
+        self._rows, self._kept = self._rows + rows, self._kept + len(t_s)
         if len(t_s):
             yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
