@@ -16,7 +16,7 @@ from needleforce.cli import robot as robots
 from needleforce.cli.force_replay import Replay, Rows, has_status, rejections, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers
 from needleforce.cli.log import LogSession
-from needleforce.cli.terminal import CommandError, write_out
+from needleforce.cli.terminal import CommandError, aligned, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
 from needleforce.recordings.mapping import ChannelRequest
@@ -146,10 +146,8 @@ class ForceResult:
             self._axial_N[status] = (low_N, high_N, total_N + float(std_N.sum()))
 
     def text(self) -> str:
-        """Return the lines of the summary with their texts below each other."""
-        lines = list(self.summary())
-        width = max(len(label) for label, _ in lines)
-        summary = "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
+        """Return the lines of the summary, and of the layers if they were asked for."""
+        summary = aligned(self.summary())
         return summary if self.layers is None else f"{summary}\n{self.layers.text()}"
 
     def summary(self) -> Iterator[tuple[str, str]]:

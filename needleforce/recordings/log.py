@@ -217,7 +217,8 @@ class LogStream:
         self._tables = iter(tables)
         self._mapping = mapping or ColumnMapping()
         self._required, self._optional = tuple(required), tuple(optional)
-        self._reported: dict[str, bool] = {}
+        self._found: dict[str, None] = {}  # warnings, in order, of which so many were taken
+        self._taken = 0
         self._rows = self._kept = self._clock_ns = 0
         self._faults = Faults()
         self._stamps = RowClock()
@@ -227,8 +228,8 @@ class LogStream:
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what has been found wrong with the recording since the last call."""
-        news = tuple(warning for warning, is_old in self._reported.items() if not is_old)
-        self._reported |= dict.fromkeys(news, True)
+        news = tuple(self._found)[self._taken :]
+        self._taken += len(news)
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
@@ -334,7 +335,7 @@ class LogStream:
         return found_s - self._clock_ns / NS_PER_S
 
     def _report(self, warnings: Iterable[str]) -> None:
-        self._reported |= {w: False for w in warnings if w not in self._reported}
+        self._found |= dict.fromkeys(warnings)
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
         """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
