@@ -1,14 +1,14 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.recordings.errors import FormatError, LogError, require_size
+from needleforce.recordings.errors import FormatError, LogError
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
@@ -77,22 +77,6 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
         raise LogError(f"{name} is not an array of numbers: {error}") from error
     copy.setflags(write=False)
     return copy
-
-
-def joined_tables(tables: Iterable[Table], max_bytes: int) -> Table:
-    """Return tables of consecutive rows as one; `FormatError` if they take too many bytes."""
-    parts, size = [], 0
-    for table in tables:
-        parts.append(table)
-        size += sum(values.nbytes for values in table.columns.values())
-        require_size(size, max_bytes, "the recording")
-    if len(parts) == 1:
-        return parts[0]
-    names = parts[0].columns
-    filled = [part for part in parts if len(part)] or parts[:1]
-    warnings = tuple(dict.fromkeys(note for part in parts for note in part.warnings))
-    columns = {name: np.concatenate([part.columns[name] for part in filled]) for name in names}
-    return replace(parts[0], columns=columns, warnings=warnings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
