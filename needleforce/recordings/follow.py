@@ -95,12 +95,12 @@ BINARY = {b"\x89MCA": ".mcap", b"SQLi": ".db3", b"PK\x03\x04": ".npz", b"PAR1": 
 """How files begin that are no text, and their suffixes."""
 
 
-def head_of(blocks: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
-    """Return the first four bytes, if there are so many, and all blocks."""
+def head_of(blocks: Iterable[bytes], size: int = 4) -> tuple[bytes, Iterator[bytes]]:
+    """Return the first bytes, if there are so many, and all blocks."""
     blocks, head = iter(blocks), b""
-    while len(head) < 4 and (more := next(blocks, b"")):
+    while len(head) < size and (more := next(blocks, b"")):
         head += more
-    return head[:4], chain([head] if head else [], blocks)
+    return head[:size], chain([head] if head else [], blocks)
 
 
 _GZIP = b"\x1f\x8b"
