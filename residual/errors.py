@@ -1,13 +1,11 @@
 """Errors of the `residual` package: one base, each leaf also a standard exception."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from residual.estimate import SensorWarning
+from residual.estimate import SensorWarning
 
 Array = NDArray[np.float64]
 
@@ -40,7 +38,7 @@ class SuspectSampleError(SampleError):
         warning: Which of these, a `residual.SensorWarning`.
     """
 
-    def __init__(self, message: str, warning: "SensorWarning") -> None:
+    def __init__(self, message: str, warning: SensorWarning) -> None:
         super().__init__(message)
         self.warning = warning
 

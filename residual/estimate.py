@@ -6,8 +6,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from residual.input_validation import ROUNDING_S
-
 UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
 unlike infinity it can be drawn, stored and calculated with."""
@@ -133,17 +131,3 @@ OTHER_KIND = (
     "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
     "one of the two, or start_tare_recording() first"
 )
-
-
-MILLISECONDS_S = 0.5  # time steps from here on are in milliseconds, or of a very slow log
-
-
-def long_step(dt_s: float, max_gap_s: float) -> str:
-    """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
-    if dt_s <= max_gap_s + ROUNDING_S:
-        return ""
-    unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
-    return (
-        f"dt_s = {dt_s:g} s is longer than max_gap_s = {max_gap_s:g} s, so the filters start "
-        f"anew{unit}"
-    )

@@ -19,6 +19,7 @@ LONGEST_STEP_S = 86_400.0
 ROUNDING_S = 1e-5
 """Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
 rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+MILLISECONDS_S = 0.5  # time steps from here on are in milliseconds, or of a very slow log
 _ndarray = np.ndarray
 FLOAT64 = np.dtype(np.float64)  # The ``dtype`` of arrays of floats: comparing it takes no call
 
@@ -42,6 +43,17 @@ def check_interval(dt_s: Any) -> float:
             "go on with the next time step"
         )
     return step_s
+
+
+def long_step(dt_s: float, max_gap_s: float) -> str:
+    """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
+    if dt_s <= max_gap_s + ROUNDING_S:
+        return ""
+    unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
+    return (
+        f"dt_s = {dt_s:g} s is longer than max_gap_s = {max_gap_s:g} s, so the filters start "
+        f"anew{unit}"
+    )
 
 
 def as_float(value: Any) -> float:

@@ -27,10 +27,9 @@ from residual.estimate import (
     SensorWarning,
     Status,
     WrenchEstimate,
-    long_step,
     unknown_wrench,
 )
-from residual.input_validation import SampleClock
+from residual.input_validation import SampleClock, long_step
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.snapshot import robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics

@@ -264,7 +264,7 @@ def test_a_recording_that_cannot_be_tared_is_said_so(
 
 
 def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
-    from needleforce.cli.live_commands import ViewOptions
+    from needleforce.cli.live_options import ViewOptions
     from needleforce.cli.live_view import replayed
     from needleforce.cli.simulate import signal_table
     from needleforce.recordings import write_table

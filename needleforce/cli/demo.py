@@ -21,7 +21,7 @@ from needleforce.cli.demo_runs import (
     ruptures_felt,
     teleoperate,
 )
-from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.control import (
     AxialSpeed,
     Controller,
@@ -62,9 +62,7 @@ def run(kind: str, folder: Path | None, picture: Path | None) -> int:
         raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
     with progress_bar(f"demonstrating {kind}") as progress:
         shown = DEMOS[kind](progress)
-    width = max(len(name) for name, _ in shown.rows)
-    lines = [f"{name:<{width}}  {value}" for name, value in shown.rows]
-    write_out("\n".join((shown.title, *lines, NEVER, "")))
+    write_out(f"{shown.title}\n{aligned(shown.rows)}{NEVER}\n")
     if picture is not None:
         save_figure(shown.charts[0][1], picture)
     if folder is not None:

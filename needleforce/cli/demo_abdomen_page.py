@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
 from needleforce.cli.live_view import LEAST_VOXELS, description
 from needleforce.cli.options import RobotOptions
-from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.plots import palette
 from needleforce.plots.chart import Chart, Curve, Instants, Panel, require_matplotlib
 from needleforce.plots.page import (
@@ -40,10 +40,8 @@ def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int)
     with progress_bar("demonstrating abdomen") as progress:
         made = insert(data, seed, progress)
     rows = _rows(made)
-    width = max(len(name) for name, _ in rows)
-    lines = [f"{name:<{width}}  {value}" for name, value in rows]
     title = "From a CT to a needle whose ruptures correct the plan"
-    write_out("\n".join((title, *lines, NEVER, "")))
+    write_out(f"{title}\n{aligned(rows)}{NEVER}\n")
     if picture is not None:
         draw_slice(made, picture)
     if folder is not None:

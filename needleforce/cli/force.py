@@ -16,7 +16,7 @@ from needleforce.cli import robot as robots
 from needleforce.cli.force_replay import Replay, Rows, has_status, rejections, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers
 from needleforce.cli.log import LogSession
-from needleforce.cli.terminal import CommandError, write_out
+from needleforce.cli.terminal import CommandError, aligned, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
 from needleforce.recordings.mapping import ChannelRequest
@@ -146,10 +146,8 @@ class ForceResult:
             self._axial_N[status] = (low_N, high_N, total_N + float(std_N.sum()))
 
     def text(self) -> str:
-        """Return the lines of the summary with their texts below each other."""
-        lines = list(self.summary())
-        width = max(len(label) for label, _ in lines)
-        summary = "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
+        """Return the lines of the summary, and of the layers if they were asked for."""
+        summary = aligned(self.summary())
         return summary if self.layers is None else f"{summary}\n{self.layers.text()}"
 
     def summary(self) -> Iterator[tuple[str, str]]:
@@ -270,31 +268,27 @@ _PANEL_IN = 2.2
 _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 
 
-def component_curves(rows: Rows, x: NDArray[np.float64], component: _Component) -> list[Curve]:
-    """Return the tared part of a component with its band, and the part that was not tared.
-
-    A rejected row leaves no hole, a gap in time does. Before a tare the band is the prior's, wider
-    than any chart: the line alone shows more.
-    """
-    name, style, value, std = component
-    kept = ~has_status(rows, Status.REJECTED)
-    x, std, tared = x[kept], std[kept], has_status(rows, Status.OK)[kept]
-    value = np.where(rows["after_gap"], np.nan, value)[kept]
-    grey = palette.UNTARED
-    if not tared.any():
-        untared = replace(grey, color=style.color)
-        return [Curve(style=untared, x=x, y=value, label=f"{name}, not tared")]
-    value_std, band = np.where(tared, std, np.nan), f"{name}, ± 2 std"
-    y = np.where(tared, value, np.nan)
-    curve = Curve(style=style, x=x, y=y, label=name, std=value_std, band_label=band)
-    if tared.all():
-        return [curve]
-    return [Curve(style=grey, x=x, y=np.where(tared, np.nan, value), label="not tared"), curve]
-
-
 def panel_of(label: str, rows: Rows, x: NDArray, components: Sequence[_Component]) -> Panel:
-    """Return the curves; the scale is that of the tared rows, if there are any."""
-    curves = [curve for part in components for curve in component_curves(rows, x, part)]
-    tared = [curve for curve in curves if curve.std is not None]
-    limits = limits_of(tared, None) if tared else None
+    """Return of each component the tared part with its band, below it what was not tared in grey.
+
+    The scale is that of the tared rows, if there are any. A rejected row leaves no hole, a gap in
+    time does. Before a tare the band is the prior's, wider than any chart: the line alone shows
+    more.
+    """
+    kept = ~has_status(rows, Status.REJECTED)
+    x, tared = x[kept], has_status(rows, Status.OK)[kept]
+    curves: list[Curve] = []
+    for name, style, values, std in components:
+        y = np.where(rows["after_gap"], np.nan, values)[kept]
+        if not tared.all():
+            grey, what = palette.UNTARED, "not tared"
+            if not tared.any():
+                grey, what = replace(grey, color=style.color), f"{name}, not tared"
+            curves.append(Curve(style=grey, x=x, y=np.where(tared, np.nan, y), label=what))
+        if tared.any():
+            band = {"std": np.where(tared, std[kept], np.nan), "band_label": f"{name}, ± 2 std"}
+            y = np.where(tared, y, np.nan)
+            curves.append(Curve(style=style, x=x, y=y, label=name, **band))
+    scaled = [curve for curve in curves if curve.std is not None]
+    limits = limits_of(scaled, None) if scaled else None
     return Panel(y_label=label, curves=tuple(curves), limits=limits)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from groundtruth import simulate
-from needleforce.cli.live_commands import LiveOptions, WatchOptions
+from needleforce.cli.live_options import LiveOptions, WatchOptions
 from needleforce.cli.live_recorder import Recorder
 from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions

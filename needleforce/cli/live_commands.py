@@ -1,76 +1,14 @@
-"""The commands `record`, `live`, `view` and `demo`, and their options."""
+"""The commands `record`, `live`, `view` and `demo`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
-from needleforce.cli.options import LOG, TARE, RobotOptions, app
-
-OUTPUT = Group("Output", sort_key=2)
+from needleforce.cli.live_options import OUTPUT, LiveOptions, ViewOptions, WatchOptions
+from needleforce.cli.options import LOG, RobotOptions, app
 
 LWR = RobotOptions()  # The arm unless another is named
-
-
-Constants = tuple[float, float, float, float, float, float]
-
-
-@Parameter(name="*", group=LOG)
-@dataclass(frozen=True, kw_only=True)
-class LiveOptions:
-    """How long an arm is listened to."""
-
-    seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
-    """Stop after so long; else at Ctrl-C or when the arm stays away."""
-    motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None
-    """Of ur: joint torque per motor current of each joint [Nm/A]; a UR sends no torques
-    (docs/panda.md)."""
-
-
-@Parameter(name="*", group=OUTPUT)
-@dataclass(frozen=True, kw_only=True)
-class WatchOptions:
-    """What an arm is watched with."""
-
-    plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
-    """Plan to match ruptures with (plan.json, or its folder): see docs/scene.md."""
-    reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
-    """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
-    are shown next to the estimate."""
-    reference_axis: Annotated[tuple[float, float, float], Parameter(metavar="X Y Z", group=LOG)] = (
-        0.0,
-        0.0,
-        1.0,
-    )
-    """Direction of insertion in that sensor's axes (default: 0 0 1)."""
-    view: Annotated[bool, Parameter(negative="")] = False
-    """Open the scene in a browser page beside the session."""
-    port: Annotated[int, Parameter(metavar="N")] = 8080
-    """Its port (default: 8080); another is taken if it is busy."""
-    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4), and again after as many
-    where that is refused."""
-
-
-@Parameter(name="*", group=LOG)
-@dataclass(frozen=True, kw_only=True)
-class ViewOptions:
-    """What is shown beside a recording, and where."""
-
-    anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
-    """Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see docs/scene.md."""
-    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """TOML file that says which columns are which, as `needleforce force --print-config` writes."""
-    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4), and again after as many
-    where that is refused."""
-    export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
-    """Write the scene as one page (.html) with the insertion as a film, and end."""
-    host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"
-    """Where the page is served (default: 127.0.0.1, this machine alone)."""
-    port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
-    """Its port (default: 8080); another is taken if it is busy."""
 
 
 ArmName = Annotated[

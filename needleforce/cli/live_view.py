@@ -14,7 +14,7 @@ import numpy as np
 
 from needleforce.anatomy import AnatomyError, Layer, PlanMatch, read_labels
 from needleforce.cli.force_replay import rejections, require_joints
-from needleforce.cli.live_commands import ViewOptions
+from needleforce.cli.live_options import ViewOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from needleforce import plots, recordings
-from needleforce.cli.options import Columns, Output
+from needleforce.cli.options import Columns, Output, Over
 from needleforce.cli.terminal import (
     INTERRUPTED,
     CommandError,
@@ -28,10 +28,6 @@ from needleforce.recordings.log import LogChunk
 from needleforce.recordings.mapping import ChannelRequest, parse_column_spec
 from needleforce.recordings.output import OpenTable, open_table
 from needleforce.recordings.table import Labels
-
-if TYPE_CHECKING:
-    from needleforce.cli.force import ForceResult
-    from needleforce.cli.identify import IdentificationResult
 
 # The mapping, and the log read with it.
 
@@ -127,11 +123,27 @@ class LogSession:
 # From a log to the files that options name.
 
 
+class Result(Protocol):
+    """The outcome of a whole log, whatever was looked for in it."""
+
+    def text(self) -> str:
+        """Return the summary that is printed."""
+        ...
+
+    def chart(self, over: Over) -> plots.Chart:
+        """Return the figure over time or depth."""
+        ...
+
+    def sections(self, folder: Path) -> tuple[plots.Section, ...]:
+        """Save the charts of a report in a folder and return the sections of its page."""
+        ...
+
+
 def run_log(
     source: str,
     output: Output,
     request: ChannelRequest,
-    estimate: "Callable[[LogSession], ForceResult | IdentificationResult]",
+    estimate: Callable[[LogSession], Result],
 ) -> int:
     """Read a log, write what was asked for, print the outcome and return the exit code.
 

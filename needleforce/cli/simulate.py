@@ -9,7 +9,7 @@ from groundtruth import SCENARIOS, Run, Scenario, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from needleforce.cli.options import SimulationOptions
-from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
 from needleforce.recordings.table import Labels
@@ -21,8 +21,7 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
         rows = {name: item.title for name, item in SCENARIOS.items()}
         rows[RANDOM_STACK] = "one to four layers drawn from the seed"
         rows[RANDOM_TISSUE] = "the same, each layer of its own law"
-        width = max(map(len, rows))
-        write_out("".join(f"{name:<{width}}  {title}\n" for name, title in rows.items()))
+        write_out(aligned(rows.items()))
         return 0
     chosen = _checked(scenario, options)
     with progress_bar(f"simulating {chosen.id}"):

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
@@ -110,6 +110,13 @@ def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[flo
     with Progress(console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
         task = bar.add_task(what, total=None)
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
+
+
+def aligned(rows: Iterable[tuple[str, str]]) -> str:
+    """Return a line for each label and its text, the texts below each other."""
+    rows = list(rows)
+    width = max(len(label) for label, _ in rows)
+    return "".join(f"{label:<{width}}  {text}\n" for label, text in rows)
 
 
 def say(text: str) -> None:

@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 from needleforce.recordings.errors import (
-    PART,
     FileAccessError,
     FormatError,
     file_errors,
@@ -21,12 +20,13 @@ from needleforce.recordings.errors import (
     readable_path,
     require_size,
 )
-from needleforce.recordings.follow import FollowOptions, byte_blocks
+from needleforce.recordings.follow import FollowOptions, byte_blocks, head_of
 
 BAG_SUFFIXES = (".mcap", ".db3")
 METADATA = "metadata.yaml"  # beside the files of a bag that is a folder
 _LATEST_NS = (1 << 63) - 1
 _MOST_OPEN = 64  # files
+_PARTS = 8  # one chunk or message of a bag may take this fraction (1/8) of the limit
 
 
 class BagTopic(NamedTuple):
@@ -47,7 +47,7 @@ class RawMessage(NamedTuple):
 
 
 NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
-"""Stands in place of a message wherever a bag that still grows has been read as far as it goes."""
+"""Stands in place of a message wherever more of a growing bag may have to be waited for."""
 
 
 def is_bag(path: Path) -> bool:
@@ -80,7 +80,7 @@ def read_messages(
                 if file.name.lower().endswith(".db3"):
                     yield from _sqlite_messages(readable_path(file), found)
                 else:
-                    yield from _McapReader(file, found, max_bytes // PART).messages(options)
+                    yield from _McapReader(file, found, max_bytes // _PARTS).messages(options)
         except FormatError as error:
             raise FormatError(f"{file} {error}") from error
         finally:
@@ -125,9 +125,8 @@ _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x0
 _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
 
 
-def _records(data: bytes | bytearray) -> Iterator[tuple[int, int, int]]:
+def _records(data: bytes | bytearray, at: int = 0) -> Iterator[tuple[int, int, int]]:
     """Yield number, start and end of the content of records; the last may end behind the data."""
-    at = 0
     while len(data) - at >= _HEAD.size:
         opcode, size = _HEAD.unpack_from(data, at)
         at += _HEAD.size
@@ -153,15 +152,15 @@ class _McapReader:
         """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
         held, growing = bytearray(), options is not None
         options = options or FollowOptions()
-        for block in byte_blocks(self._path, options, with_pauses=growing):
-            if not block:
-                yield NONE_YET
+        head, blocks = head_of(byte_blocks(self._path, options), len(MAGIC))
+        _require_magic(head, MAGIC, "MCAP")
+        for block in blocks:
             held += block
             yield from self._whole_records(held)
             if self._is_over:
                 return
-        if not self._at:
-            _require_magic(held, MAGIC, "MCAP")
+            if growing:
+                yield NONE_YET
         # A growing file may end after any record, and anywhere if it is the user who stops.
         if not growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
@@ -172,14 +171,8 @@ class _McapReader:
 
     def _whole_records(self, held: bytearray) -> Iterator[RawMessage]:
         """Take the records that are there whole out of the bytes held."""
-        if not self._at:
-            if len(held) < len(MAGIC):
-                return
-            _require_magic(held, MAGIC, "MCAP")
-            del held[: len(MAGIC)]
-            self._at = len(MAGIC)
-        done = 0
-        for opcode, start, end in _records(held):
+        done = 0 if self._at else len(MAGIC)
+        for opcode, start, end in _records(held, done):
             size = end - start
             if self._limit < size <= self._path.stat().st_size:
                 require_size(size, self._limit, "holds a record that")
@@ -250,7 +243,7 @@ class _McapReader:
             self._faults.append(f"has a damaged chunk, of which {done} of {size} bytes are right")
 
 
-def _require_magic(head: bytes | bytearray, magic: bytes, what: str) -> None:
+def _require_magic(head: bytes, magic: bytes, what: str) -> None:
     if not head:
         raise FormatError("is empty")
     if not head.startswith(magic[: len(head)]):

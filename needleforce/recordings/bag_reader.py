@@ -96,15 +96,12 @@ class Topic:
         """Begin to collect rows of some columns, with the joints in this order."""
         self._decoder: TopicDecoder | None = None
         self.joints = tuple(joints)
-        self._widths = {
+        self.widths = {
             name: len(self.joints) if name in self.named else self.columns[name] or 1
             for name in columns
         }
         self._faults: Counter[str] = Counter()
-        self.new_ns: list[int] = []
-        self._new: dict[str, list[Any]] = {name: [] for name in columns}
-        self.stamps_ns: NDArray[np.int64] = np.empty(0, dtype=np.int64)
-        self.values = {name: np.empty((0, width)) for name, width in self._widths.items()}
+        self.rows: list[tuple[Any, ...]] = []  # stamp in ns, then the numbers of each column
         self.latest_ns = -(1 << 62)
 
     def add(self, message: RawMessage) -> None:
@@ -124,13 +121,13 @@ class Topic:
                 self._faults["messages that lack joints"] += 1
         if content.stamp_ns == 0 and message.log_ns:
             self._faults["messages without a source time stamp; the recorder's was taken"] += 1
-        self.new_ns.append(content.stamp_ns or message.log_ns)
-        for name, rows in self._new.items():
-            rows.append(self._row(name, content))
+        stamp_ns = content.stamp_ns or message.log_ns
+        self.rows.append((stamp_ns, *(self._numbers(name, content) for name in self.widths)))
+        self.latest_ns = max(self.latest_ns, stamp_ns)
 
-    def _row(self, name: str, content: Content) -> Any:
+    def _numbers(self, name: str, content: Content) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
-        width, value = self._widths[name], content.values.get(name)
+        width, value = self.widths[name], content.values.get(name)
         if value is None or (name in self.named) != (name in content.named):
             self._faults[f"messages without values of {name}, or not one for each joint"] += 1
         elif name in self.named:
@@ -144,22 +141,16 @@ class Topic:
             self._faults[f"messages with another number of values of {name}"] += 1
         return np.full(width, np.nan)
 
-    def collect(self) -> None:
-        """Append what was taken in to the rows."""
-        if not self.new_ns:
-            return
-        self.stamps_ns = np.append(self.stamps_ns, np.array(self.new_ns, dtype=np.int64))
-        for name, rows in self._new.items():
-            new = np.array(rows, dtype=np.float64).reshape(len(rows), self._widths[name])
-            self.values[name] = np.concatenate([self.values[name], new])
-            rows.clear()
-        self.new_ns.clear()
-        self.latest_ns = int(self.stamps_ns.max(initial=self.latest_ns))
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return the time stamps of the rows, shape (n,)."""
+        return np.array([row[0] for row in self.rows], dtype=np.int64)
 
-    def keep(self, rows: Any) -> None:
-        """Forget all other rows."""
-        self.stamps_ns = self.stamps_ns[rows]
-        self.values = {name: values[rows] for name, values in self.values.items()}
+    def values(self) -> dict[str, FloatArray]:
+        """Return the numbers of the rows by column, shape (n, k)."""
+        return {
+            name: np.array([row[i] for row in self.rows], dtype=np.float64).reshape(-1, width)
+            for i, (name, width) in enumerate(self.widths.items(), 1)
+        }
 
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""
@@ -259,32 +250,29 @@ class JoinedRows:
     def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
         """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at `NONE_YET`."""
         reference = self.reference
-        for message in messages:
+        for count, message in enumerate(messages, 1):
             if message.topic.name in self.topics:
                 self.topics[message.topic.name].add(message)
             waits = message is NONE_YET
-            if waits or len(reference.new_ns) >= MOST_ROWS:
+            if waits or count % MOST_ROWS == 0:
                 # Which columns are which channels is decided from the first table.
                 while (ready := self._ready()) >= (1 if waits and not self._is_new else HEAD_ROWS):
                     yield self._table(min(ready, MOST_ROWS))
                 # What no row needs that waits or may still come, be it a little late, is forgotten.
                 newest_ns = max(topic.latest_ns for topic in self.topics.values())
-                oldest_ns = int(reference.stamps_ns.min(initial=newest_ns - _LATE_NS))
+                oldest_ns = min((row[0] for row in reference.rows), default=newest_ns - _LATE_NS)
                 for topic in self._others:
-                    topic.keep(topic.stamps_ns >= oldest_ns - 2 * topic.limit_ns)
-        self._ready()
+                    kept_ns = oldest_ns - 2 * topic.limit_ns
+                    topic.rows = [row for row in topic.rows if row[0] >= kept_ns]
         self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
-        while reference.stamps_ns.size or self._is_new or self._warnings:
+        while reference.rows or self._is_new or self._warnings:
             yield self._table(MOST_ROWS)
 
     def _ready(self) -> int:
-        """Collect what has come; return how many rows nothing that may still come can change."""
-        for topic in self.topics.values():
-            topic.collect()
-        stamps_ns = self.reference.stamps_ns
-        if not stamps_ns.size:
+        """Return how many rows nothing that may still come can change."""
+        if not self.reference.rows:
             return 0
-        last_ns = np.maximum.accumulate(stamps_ns)
+        last_ns = np.maximum.accumulate(self.reference.stamps_ns())
         until_ns = min(
             max(topic.latest_ns, int(last_ns[-1]) - max(int(topic.limit_ns), _LATE_NS) - 1)
             for topic in self.topics.values()
@@ -293,19 +281,19 @@ class JoinedRows:
 
     def _table(self, rows: int) -> Table:
         reference = self.reference
-        at_ns = reference.stamps_ns[:rows]
+        at_ns = reference.stamps_ns()[:rows]
         if self._start_ns is None:
             self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
         columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
         joints: dict[str, tuple[str, ...]] = {}
         for topic in self.topics.values():
-            joints |= dict.fromkeys(topic.named & topic.values.keys(), topic.joints)
-            for column, values in topic.values.items():
+            joints |= dict.fromkeys(topic.named & topic.widths.keys(), topic.joints)
+            for column, values in topic.values().items():
                 found = values[:rows]
                 if topic is not reference:
-                    found = interpolate(at_ns, topic.stamps_ns, values, topic.limit_ns)
+                    found = interpolate(at_ns, topic.stamps_ns(), values, topic.limit_ns)
                 columns[column] = found[:, 0] if topic.columns[column] is None else found
-        reference.keep(slice(rows, None))
+        del reference.rows[:rows]
         notes, self._warnings, self._is_new = tuple(self._warnings), [], False
         return Table(columns=columns, warnings=notes, joint_names=joints, start_ns=self._start_ns)
 

@@ -16,6 +16,7 @@ from needleforce.recordings.table import (
     HEAD_ROWS,
     START_KEY,
     Columns,
+    Faults,
     FloatArray,
     Labels,
     Table,
@@ -53,7 +54,7 @@ class _CsvRows:
         self._lines = self._latest = self._total = self._start_ns = 0
         self._is_chosen = False
         self._has_number: set[int] = set()
-        self._faults: dict[str, tuple[int, str]] = {}
+        self.faults = Faults()
 
     def add(self, lines: list[str]) -> None:
         """Take whole lines; `FormatError` if the header is none, or names a column twice."""
@@ -80,7 +81,7 @@ class _CsvRows:
             cells, names = tail.count(self._delimiter) + 1, len(self.names)
             if cells < names or is_growing:
                 what = f"({cells} of {names} cells) and was left out"
-                self._note(f"line {self._lines + 1}, the last, is cut short {what}", "")
+                self.faults.note(f"line {self._lines + 1}, the last, is cut short {what}", "")
                 tail = ""
         self.add([tail])
         if not self.names:
@@ -154,7 +155,7 @@ class _CsvRows:
                     found.append(self._values(n, cells))
                 else:
                     what = f"rows without the header's {width} cells, left out"
-                    self._note(what, f"line {n} with {len(cells)}")
+                    self.faults.note(what, f"line {n} with {len(cells)}")
             values = np.array(found, dtype=np.float64).reshape(-1, width)
             if not self._is_chosen:
                 self._choose(values)
@@ -185,44 +186,33 @@ class _CsvRows:
             if value is None and self._delimiter != ",":
                 value = _number(cell.replace(",", "."))
                 if value is not None:
-                    self._note("decimal commas read as points", f"line {line}")
+                    self.faults.note("decimal commas read as points", f"line {line}")
             if value is not None:
                 self._has_number.add(i)
             elif cell and i not in self.omitted:
-                self._note(self._not_numbers(i), f"line {line}, {cell[:40]!r}")
+                self.faults.note(self._not_numbers(i), f"line {line}, {cell[:40]!r}")
             values.append(nan if value is None else value)
         return values
 
     def _not_numbers(self, column: int) -> str:
         return f"column {self.names[column]!r}: cells that are not numbers, read as NaN"
 
-    def _note(self, what: str, where: str) -> None:
-        count, first = self._faults.get(what, (0, where))
-        self._faults[what] = count + 1, first
-
     def _choose(self, values: FloatArray) -> None:
         """Decide from the first rows which columns are left out."""
         width = len(self.names)
         if not len(values):
-            _, first = next(iter(self._faults.values()))
+            _, first = next(iter(self.faults.values()))
             raise FormatError(
                 f"no row has the header's {width} cells (first: {first}); "
                 f"check the delimiter and the header: {_EXPECTED}"
             )
         for i in sorted(set(range(width)) - self._has_number):
-            _, first = self._faults.pop(self._not_numbers(i), (0, ""))
+            _, first = self.faults.pop(self._not_numbers(i), (0, ""))
             why = f"holds text ({first})" if first else "is empty"
             self.omitted[i] = f"column {self.names[i]!r} {why} and was left out"
         if len(self.omitted) == width:
             reasons = "; ".join(self.omitted.values())
             raise FormatError(f"no column holds a number: {reasons[:500]}; {_EXPECTED}")
-
-    def notes(self) -> tuple[str, ...]:
-        """What was left out or could not be read so far, a line for each kind of fault."""
-        return tuple(
-            f"{what}: {count} (first: {first})" if first else what
-            for what, (count, first) in self._faults.items()
-        )
 
 
 def _is_row(line: str) -> bool:
@@ -267,7 +257,7 @@ def csv_tables(
         lost = "".join(f" ({warning})" for warning in lines.warnings)
         raise FormatError(f"{name}: {error}{lost}") from error
     kept = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
-    warnings = (*lines.warnings, *rows.notes())
+    warnings = (*lines.warnings, *rows.faults.lines())
     yield Table(columns=dict.fromkeys(kept, np.empty(0)), warnings=warnings)
 
 

@@ -33,8 +33,6 @@ class LogError(RecordingError, ValueError):
 
 MAX_BYTES = 2 << 30  # The most memory a recording may ask for; a small damaged file can ask for any
 
-PART = 8  # one chunk or message of a bag may take this fraction (1/8) of the limit
-
 
 def require_size(size: int, limit: int, what: str) -> None:
     """Refuse what would take more bytes than `max_bytes` allows; `what` begins the message."""

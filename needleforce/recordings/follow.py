@@ -34,13 +34,11 @@ class FollowOptions:
     warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
 
 
-def byte_blocks(
-    path: Path | None, options: FollowOptions, *, with_pauses: bool = False
-) -> Iterator[bytes]:
+def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
     """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    With pauses, an empty block says each time that more is now waited for. `FileAccessError` if the
-    file cannot be read, or was shortened or rewritten while it was followed.
+    `FileAccessError` if the file cannot be read, or was shortened or rewritten while it was
+    followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:
@@ -51,7 +49,7 @@ def byte_blocks(
         else:
             handle = sys.stdin.fileno()
         try:
-            yield from (block for block in _blocks(handle, options, path) if block or with_pauses)
+            yield from _blocks(handle, options, path)
         finally:
             if path is not None:
                 os.close(handle)
@@ -78,7 +76,6 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             # The writer of a pipe that has closed it will not come back.
             if not follows:
                 return
-            yield b""
             time.sleep(_POLL_S)
         if options.idle_s is not None and time.monotonic() - last_s >= options.idle_s:
             return
@@ -98,12 +95,12 @@ BINARY = {b"\x89MCA": ".mcap", b"SQLi": ".db3", b"PK\x03\x04": ".npz", b"PAR1": 
 """How files begin that are no text, and their suffixes."""
 
 
-def head_of(blocks: Iterable[bytes]) -> tuple[bytes, Iterator[bytes]]:
-    """Return the first four bytes, if there are so many, and all blocks."""
+def head_of(blocks: Iterable[bytes], size: int = 4) -> tuple[bytes, Iterator[bytes]]:
+    """Return the first bytes, if there are so many, and all blocks."""
     blocks, head = iter(blocks), b""
-    while len(head) < 4 and (more := next(blocks, b"")):
+    while len(head) < size and (more := next(blocks, b"")):
         head += more
-    return head[:4], chain([head] if head else [], blocks)
+    return head[:size], chain([head] if head else [], blocks)
 
 
 _GZIP = b"\x1f\x8b"

@@ -1,10 +1,9 @@
 """From tables to a log: channels in SI units, one time stamp per row, whole or as they come."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import chain
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, channel_co
 from needleforce.recordings.table import (
     HEAD_ROWS,
     NS_PER_S,
+    Faults,
     FloatArray,
     RowClock,
     Table,
@@ -87,13 +87,32 @@ class Log:
         raise ColumnError(f"the log has no channel {name!r}; it has: {', '.join(self.channels)}")
 
 
-class _Source(NamedTuple):
-    """Where in a table a channel stands, and how its values become SI."""
+# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint, a torque
+# of no arm that leads a needle, a needle of a metre, a force that buckles any needle. For time it
+# is the median step: ten samples a second are not a force log.
+_LIMITS = {
+    "t_s": ("time", 0.1, "ms"),
+    "q_rad": ("q", 4.0 * np.pi, "deg"),
+    "tau_Nm": ("tau", 2000.0, "mNm"),
+    "depth_m": ("depth", 1.0, "mm"),
+    "speed_m_s": ("speed", 1.0, "mm/s"),
+    "force_N": ("force", 200.0, "mN"),
+}
+_STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz to 10 kHz
+
+
+@dataclass(slots=True, eq=False)
+class _Signal:
+    """A channel: where in a table it stands, how its values become SI, and what is odd in them."""
 
     channel: Channel
     columns: tuple[str, ...]
     factors: FloatArray  # to SI, one for each value of a row
-    is_unit_stated: bool
+    is_sure: bool  # the unit is stated, or was doubted before
+    rows: int = 0  # looked at so far
+    size: float = 0.0  # the largest value, of time the median step
+    any_finite: bool = False
+    faults: Faults = field(default_factory=Faults)
 
     def read(self, table: Table) -> FloatArray:
         """Return the values of a table's rows, shape (n,) or (n, joints)."""
@@ -101,8 +120,43 @@ class _Source(NamedTuple):
         values = np.column_stack(found) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
+    def watch(self, values: FloatArray) -> None:
+        """Look at rows; the step of time is that of the first ones."""
+        finite = np.isfinite(values)
+        if not finite.all():
+            bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
+            here = f"row {self.rows + int(bad[0]) + 1}"
+            self.faults.note(f"{self.channel.key}: rows with NaN or infinity", here, bad.size)
+        self.any_finite = self.any_finite or bool(finite.any())
+        if not self.is_sure:
+            sizes = np.abs(values[finite])
+            if self.channel.key != "t_s":
+                self.size = max(self.size, float(np.max(sizes, initial=0.0)))
+            elif not self.rows and sizes.size > 1:
+                self.size = float(np.median(np.abs(np.diff(values[finite]))))
+        self.rows += len(values)
 
-def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Source | None:
+    def not_finite(self) -> tuple[str, ...]:
+        """Report rows that are not finite; `LogError` if there was no finite value at all."""
+        if self.faults and not self.any_finite:
+            raise LogError(f"{self.channel.key} has no finite value in {self.rows} rows")
+        return self.faults.lines()
+
+    def hardly_si(self) -> tuple[str, ...]:
+        """Report, once, values whose unit was assumed and that hardly are in SI units."""
+        name, limit, unit = _LIMITS.get(self.channel.key, ("", np.inf, ""))
+        if self.is_sure or self.size <= limit:
+            return ()
+        self.is_sure = True
+        is_time = self.channel.key == "t_s"
+        unit = next((u for least, u in _STEPS if is_time and self.size >= least), unit)
+        return (
+            f"{name}: {'its median step' if is_time else 'it'} reaches {self.size:.4g} in SI; if "
+            f"the file is in {unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+        )
+
+
+def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Signal | None:
     """Find a channel in a table; None if no name looks like it.
 
     The unit is the specification's, else that in each column's name, else SI; see `Table.seconds`.
@@ -125,66 +179,7 @@ def _find_source(table: Table, channel: Channel, spec: ColumnSpec | None) -> _So
     named = (spec.unit or parse_column_name(name, channel.units).unit for name in columns)
     units = ["s" if c in table.seconds else unit for c, unit in zip(columns, named, strict=True)]
     si = np.array([channel.units[unit or channel.si_unit] for unit in units])
-    return _Source(channel, columns, np.repeat(si, widths) * scales, all(units))
-
-
-# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint, a torque
-# of no arm that leads a needle, a needle of a metre, a force that buckles any needle. For time it
-# is the median step: ten samples a second are not a force log.
-_LIMITS = {
-    "t_s": ("time", 0.1, "ms"),
-    "q_rad": ("q", 4.0 * np.pi, "deg"),
-    "tau_Nm": ("tau", 2000.0, "mNm"),
-    "depth_m": ("depth", 1.0, "mm"),
-    "speed_m_s": ("speed", 1.0, "mm/s"),
-    "force_N": ("force", 200.0, "mN"),
-}
-_STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz to 10 kHz
-
-
-class _Watch:
-    """Looks for what is odd in one channel, however many rows come at a time."""
-
-    def __init__(self, key: str, source: _Source) -> None:
-        self._key, self._size, self._is_doubted = key, 0.0, source.is_unit_stated
-        self._rows = self._bad = self._first_bad = 0
-        self._any_finite = False
-
-    def update(self, values: FloatArray) -> None:
-        """Take rows; the step of time is that of the first ones."""
-        finite = np.isfinite(values)
-        if not finite.all():
-            bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
-            self._first_bad = self._first_bad or self._rows + int(bad[0]) + 1
-            self._bad += bad.size
-        self._any_finite = self._any_finite or bool(finite.any())
-        if not self._is_doubted:
-            sizes = np.abs(values[finite])
-            if self._key != "t_s":
-                self._size = max(self._size, float(np.max(sizes, initial=0.0)))
-            elif not self._rows and sizes.size > 1:
-                self._size = float(np.median(np.abs(np.diff(values[finite]))))
-        self._rows += len(values)
-
-    def not_finite(self) -> tuple[str, ...]:
-        """Report rows that are not finite; `LogError` if there was no finite value at all."""
-        if self._bad and not self._any_finite:
-            raise LogError(f"{self._key} has no finite value in {self._rows} rows")
-        what = f"rows with NaN or infinity: {self._bad} (first: row {self._first_bad})"
-        return (f"{self._key}: {what}",) if self._bad else ()
-
-    def hardly_si(self) -> tuple[str, ...]:
-        """Report, once, values whose unit was assumed and that hardly are in SI units."""
-        name, limit, unit = _LIMITS.get(self._key, ("", np.inf, ""))
-        if self._is_doubted or self._size <= limit:
-            return ()
-        self._is_doubted = True
-        is_time = self._key == "t_s"
-        unit = next((u for least, u in _STEPS if is_time and self._size >= least), unit)
-        return (
-            f"{name}: {'its median step' if is_time else 'it'} reaches {self._size:.4g} in SI; if "
-            f"the file is in {unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
-        )
+    return _Signal(channel, columns, np.repeat(si, widths) * scales, all(units))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,17 +213,18 @@ class LogStream:
         self._tables = iter(tables)
         self._mapping = mapping or ColumnMapping()
         self._required, self._optional = tuple(required), tuple(optional)
-        self._reported: dict[str, bool] = {}
-        self._rows = self._lost = self._first_lost = self._clock_ns = 0
+        self._found: dict[str, None] = {}  # warnings, in order, of which so many were taken
+        self._taken = 0
+        self._rows = self._kept = self._clock_ns = 0
+        self._faults = Faults()
         self._stamps = RowClock()
-        self._sources: dict[str, _Source] = {}
-        self._watches: dict[str, _Watch] = {}
+        self._signals: dict[str, _Signal] = {}
         self.start_ns = 0  # the instant of t_s = 0, see `Table`; known after the first chunk
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what has been found wrong with the recording since the last call."""
-        news = tuple(warning for warning, is_old in self._reported.items() if not is_old)
-        self._reported |= dict.fromkeys(news, True)
+        news = tuple(self._found)[self._taken :]
+        self._taken += len(news)
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
@@ -241,29 +237,26 @@ class LogStream:
         self.start_ns = head.start_ns
         self._find_channels(head)
         if self._mapping.rate_hz is None:
-            time = _find_source(head, CHANNELS["time"], self._mapping.channels.get("time"))
+            time = _find_signal(head, CHANNELS["time"], self._mapping.channels.get("time"))
             if time is None:
                 raise ColumnError(
                     "no time column found; say which one with --time, or the sample rate with "
                     "--rate (rate_hz in the mapping). "
                     f"Columns are: {head.describe()}{head.left_out()}"
                 )
-            self._sources = {"t_s": time, **self._sources}
-        self._watches = {key: _Watch(key, source) for key, source in self._sources.items()}
+            self._signals = {"t_s": time, **self._signals}
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
                 yield from self._chunk(table)
         # What only the whole log shows.
-        if self._lost:
-            what = f"time: rows without a stamp, left out: {self._lost}"
-            self._report((f"{what} (first: row {self._first_lost})",))
-        if self._lost == self._rows:
+        self._report(self._faults.lines())
+        if not self._kept:
             raise LogError(f"of {self._rows} rows none has a time stamp")
-        self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
+        self._report(chain(*(signal.hardly_si() for signal in self._signals.values())))
         self._report(self._stamps.warnings())
-        for key, watch in self._watches.items():
-            self._report(() if key == "t_s" else watch.not_finite())
+        for key, signal in self._signals.items():
+            self._report(() if key == "t_s" else signal.not_finite())
 
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
@@ -275,12 +268,12 @@ class LogStream:
         missing: list[Channel] = []
         for name in (*self._required, *optional):
             channel, spec = CHANNELS[name], self._mapping.channels.get(name)
-            source = _find_source(table, channel, spec)
+            signal = _find_signal(table, channel, spec)
             is_wanted = name in self._required or spec is not None
-            if source is None:
+            if signal is None:
                 missing += [channel] * (name in self._required)
-            elif is_wanted or np.isfinite(source.read(table)[:HEAD_ROWS]).any():
-                self._sources[channel.key] = source
+            elif is_wanted or np.isfinite(signal.read(table)[:HEAD_ROWS]).any():
+                self._signals[channel.key] = signal
             else:
                 what = "hold no finite value in the first rows and were left out"
                 self._report((f"{name}: its columns {what}",))
@@ -293,26 +286,27 @@ class LogStream:
                 f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
                 f"Columns are: {table.describe()}{table.left_out()}"
             )
-        if not self._sources:
+        if not self._signals:
             raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
 
     def _chunk(self, table: Table) -> Iterator[LogChunk]:
-        values = {key: source.read(table) for key, source in self._sources.items()}
+        values = {key: signal.read(table) for key, signal in self._signals.items()}
         rows = len(next(iter(values.values())))
         values["t_s"] = self._time_s(table, values, rows)
         if not self._rows:
-            _check_sizes(values, self._sources)
+            _check_sizes(values, self._signals)
         keep = np.isfinite(values["t_s"])
         if not keep.all():
-            self._first_lost = self._first_lost or self._rows + int(np.argmin(keep)) + 1
-            self._lost += int(np.count_nonzero(~keep))
+            here = f"row {self._rows + int(np.argmin(keep)) + 1}"
+            lost = int(np.count_nonzero(~keep))
+            self._faults.note("time: rows without a stamp, left out", here, lost)
         kept = values if keep.all() else {key: each[keep] for key, each in values.items()}
-        for key, watch in self._watches.items():
-            watch.update(kept[key])
+        for key, signal in self._signals.items():
+            signal.watch(kept[key])
         if not self._rows:
-            self._report(chain(*(watch.hardly_si() for watch in self._watches.values())))
-        self._rows += rows
+            self._report(chain(*(signal.hardly_si() for signal in self._signals.values())))
         t_s = kept.pop("t_s")
+        self._rows, self._kept = self._rows + rows, self._kept + len(t_s)
         if len(t_s):
             yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
@@ -324,10 +318,10 @@ class LogStream:
         rate_hz = self._mapping.rate_hz
         if rate_hz is not None:
             return np.arange(self._rows, self._rows + rows) / rate_hz
-        found_s, source = values["t_s"], self._sources["t_s"]
-        if table.start_ns or source.factors[0] * NS_PER_S != 1.0:
+        found_s, signal = values["t_s"], self._signals["t_s"]
+        if table.start_ns or signal.factors[0] * NS_PER_S != 1.0:
             return found_s
-        raw = table.columns.get(source.columns[0], found_s)
+        raw = table.columns.get(signal.columns[0], found_s)
         if not self._rows and raw.dtype.kind == "i":
             self._clock_ns = self.start_ns = start_of_clock(int(raw[0]))
         if raw.dtype.kind == "i" and self._clock_ns:
@@ -335,7 +329,7 @@ class LogStream:
         return found_s - self._clock_ns / NS_PER_S
 
     def _report(self, warnings: Iterable[str]) -> None:
-        self._reported |= {w: False for w in warnings if w not in self._reported}
+        self._found |= dict.fromkeys(warnings)
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
         """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
@@ -349,7 +343,7 @@ class LogStream:
         return Log(t_s=t_s, channels=whole, warnings=warnings, start_ns=self.start_ns)
 
 
-def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source]) -> None:
+def _check_sizes(values: Mapping[str, FloatArray], signals: Mapping[str, _Signal]) -> None:
     shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
@@ -362,7 +356,7 @@ def _check_sizes(values: Mapping[str, FloatArray], sources: Mapping[str, _Source
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
         listed = "; ".join(
-            f"{sources[key].channel.name} has {count} ({', '.join(sources[key].columns)})"
+            f"{signals[key].channel.name} has {count} ({', '.join(signals[key].columns)})"
             for key, count in joints.items()
         )
         raise LogError(

@@ -126,9 +126,6 @@ def _is_finite(value: float) -> bool:
     return abs(value) <= sys.float_info.max
 
 
-_TOP_KEYS = {"rate_hz", "joints", "reference_topic", "payload"}
-
-
 def load_mapping(path: str | Path) -> ColumnMapping:
     """Read a column mapping from a TOML file.
 
@@ -143,8 +140,8 @@ def load_mapping(path: str | Path) -> ColumnMapping:
     place = "$"
     try:
         content = read_toml(path, "mapping")
-        top = {name: content.pop(name) for name in _TOP_KEYS & content.keys()}
-        mapping = msgspec.convert(top, ColumnMapping)
+        names = {"rate_hz", "joints", "reference_topic", "payload"} & content.keys()
+        mapping = msgspec.convert({name: content.pop(name) for name in names}, ColumnMapping)
         channels: dict[str, ColumnSpec] = {}
         for name, entry in content.items():
             place = f"$.{name}"

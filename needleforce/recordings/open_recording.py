@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bag_reader import Bag, bag_tables, survey
 from needleforce.recordings.columnar import read_npz, read_parquet
@@ -29,29 +31,35 @@ from needleforce.recordings.follow import (
 )
 from needleforce.recordings.log import Log, LogStream
 from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
-from needleforce.recordings.table import Table, joined_tables
+from needleforce.recordings.table import Table
 
 SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
 
 
-def read_table(
-    path: str | Path, request: ChannelRequest | None = None, *, max_bytes: int = MAX_BYTES
-) -> Table:
+def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
     """Read a file's columns as they stand, in its units, without saying what they mean.
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
             `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or a folder of them.
-        request: what is read of a bag; of other files everything is.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:
         FileAccessError: the file cannot be read, or its suffix is not known.
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
-        ColumnError: a bag has not what is requested.
     """
-    tables = stream_tables(path, FollowOptions(), request, max_bytes=max_bytes)
-    return joined_tables(tables, max_bytes)
+    parts, size = list[Table](), 0
+    for table in stream_tables(path, FollowOptions(), max_bytes=max_bytes):
+        parts.append(table)
+        size += sum(values.nbytes for values in table.columns.values())
+        require_size(size, max_bytes, "the recording")
+    if len(parts) == 1:
+        return parts[0]
+    names = parts[0].columns
+    filled = [part for part in parts if len(part)] or parts[:1]
+    warnings = tuple(dict.fromkeys(note for part in parts for note in part.warnings))
+    columns = {name: np.concatenate([part.columns[name] for part in filled]) for name in names}
+    return replace(parts[0], columns=columns, warnings=warnings)
 
 
 def read_log(

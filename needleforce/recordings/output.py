@@ -33,7 +33,7 @@ class OpenTable:
 
     def __init__(self, begin: Callable[[], Any], name: str) -> None:
         self._begin, self._name = begin, name
-        self._writer: Any = None
+        self.writer: Any = None  # once there are rows
         self._kinds: list[str] = []
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
@@ -44,18 +44,13 @@ class OpenTable:
         arrays = checked_columns(columns)
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
         with file_errors(self._name, "write"):
-            if self._writer is None:
-                self._writer, self._kinds = self._begin(), kinds
+            if self.writer is None:
+                self.writer, self._kinds = self._begin(), kinds
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
                 )
-            self._writer.append(arrays)
-
-    def finish(self) -> None:
-        """Write what is still held back."""
-        if self._writer is not None:
-            self._writer.finish()
+            self.writer.append(arrays)
 
 
 @contextmanager
@@ -81,7 +76,8 @@ def open_table(
         table = OpenTable(lambda: writer(files.enter_context(file), labels()), name)
         yield table
         with file_errors(name, "write"):
-            table.finish()
+            if table.writer is not None:
+                table.writer.finish()
             files.close()
 
 

@@ -1,14 +1,14 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.recordings.errors import FormatError, LogError, require_size
+from needleforce.recordings.errors import FormatError, LogError
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
@@ -77,22 +77,6 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
         raise LogError(f"{name} is not an array of numbers: {error}") from error
     copy.setflags(write=False)
     return copy
-
-
-def joined_tables(tables: Iterable[Table], max_bytes: int) -> Table:
-    """Return tables of consecutive rows as one; `FormatError` if they take too many bytes."""
-    parts, size = [], 0
-    for table in tables:
-        parts.append(table)
-        size += sum(values.nbytes for values in table.columns.values())
-        require_size(size, max_bytes, "the recording")
-    if len(parts) == 1:
-        return parts[0]
-    names = parts[0].columns
-    filled = [part for part in parts if len(part)] or parts[:1]
-    warnings = tuple(dict.fromkeys(note for part in parts for note in part.warnings))
-    columns = {name: np.concatenate([part.columns[name] for part in filled]) for name in names}
-    return replace(parts[0], columns=columns, warnings=warnings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -199,8 +183,25 @@ def interpolate(
     return rows
 
 
-_SET_BACK = "clock set back, from where it counts anew"
-_BACK, _REPEATED = "stamps running backward", "stamps repeated"
+class Faults(dict[str, tuple[int, str]]):
+    """What is wrong with a recording, by kind: how often, and where first."""
+
+    def note(self, what: str, where: str, count: int = 1) -> None:
+        """Count a fault; `where` it is counts the first time."""
+        before, first = self.get(what, (0, ""))
+        self[what] = before + count, first or where
+
+    def lines(self) -> tuple[str, ...]:
+        """Return a line for each kind of fault."""
+        return tuple(
+            f"{what}: {count} (first: {first})" if first else what
+            for what, (count, first) in self.items()
+            if count
+        )
+
+
+_SET_BACK = "time: clock set back, from where it counts anew"
+_BACK, _REPEATED = "time: stamps running backward", "time: stamps repeated"
 _SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
 """A row that is not later than those before came late. When so many rows in a row, over so much
@@ -219,7 +220,7 @@ class RowClock:
         self._latest_s = -math.inf
         self._behind: list[float] = []  # stamps since the latest, each later than the one before
         self._rows = self._advanced = 0
-        self._faults: dict[str, tuple[int, str]] = {_SET_BACK: (0, ""), _BACK: (0, "")}
+        self._faults = Faults({_SET_BACK: (0, ""), _BACK: (0, "")})  # in this order
 
     def update(self, t_s: FloatArray) -> FloatArray:
         """Take time stamps in s, shape (n,); return time in s since the latest row that advanced.
@@ -251,9 +252,7 @@ class RowClock:
             self._latest_s, self._advanced = now_s, self._advanced + 1
             self._behind.clear()
         if now_s <= before_s:
-            count, first = self._faults.get(what, (0, ""))
-            here = f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s"
-            self._faults[what] = count + 1, first or here
+            self._faults.note(what, f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s")
         return dt_s
 
     def warnings(self) -> tuple[str, ...]:
@@ -267,8 +266,4 @@ class RowClock:
                 f"no usable time: of {self._rows} samples none is later than the first; "
                 "at least two time stamps must advance"
             )
-        return tuple(
-            f"time: {what}: {count} (first: {first})"
-            for what, (count, first) in self._faults.items()
-            if count
-        )
+        return self._faults.lines()
