@@ -42,7 +42,9 @@ Servo = Literal["stiff", "impedance"]
 JOINT_STIFFNESS_Nm = 2000.0
 """Of the impedance servo, per rad: the most that the real arm's joint impedance mode takes."""
 COMMAND_HOLD_s = 5e-3
-"""For so long the arm goes on at its last velocity when commands stay away; then it brakes."""
+"""For so long the arm goes on at its last velocity when commands stay away; then it brakes. Both
+are choices, nothing public says what an LWR does; a Panda stops after 20 missed cycles of 1 ms
+(Polymetis, troubleshooting: `communication_constraints_violation`)."""
 BRAKING_rad_s2 = 10.0
 
 

@@ -86,7 +86,7 @@ NO_FORCE, NO_SLOPE = 0.02, 0.002
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
 """Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
 PUSHED_MM = 12.0  # a membrane hardly gives more
-LEAST_DROP = 0.12  # of a layer's force, released at its rupture
+LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # of a layer's force, released at its rupture; in an answer
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
 """Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
 
@@ -416,10 +416,8 @@ def weigh(
 
 
 @compiled
-def shaft_mixture(
-    store: Store, weights: Vector, scene: Scene, least: float
-) -> tuple[Vector, Matrix, float, float, float]:
-    """Friction of the shaft at a place, all hypotheses together, those of less weight left out.
+def shaft_mixture(store: Store, weights: Vector, scene: Scene) -> tuple[Any, ...]:
+    """Friction of the shaft at a place, all hypotheses together but the least likely.
 
     Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
     shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been
@@ -427,15 +425,14 @@ def shaft_mixture(
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
-    all_met, contact, rows = 0.0, 0.0, np.flatnonzero(weights > least)
-    kept, best = weights[rows].sum(), np.argmax(weights)
+    weights = np.where(weights > LEAST_WEIGHT, weights, 0.0)
+    weights, rows, all_met, contact = weights / weights.sum(), np.flatnonzero(weights), 0.0, 0.0
     for k in rows:
-        weight, length = weights[k] / kept, max(scene[0] - facts[k, ROOT], 0.0)
-        row, met = np.zeros((8, UNKNOWNS)), 0.0
-        if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0:
-            contact = records[k, CONTACT_MM] if all_met == 0.0 else contact
-            met = 1.0
-        all_met += weight * met
+        row, length = np.zeros((8, UNKNOWNS)), max(scene[0] - facts[k, ROOT], 0.0)
+        met = 1.0 if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0 else 0.0
+        if met > 0.0 and all_met == 0.0:
+            contact = records[k, CONTACT_MM]
+        all_met += weights[k] * met
         row[0, OFFSET] = 1.0
         row[1, COULOMB] = row[2, VISCOUS] = row[3, COULOMB] = row[4, VISCOUS] = met
         row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
@@ -443,11 +440,11 @@ def shaft_mixture(
         row[7, STIFFNESS] = 1.0 if facts[k, KIND] != AIR else 0.0
         row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(scene[0] - facts[k, TIP], 0.0)
         found[k] = np.dot(row, means[k])
-        total += weight * found[k]
-        spread += weight * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
+        total += weights[k] * found[k]
+        spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
     for k in rows:
-        spread += weights[k] / kept * np.outer(found[k] - total, found[k] - total)
-    for i in range(8):
-        spread[i, i] = max(spread[i, i], 0.0)
-    row_of_best, tip = regressor(facts[best], scene), slice(RELEASED, _AFTER_TIP)
-    return total, spread, all_met, contact, np.dot(row_of_best[tip], means[best, tip])
+        spread += weights[k] * np.outer(found[k] - total, found[k] - total)
+    np.fill_diagonal(spread, np.maximum(np.diag(spread), 0.0))
+    best, tip = np.argmax(weights), slice(RELEASED, _AFTER_TIP)
+    force = np.dot(regressor(facts[best], scene)[tip], means[best, tip])
+    return total, spread, all_met, contact, force

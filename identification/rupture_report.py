@@ -19,7 +19,6 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
-_LEAST_WEIGHT = 1e-3  # less likely hypotheses do not show in an answer
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
 two thirds of the least seen in real liver."""
@@ -67,7 +66,7 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
     So many ruptures are known; the last was at a speed [mm/s], 0 before the first.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
-    found = law.shaft_mixture(memory.store, weights, scene, _LEAST_WEIGHT)
+    found = law.shaft_mixture(memory.store, weights, scene)
     answer[1], answer[2:], all_met, contact, tip = found
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM

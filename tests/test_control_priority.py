@@ -175,6 +175,9 @@ def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
 def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
     monkeypatch.setattr(control_priority, "CASCADES", 60)
     found = {each.what: each for each in control_priority.measure("cascade", "clean", 3)}
+    for where in ("regular", "near singular"):
+        assert found[f"better in a cascade of QPs, {where}"].value < 1e-6
+        assert found[f"better than ours at most, by duality, {where}"].value < 1e-7
     assert found["better in a cascade of QPs, regular"].value < 1e-8
 
 

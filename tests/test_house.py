@@ -45,6 +45,7 @@ AROUND = (
     "tests/test_benchmarks_kdl",
     "groundtruth/rig_",
     "needleforce/plan_follower",
+    "needleforce/reference_force",
     "groundtruth/torso",
     "needleforce/cli/demo",
     "needleforce/cli/live",

@@ -1,4 +1,4 @@
-"""What lies outside: arm and haptic device, as protocols.
+"""What lies outside: an arm, and the samples of arm and haptic device, as protocols.
 
 A driver of a real arm, the simulated rig and the tests implement them; nothing here knows which.
 SI units; vectors in the axes of the robot's base unless said otherwise.
@@ -72,16 +72,4 @@ class MasterSample(Protocol):
     @property
     def clutch(self) -> bool:
         """True while the hand moves the needle."""
-        ...
-
-
-class HapticDevice(Protocol):
-    """An impedance device: it reports where its handle is and takes a force to show."""
-
-    def read(self) -> MasterSample | None:
-        """The newest sample; None if there is nothing new or the device has gone."""
-        ...
-
-    def render(self, force_N: Array) -> None:
-        """Force on the operator's hand from now on, shape (3,)."""
         ...
