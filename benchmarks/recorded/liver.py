@@ -106,8 +106,7 @@ class LiverInsertion(NamedTuple):
     @property
     def before_withdrawal(self) -> slice:
         """Insertion and hold: the needle does not move back yet."""
-        deepest = self.depth_m >= self.depth_m.max() - HAIR_m
-        return slice(0, int(np.flatnonzero(deepest)[-1]) + 1)
+        return slice(0, int(np.flatnonzero(self.depth_m >= self.depth_m.max() - HAIR_m)[-1]) + 1)
 
     @property
     def pullout_N(self) -> tuple[float, ...]:
@@ -205,10 +204,8 @@ class LiverEstimates(NamedTuple):
     alarms_m: Sequence[float] = ()  # depths of the ruptures reported
     enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
     friction_std_N: tuple[float, ...] = ()  # at each depth; empty or nan where none is stated
-    # Fractions of the samples at rest where the friction exceeds the force by more than two
-    # standard deviations, and of those in contact where the tip force lies so far below zero
-    above_at_rest: float = float("nan")
-    below_zero: float = float("nan")
+    above_at_rest: float = np.nan  # fraction at rest with friction two deviations above the force
+    below_zero: float = np.nan  # fraction in contact with the tip force two deviations below zero
 
 
 def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -> LiverReference:
@@ -220,10 +217,7 @@ def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -
 def liver_estimates(
     t_s: Array, depth_m: Array, force_N: Array, method: Method, reference: LiverReference
 ) -> LiverEstimates:
-    """Shaft friction at each depth as estimated when the needle was there, and ruptures.
-
-    The needle goes in and may rest at the end.
-    """
+    """Shaft friction at each depth as estimated when the needle was there, ruptures, and rest."""
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
     names = ("shaft_friction_N", "shaft_friction_std_N", "tip_force_N", "tip_force_std_N")
     rows = [[getattr(estimate, name) for name in names] for estimate in estimates]
