@@ -62,6 +62,15 @@ class Identifier:
         shift_m = float(self._samples[samples.SHIFT])
         return tuple(_in_callers_depth(layer, shift_m) for layer in self._method.layers)
 
+    @property
+    def contact_depth_m(self) -> float | None:
+        """Depth at which tissue was met first, as known now; None before.
+
+        Always None for the published method, which does not look for it.
+        """
+        contact_m = self._method.contact_depth_m
+        return None if contact_m is None else contact_m + float(self._samples[samples.SHIFT])
+
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = _METHODS[type(self._config)](self._config)

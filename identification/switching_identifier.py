@@ -90,6 +90,12 @@ class SwitchingMethod:
         learned = self._levels, self._tissue, self._trend
         return SwitchingState(*arrays, *learned, *course, self._force_std_in_air, *found)
 
+    @property
+    def contact_depth_m(self) -> float | None:
+        """Depth at which tissue was met first, as known now; None before."""
+        met = self._answer[0]
+        return float(met[samples.CONTACT_M]) if met[samples.IN_CONTACT] > 0.0 else None
+
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)

@@ -23,6 +23,7 @@ class Plan(Protocol):
         depth_m: float,
         ruptures_m: tuple[float, ...],
         *,
+        contact_m: float | None,
         deepest_m: float,
         entry_depth_m: float,
     ) -> "PlanState":
@@ -38,6 +39,7 @@ class PlanMemory(NamedTuple):
     ruptures: tuple[tuple[float, float], ...] = ()  # time of the alarm, depth [m]
     depth_m: float | None = None  # None: not read yet
     deepest_m: float = 0.0
+    contact_m: float | None = None  # None: the surface has not been met
 
 
 class PlanFollower:
@@ -59,8 +61,11 @@ class PlanFollower:
         above_m = 0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
         self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
 
-    def follow(self, found: Estimate, depth_m: float) -> None:
-        """Take events to the plan, and read it where there was one or the tip has moved."""
+    def follow(self, found: Estimate, depth_m: float, contact_m: float | None) -> None:
+        """Take events to the plan, and read it where there was one or the tip has moved.
+
+        The surface was met at `contact_m`, as known now; None before.
+        """
         if self._plan is None or not np.isfinite(depth_m):
             return
         last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture
@@ -74,7 +79,8 @@ class PlanFollower:
         if is_same and last.depth_m is not None and abs(depth_m - last.depth_m) < STEP_m:
             return
         deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
-        memory = PlanMemory(last.fingerprint, last.entry_depth_m, ruptures, depth_m, deepest_m)
+        entry = last.fingerprint, last.entry_depth_m
+        memory = PlanMemory(*entry, ruptures, depth_m, deepest_m, contact_m)
         self.resume(memory, self.read(memory))
 
     def read(self, memory: PlanMemory) -> "PlanState | None":
@@ -84,6 +90,7 @@ class PlanFollower:
         return self._plan.state(
             memory.depth_m,
             tuple(depth_m for _, depth_m in memory.ruptures),
+            contact_m=memory.contact_m,
             deepest_m=memory.deepest_m,
             entry_depth_m=memory.entry_depth_m,
         )

@@ -363,7 +363,7 @@ class InsertionSession:
         has_events = found.has_events
         if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
             self._keep_checkpoint(has_events=has_events)
-        self._plan.follow(found, travel[2])
+        self._plan.follow(found, depth_m, self._identifier.contact_depth_m)
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 

@@ -54,11 +54,13 @@ def whole():
 
 
 def test_estimates_name_the_layer_the_next_boundary_and_the_offset(whole):
-    found, _ = whole
+    found, kept = whole
     assert found[TARE - 1].plan is None
     (alarm,) = [k for k, e in enumerate(found) if e.identification.rupture is not None]
     above, before, after = found[TARE + 200], found[alarm - 1000], found[alarm + 200]
     assert (above.plan.name, above.plan.next_name) == (OUTSIDE, "gel")
+    assert kept[TARE - 50].plan.contact_m is None
+    assert kept[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
     assert above.plan.next_m == pytest.approx(SURFACE_m, abs=1e-3)
     assert (before.plan.name, before.plan.next_name) == ("gel", "behind")
     assert before.plan.next_m == pytest.approx(SURFACE_m + GEL_m, abs=3.0 * before.plan.next_std_m)
@@ -127,18 +129,18 @@ def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
     wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
     for follower in (wrong, right):
         follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        follower.follow(quiet, 0.0125)
+        follower.follow(quiet, 0.0125, None)
     unmoved = right.state
-    wrong.follow(quiet._replace(rupture=alarm), 0.0125)
+    wrong.follow(quiet._replace(rupture=alarm), 0.0125, None)
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.state != unmoved
     # The depth may have been counted anew since.
-    wrong.follow(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125)
+    wrong.follow(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, None)
     assert (wrong.memory, wrong.state) == (right.memory, unmoved)
     # Above a rupture there is no other one: the needle has been pushed in again.
-    wrong.follow(quiet._replace(rupture=alarm), 0.0125)
+    wrong.follow(quiet._replace(rupture=alarm), 0.0125, None)
     shallow = SimpleNamespace(depth_m=0.005)
-    wrong.follow(quiet._replace(rupture=shallow), 0.005)
+    wrong.follow(quiet._replace(rupture=shallow), 0.005, None)
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.memory.deepest_m == 0.0125
 

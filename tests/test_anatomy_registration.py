@@ -251,6 +251,30 @@ def test_ruptures_move_the_plan_and_name_the_layer():
     assert moved.offset_m == pytest.approx(second.offset_m)
 
 
+def test_where_the_surface_was_met_counts_for_half():
+    match = PlanMatch(plan(20, 35, 60), 3e-3)
+    # At a rupture 4 mm late a membrane gave way late, or all lies deeper: so does the surface.
+    deeper, late = (match.state(0.024, [0.024], contact_m=contact) for contact in (4e-3, 0.0))
+    unknown = match.state(0.024, [0.024])
+    assert late.offset_m < unknown.offset_m < deeper.offset_m
+    assert deeper.offset_m == pytest.approx(4e-3, abs=0.2e-3)
+    assert deeper.offset_std_m < unknown.offset_std_m
+    # Organs move beneath a skin that lies where it was: two ruptures outvote it.
+    ruptures = [0.024, 0.039]
+    beneath = match.state(0.039, ruptures, contact_m=0.0)
+    assert beneath.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+    low, high = match.interval_m(0.039, ruptures, contact_m=4e-3)
+    assert high - low < np.subtract(*match.interval_m(0.039, ruptures)[::-1])
+    moved = match.state(0.139, [0.124, 0.139], contact_m=0.1, entry_depth_m=0.1)
+    assert moved.offset_m == pytest.approx(beneath.offset_m)
+
+
+def test_the_skin_ruptures_behind_where_it_was_met():
+    match = PlanMatch(plan(8, 35), 5e-3)
+    assert match.state(0.0085, [0.0085]).matched == 1
+    assert match.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
+
+
 def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
     match = PlanMatch(plan(20, 35, 60), 2e-3)
     assert match.state(0.030, [0.0200]).name == "muscle"
@@ -298,6 +322,8 @@ def test_what_cannot_be_a_plan_is_refused():
     match = PlanMatch(plan(20, 35), 3e-3)
     with pytest.raises(PlanError, match="finite depths"):
         match.state(float("nan"))
+    with pytest.raises(PlanError, match="contact at nan m"):
+        match.state(0.0, contact_m=float("nan"))
     for bad in (float("nan"), 0.01):
         with pytest.raises(PlanError, match="rupture at"):
             match.state(0.03, [0.03, bad])

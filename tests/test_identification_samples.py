@@ -137,6 +137,7 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
 def test_events_count_depth_from_the_zero_of_the_caller(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
     plain, moved = Identifier(config), Identifier(config)
+    assert plain.contact_depth_m is None
     for k in range(9000):
         depth = 2.5e-6 * k
         force = 60.0 * max(depth - 3e-3, 0.0) if depth < 0.013 else 0.1
@@ -148,6 +149,11 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
     assert two.rupture.depth_m - one.rupture.depth_m == shift_m
     assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == shift_m
     assert two.start_depth_m - one.start_depth_m == shift_m
+    if config is MULTILAYER:
+        assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
+        assert moved.contact_depth_m - plain.contact_depth_m == shift_m
+    else:
+        assert moved.contact_depth_m is None
     assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
 
 

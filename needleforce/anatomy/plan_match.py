@@ -1,27 +1,24 @@
 """The plan and the ruptures correct each other.
 
 The plan says at which depths boundaries lie, up to an offset along the needle that registration
-left; ruptures say where the needle went through one, but not through which. Some boundaries
-rupture without being noticed, some alarms are false, and a membrane gives way only after it was
-pushed in. Bayes over all of it: the offset on a grid, times which boundary the last rupture was, by
-the forward recursion over assignments that keep the order.
+left; ruptures say where the needle went through one, but not through which, and contact where the
+first one lies. Some boundaries rupture without being noticed, some alarms are false, and a membrane
+gives way only after it was pushed in. Bayes over all of it: the offset on a grid, times which
+boundary the last rupture was, by the forward recursion over assignments that keep the order.
 """
 
 from collections.abc import Sequence
 from hashlib import sha256
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr
-from scipy.stats import t as student
 
 from needleforce.anatomy.errors import Array, PlanError, require_deviation
 from needleforce.anatomy.path_layers import Layer
 
 GRID_m = 0.1e-3
 REACH = 5.0  # Of the grid, in standard deviations of the offset
-TAIL_DEGREES = 3.0
-"""Student's t for the offset: a standard deviation that is stated too small does not deceive."""
 MISSED, SOFT_MISSED, ENTRY_MISSED = 0.2, 0.6, 0.8
 """Probability that a boundary ruptures unnoticed; where fat ends, which holds little force; of the
 surface, which ruptures only where a membrane covers it, and then late."""
@@ -33,6 +30,12 @@ CAPSULES = frozenset(("liver", "spleen", "kidney"))
 LATE_m, LATE_STD_m = 5e-3, 2.5e-3  # By so much
 RUPTURE_STD_m = 0.2e-3
 """Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the virtual sensor."""
+CONTACT_STD_m = 0.2e-3
+"""Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor; in the last
+it was found 4.8 mm too high, in the air."""
+TOGETHER = 0.5
+"""Probability that the surface is off by the plan's offset: so it is where registration errs, and
+not where organs have moved beneath the skin. Nobody knows beforehand which it is."""
 ALARM_m = 0.5e-3
 """Travel from a rupture to its alarm: of random stacks behind the virtual sensor 0.15 to 0.9 mm."""
 MOST_m = 1.0  # Depth of a boundary; beyond it the unit is not the metre
@@ -95,27 +98,25 @@ class PlanMatch:
                 f"boundaries at {depths_m.tolist()} m, deviations {bound_std_m.tolist()}: expected "
                 f"depths that grow, in metres and below {MOST_m:g}, and no negative deviation"
             )
-        # Rows: a boundary that ruptures at once, and late; boundaries; offsets.
-        std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
-        # Organs move beneath the skin: where that lies says little of the offset.
-        std_m[0] = np.hypot(std_m[0], offset_std_m)
-        self._std_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[:, :, None]
-        missed, late = _expected([layer.name.lower() for layer in layers])
+        self._offset_std_m = float(offset_std_m)
+        self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
+        missed, late = _chances([layer.name.lower() for layer in layers])
         self._missed, self._kind = missed[:, None], np.array([1.0 - late, late])[:, :, None]
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
         at_once_m = self._bound_m[:, None] + self._offset_m
-        self._rupture_m = np.array([at_once_m, at_once_m + LATE_m])
-        # Rows: the last boundary matched, the first for none. Columns: offsets.
-        self._first = np.zeros((len(layers) + 1, len(self._offset_m)))
-        self._first[0] = student.pdf(self._offset_m / offset_std_m, TAIL_DEGREES)
-        self._first /= self._first.sum()
+        std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
+        std_m[0] = np.hypot(std_m[0], offset_std_m)  # the surface, see `TOGETHER`
+        first = np.zeros((len(layers) + 1, len(self._offset_m)))
+        first[0] = _student(self._offset_m / offset_std_m)
+        self._untouched = _Expected(first / first.sum(), *_at_once_and_late(at_once_m, std_m))
 
     def state(
         self,
         depth_m: float,
         ruptures_m: Sequence[float] = (),
         *,
+        contact_m: float | None = None,
         deepest_m: float | None = None,
         entry_depth_m: float = 0.0,
     ) -> PlanState:
@@ -126,6 +127,7 @@ class PlanMatch:
         Args:
             depth_m: Of the tip.
             ruptures_m: Depths of all ruptures so far, in the order in which they came.
+            contact_m: At which the tip met the surface; None where that is not known.
             deepest_m: Where the tip has been before it was withdrawn; by default ``depth_m``.
             entry_depth_m: Depth, from where the others count, of the plan's entry point.
 
@@ -135,11 +137,14 @@ class PlanMatch:
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
         depth = float(depth_m) - entry_depth_m
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
-        if not np.isfinite(depth + deepest):
+        contact = None if contact_m is None else float(contact_m) - entry_depth_m
+        if not np.isfinite(depth + deepest + (contact or 0.0)):
             raise PlanError(
-                f"tip at {depth_m!r} m, deepest {deepest_m!r} m: expected finite depths"
+                f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m: "
+                "expected finite depths"
             )
-        ahead, (weight, false) = self._ahead(deepest), self._after(ruptures)
+        expected = self._expected(contact)
+        ahead, (weight, false) = self._ahead(expected, deepest), self._after(expected, ruptures)
         joint = _joint(ahead, weight)
         is_back = depth < deepest - BACK_m
         by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
@@ -166,10 +171,16 @@ class PlanMatch:
         )
 
     def interval_m(
-        self, depth_m: float, ruptures_m: Sequence[float] = (), level: float = 0.95
+        self,
+        depth_m: float,
+        ruptures_m: Sequence[float] = (),
+        level: float = 0.95,
+        *,
+        contact_m: float | None = None,
     ) -> tuple[float, float]:
         """Offsets between which the true one lies with that probability, see `state`."""
-        joint, beyond = _joint(self._ahead(depth_m), self._after(ruptures_m)[0]), 0.5 - 0.5 * level
+        expected, beyond = self._expected(contact_m), 0.5 - 0.5 * level
+        joint = _joint(self._ahead(expected, depth_m), self._after(expected, ruptures_m)[0])
         return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)
 
     def _quantile_m(self, joint: Array, part: float) -> float:
@@ -184,30 +195,66 @@ class PlanMatch:
         counts = np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
         return counts.astype(float, copy=False)
 
-    def _after(self, ruptures_m: Sequence[float]) -> tuple[Array, Array]:
+    def _expected(self, contact_m: float | None) -> "_Expected":
+        """What is expected of the ruptures, with the surface met there, or not known."""
+        weight, rupture_m, std_m = self._untouched
+        if contact_m is None:
+            return self._untouched
+        off_m, std = contact_m - self._bound_m[0], self._contact_std_m
+        together = np.exp(-0.5 * ((off_m - self._offset_m) / std) ** 2) / std / np.sqrt(2.0 * np.pi)
+        alone_m = np.hypot(std, self._offset_std_m)
+        alone = _student(off_m / alone_m) / alone_m
+        weight = weight * (TOGETHER * together + (1.0 - TOGETHER) * alone)
+        # A membrane on it, where there is one, is pushed in from there, wherever it was planned.
+        rupture_m, std_m = rupture_m.copy(), std_m.copy()
+        met_m, met_std_m = _at_once_and_late(contact_m, CONTACT_STD_m)
+        rupture_m[:, 0], std_m[:, 0] = met_m[:, None], met_std_m
+        return _Expected(weight / weight.sum(), rupture_m, std_m)
+
+    def _after(self, expected: "_Expected", ruptures_m: Sequence[float]) -> tuple[Array, Array]:
         """Weights after ruptures, and the part of them in which the last one was a false alarm."""
-        weight, false, last_m = self._first, self._first, -np.inf
+        weight, rupture_m, std_m = expected
+        false, last_m = weight, -np.inf
         for depth_m in ruptures_m:
             if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
             last_m, false = max(last_m, depth_m), FALSE_PER_m * weight
-            here = -0.5 * ((depth_m - self._rupture_m) / self._std_m) ** 2
-            density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * self._std_m)).sum(axis=0)
+            here = -0.5 * ((depth_m - rupture_m) / std_m) ** 2
+            density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * std_m)).sum(axis=0)
             came = _arriving(weight, self._missed)[:-1] * (1.0 - self._missed) * density
             weight = false + np.vstack((np.zeros_like(came[:1]), came))
             total = weight.sum()
             weight, false = weight / total, false / total
         return weight, false
 
-    def _ahead(self, depth_m: float) -> tuple[Array, Array]:
+    def _ahead(self, expected: "_Expected", depth_m: float) -> tuple[Array, Array]:
         """How likely a boundary is not felt yet, or was passed unnoticed, with the tip there."""
-        later = ndtr((self._rupture_m - depth_m + ALARM_m) / self._std_m)
+        later = ndtr((expected.rupture_m - depth_m + ALARM_m) / expected.std_m)
         waiting = (self._kind * later).sum(axis=0)
-        passed = self._missed * (self._rupture_m[0] <= depth_m)
+        passed = self._missed * (expected.rupture_m[0] <= depth_m)
         return (1.0 - self._missed) * waiting + self._missed - passed, passed
 
 
-def _expected(names: list[str]) -> tuple[Array, Array]:
+class _Expected(NamedTuple):
+    """What is known before the first rupture, for each offset (columns)."""
+
+    weight: Array  # rows: the last boundary matched, the first for none
+    rupture_m: Array  # where a boundary ruptures at once, and late (2, boundaries, offsets)
+    std_m: Array  # of those (2, boundaries, 1)
+
+
+def _student(x: Any) -> Any:
+    """Density of Student's t, 3 degrees: a deviation stated too small does not deceive."""
+    return 6.0 * np.sqrt(3.0) / np.pi / (3.0 + x * x) ** 2
+
+
+def _at_once_and_late(place_m: Any, std_m: Any) -> tuple[Array, Array]:
+    """Where boundaries rupture, at once and as membranes (rows), and the deviations of that."""
+    both_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[..., None]
+    return np.array([place_m, place_m + LATE_m]), both_m
+
+
+def _chances(names: list[str]) -> tuple[Array, Array]:
     """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures late."""
     missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
     for k, name in enumerate(names):
