@@ -13,7 +13,7 @@ from benchmarks.anatomy_study import Figure
 from benchmarks.benchmark import Progress
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
-from needleforce.anatomy.path_layers import UNLABELLED
+from needleforce.anatomy.volume import UNLABELLED
 
 SPACINGS_MM = {
     "3 mm": (3.0, 3.0, 3.0),

@@ -272,7 +272,7 @@ class Headline(NamedTuple):
 
 _FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")
 _RECALL = Headline("rupture_recall", ".2f", "ruptures found, fraction")
-_PULL_OUT = "pull-out force at 78 mm within 2 sigma of the friction, fraction"
+_PULL_OUT = "pull-out force within 2 sigma, 78 mm, fraction"
 HEADLINES = (
     _FORCE,
     _FORCE._replace(plant="fri"),

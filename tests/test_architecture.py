@@ -168,17 +168,8 @@ def test_chains_of_imports_are_short_and_have_no_circle():
     assert len(longest) <= LONGEST_CHAIN, f"{len(longest)}: {' -> '.join(longest)}"
 
 
-CIRCLES = {
-    "needleforce.anatomy.path_layers": "its layers are to leave `volume`; nothing else may join",
-    "needleforce.anatomy.surface": "its surfaces likewise",
-}
-"""Modules that may still stand in a circle with others, left out below, and why."""
-
-
 def test_no_circle_of_imports_is_hidden_in_functions_or_from_the_interpreter():
-    graph = {name: imports_of(name, ever=True) for name in modules(ALL) if name not in CIRCLES}
-    assert CIRCLES.keys() <= modules(ALL).keys()
-    assert longest_chain({name: [n for n in to if n in graph] for name, to in graph.items()})
+    assert longest_chain({name: imports_of(name, ever=True) for name in modules(ALL)})
 
 
 def test_a_circle_would_be_noticed():

@@ -8,17 +8,15 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
 Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `reading`, `surface`, `path_layers`, `registration`, `plan_match`,
-`errors`.
+Reading order: `volume`, `reading`, `surface`, `registration`, `plan_match`, `errors`.
 """
 
 from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError
-from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.reading import read_labels, read_volume
 from needleforce.anatomy.registration import Registration, fit_landmarks, fit_surface
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.volume import Grid, Labels, Structure, Volume
+from needleforce.anatomy.volume import Grid, Labels, Layer, Structure, Volume
 
 __all__ = [
     "AnatomyError",

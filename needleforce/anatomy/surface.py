@@ -19,8 +19,6 @@ from needleforce.anatomy.errors import Array
 if TYPE_CHECKING:
     from trimesh import Trimesh
 
-    from needleforce.anatomy.volume import Labels
-
 SMOOTHING = 0.5, 0.53, 80  # Factors and steps (Taubin 1995, doi 10.1145/218380.218473)
 TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer would show."""
@@ -80,21 +78,22 @@ class Surface:
         return means
 
 
-def surface_of(labels: "Labels", name: str) -> Surface:
-    """Return the closed surface of a structure, whose volume is that of its voxels.
+def closed_surface(
+    name: str, mask: NDArray[np.bool_], corner_m: Array, axes_m: Array, colour: tuple[float, ...]
+) -> Surface:
+    """Return the closed surface of a mask (i, j, k), whose volume is that of its voxels.
+
+    Voxel 0, 0, 0 lies at the corner; the columns of the axes are the steps to the next ones.
 
     A structure that the volume cuts off is closed there. One in several parts stays so, but beside
     a larger part one of less than some 30 voxels shrinks or vanishes, its volume goes to the rest.
-
-    Raises:
-        VolumeError: No structure with voxels has that name.
     """
     import manifold3d
     from skimage.measure import marching_cubes
     from trimesh import Trimesh
     from trimesh.smoothing import filter_taubin
 
-    structure, padded = labels[name], np.pad(labels.mask(name), 1)
+    voxels, padded = np.count_nonzero(mask), np.pad(mask, 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     mesh = Trimesh(vertices, triangles, process=False)
     of_cubes = mesh.volume
@@ -109,12 +108,11 @@ def surface_of(labels: "Labels", name: str) -> Surface:
     else:  # smoothing has folded a structure of a few voxels: its cubes' surface stays as it is
         mesh.vertices = vertices
     for _ in range(VOLUME_ROUNDS):
-        missing = structure.voxels - mesh.volume
-        if abs(missing) < 1e-7 * structure.voxels:
+        missing = voxels - mesh.volume
+        if abs(missing) < 1e-7 * voxels:
             break
         mesh.vertices = mesh.vertices + missing / mesh.area * mesh.vertex_normals
     # A mirrored grid turns triangles inside out, and this turns them back.
-    start = [part.start - 1 for part in structure.box]
-    origin_m = labels.grid.points_m(start)[:, None]
-    mesh.apply_transform(np.block([[labels.grid.axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
-    return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), structure.colour)
+    origin_m = (corner_m - axes_m.sum(axis=1))[:, None]
+    mesh.apply_transform(np.block([[axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
+    return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), colour)

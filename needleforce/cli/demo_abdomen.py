@@ -34,7 +34,7 @@ from needleforce.anatomy import (
     read_labels,
     read_volume,
 )
-from needleforce.anatomy.path_layers import UNLABELLED
+from needleforce.anatomy.volume import UNLABELLED
 from needleforce.cli.terminal import CommandError
 from needleforce.scene.state_ring import FIELDS, view_row
 from needleforce.session import InsertionSession, SessionEstimate
