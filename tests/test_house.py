@@ -21,7 +21,7 @@ LIMITS = {
     "product": (18_975, 97),
     "benchmarks": (6_500, 30),
     "tests": (12_960, 71),
-    "control": (2_235, 11),
+    "control": (2_232, 11),
     "anatomy": (1_460, 7),
     "scene": (700, 6),
     "devices": (1_200, 7),
