@@ -36,8 +36,7 @@ _LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S = 15.0, 50.0, 0.3
 _FADE_S = 0.05  # a force that is not known any more fades
 # Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
 # back has the opposite sign: neither the loop nor the identification stands that. So the shown
-# force is smooth, but never further from the known one, over so long times the motion scale: a hand
-# that is scaled down swings the needle less. For a while after a rupture it may fall at once.
+# force is smooth, but never further from the known one, until a rupture shows at once for a while.
 # With travel it grows by the stiffness identified, at most so much: a force that grows is not late.
 _SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
 _RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
@@ -244,7 +243,6 @@ class Teleoperation:
         if lines is not None and not all(hasattr(line, "exchange") for line in lines):
             raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
-        self._scale = motion_scale
         self._axis, self._lines = direction / np.linalg.norm(direction), lines
         self.device = DeviceSide(self._axis, motion_scale)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
@@ -293,10 +291,9 @@ class Teleoperation:
             return known_N
         has_ruptured = estimate.identification.rupture is not None
         self._ruptured_s = _RUPTURE_S if has_ruptured else max(self._ruptured_s - dt_s, 0.0)
+        lag_s = _AT_ONCE_S if self._ruptured_s > 0.0 else _SMOOTH_S
         slope = min(max(estimate.identification.stiffness_N_per_m, 0.0), _STIFFEST_N_per_m)
         pace = estimate.speed_m_s if known_N > 0.0 else 0.0  # drawn back it touches nothing
         grown_N = self.shown_N + slope * pace * dt_s
-        is_fall = self._ruptured_s > 0.0 and known_N < grown_N
-        lag_s = self._scale * (_AT_ONCE_S if is_fall else _SMOOTH_S)
         smooth_N = grown_N + (known_N - grown_N) * dt_s / (lag_s + dt_s)
         return min(max(smooth_N, known_N - _FURTHEST_N), known_N + _FURTHEST_N)
