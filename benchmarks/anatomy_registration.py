@@ -32,7 +32,9 @@ from needleforce.anatomy import (
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
 
-LANDMARK_DRAWS, REFUSAL_DRAWS, SYMMETRIC_FITS = 10_000, 300, 30
+LANDMARK_DRAWS, REFUSAL_DRAWS, SYMMETRIC_FITS, FAR_STARTS = 10_000, 300, 30, 100
+FAR_rad, RIGHT_m = (np.pi / 4, np.pi), 3e-3
+"""Starts outside the basin are turned by so much; and the error up to which a fit is right."""
 MODELS, FITS, CHECKED = 120, 4, 1
 """Surfaces of an organ, fits to each, and those of them that look for other solutions: a surface's
 error is alike for all fits to it, so with 120 a fraction of 0.95 is known to some 0.01."""
@@ -55,6 +57,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
     if data is None:
         return
     labels = read_labels(data / CT_FOLDER / "labels.nii.gz")
+    yield from _far_starts(labels, np.random.default_rng([seed, 8]))
     for number, name in enumerate(ORGANS):
         yield from _organ(labels, name, rng)
         progress(0.5 + 0.5 * (number + 1) / len(ORGANS))
@@ -183,6 +186,29 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
         percent, is_good = 100.0 * refused / SYMMETRIC_FITS, "corner" in name
         limit = 0.0 if is_good else 99.0
         yield Figure(f"touches of a {name}: refused", "", percent, "%", limit, at_least=not is_good)
+
+
+def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
+    mesh, model = truth_and_model(labels, ORGANS[0], rng)
+    center, refused, wrong = mesh.center_mass, 0, 0
+    for _ in range(FAR_STARTS):
+        front, axis, aside = rng.normal(size=(3, 3))
+        points, truth = touch(mesh, front / np.linalg.norm(front), rng), pose(rng)
+        turn = rng.uniform(*FAR_rad) * axis / np.linalg.norm(axis)
+        off = truth[0] @ Rotation.from_rotvec(turn).as_matrix()
+        middle = points.mean(axis=0)
+        shift = (truth[0] - off) @ middle + truth[1] + 0.03 * aside / np.linalg.norm(aside)
+        start = Registration(off, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
+        try:
+            found = fit_surface(model, points @ truth[0].T + truth[1], start)
+        except RegistrationError:
+            refused += 1
+            continue
+        error_m = np.linalg.norm(found.to_robot(center) - truth[0] @ center - truth[1])
+        wrong += int(error_m > RIGHT_m)
+    sound, what = 100.0 * (1.0 - wrong / FAR_STARTS), "starts outside the basin"
+    yield Figure(f"{what}: refused, or right", "", sound, "%", 99.0, at_least=True)
+    yield Figure(f"{what}: refused", "", 100.0 * refused / FAR_STARTS, "%")
 
 
 def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figure]:
