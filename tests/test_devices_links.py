@@ -40,14 +40,15 @@ PATIENCE_S = 20.0
 """On a busy machine things take longer; nothing here is a measurement of speed."""
 
 
-def fri_run(cycles, faults=None, *, send=None, give_up_s=0.3, **settings):
-    """Samples, the arm and the counts of an emulated controller that sends so many cycles."""
+def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
+    """Samples, the arm and the counts of an emulated, patient controller that sends so many."""
     arm = FriArm(port=0, wait_s=0.05, give_up_s=give_up_s)
     wanted = FriSettings(
         port=arm.address[1],
         q_rad=ROWS,
         tau_Nm=2.0 * ROWS,
         cycles=cycles,
+        patience_s=PATIENCE_S,
         faults=faults or Faults(),
         **settings,
     )
@@ -71,7 +72,7 @@ def measurement(**values):
 def test_every_cycle_of_an_lwr_is_answered_and_handed_on():
     found, arm, counts = fri_run(1000)
     assert len(found) == 1000 == arm.report.used
-    assert counts["same_cycle"] + counts["late"] >= 990  # the last may come after the end
+    assert counts["same_cycle"] == 1000
     assert [sample.dt_s for sample in found[:3]] == [1e-3] * 3
     assert np.array_equal(found[42].q_rad, ROWS[42])
     assert np.array_equal(found[42].tau_Nm, 2.0 * ROWS[42])
@@ -93,8 +94,8 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
 def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
     found, arm, _ = fri_run(2500, Faults(silent=((0.3, 2.3),)), give_up_s=4.0)
     gap = max(found, key=lambda sample: sample.dt_s)
-    assert gap.dt_s == pytest.approx(2.0, abs=0.05)
-    assert gap.missed == pytest.approx(2000, abs=50)
+    assert 1.99 < gap.dt_s < 3.9  # longer only on a busy machine
+    assert gap.missed == round(gap.dt_s / 1e-3) - 1
     assert arm.report.outages == 2  # the second is the end
     assert len(found) == pytest.approx(500, abs=10)
 
