@@ -28,7 +28,7 @@ SAME_m = 3e-3
 
 
 class Case(NamedTuple):
-    """What is told to the match."""
+    """What the match is given."""
 
     name: str
     withheld: float = 0.0  # part of the ruptures

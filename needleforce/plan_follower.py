@@ -16,7 +16,7 @@ STEP_m = 0.1e-3  # Travel after which the plan is read again, besides at events:
 class Plan(Protocol):
     """What a session needs of a plan; `needleforce.anatomy.PlanMatch` is one."""
 
-    fingerprint: str  # by which two plans are told apart
+    fingerprint: str  # of the plan: equal for equal plans
 
     def state(
         self,

@@ -74,7 +74,7 @@ class PlanMatch:
             `Registration.std_along_m` gives it.
 
     Attributes:
-        fingerprint: By which two plans are told apart.
+        fingerprint: Identifies the plan: equal for equal plans.
 
     Raises:
         PlanError: No boundary in the plan, depths or deviations that cannot be, or not in metres.

@@ -128,7 +128,7 @@ def fit_landmarks(
         robot_m: The same, in the same order, touched with the robot's pointer [m], base axes.
         std_m: Standard deviation of a touch along each axis, localisation in the CT included: what
             does not fit with several times as much is refused.
-        is_std_known: Believe it in the covariance too; else that is estimated from the residuals,
+        is_std_known: Use it for the covariance too; else that is estimated from the residuals,
             and with three landmarks, which leave next to none, nothing is claimed.
 
     Raises:

@@ -158,7 +158,7 @@ class Topic:
 
 
 class Bag:
-    """A bag and its topics by name, as far as it was gone through, see `survey`."""
+    """A bag and its topics by name, as far as it was gone through, see `learn_topics`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -327,13 +327,13 @@ def bag_tables(
     is followed is read on as a recorder writes it, until it is finished. Raises as `stream_tables`.
     """
     bag, growing = Bag(path), options if options.follow else None
-    joined = survey(bag, request, growing, max_bytes)
+    joined = learn_topics(bag, request, growing, max_bytes)
     is_whole = joined is None
     if joined is None:
         if growing is not None:
             # It has ended: now all of it can be counted.
             bag, growing = Bag(path), None
-            survey(bag, max_bytes=max_bytes)
+            learn_topics(bag, max_bytes=max_bytes)
         whole = bag.table()
         needed = frozenset(whole.columns) if request is None else request.columns(whole)
         if not needed:
@@ -352,7 +352,7 @@ def bag_tables(
         yield replace(table, columns=columns, warnings=("; ".join(faults),))
 
 
-def survey(
+def learn_topics(
     bag: Bag,
     request: ChannelRequest | None = None,
     growing: FollowOptions | None = None,

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from needleforce.recordings.bag_messages import BAG_SUFFIXES, is_bag
-from needleforce.recordings.bag_reader import Bag, bag_tables, survey
+from needleforce.recordings.bag_reader import Bag, bag_tables, learn_topics
 from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
@@ -190,7 +190,7 @@ def suggest_mapping(
     is_time_wanted = "time" in known.channels
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
         bag = Bag(Path(source))
-        survey(bag)
+        learn_topics(bag)
         table = bag.table()
         lines += ["# Topics:", *(comment_line(f"  {t.describe()}") for t in bag.topics.values())]
         lines += [*map(comment_line, bag.warnings), ""]
