@@ -109,10 +109,12 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
         )
         structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
         return Labels.of([torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures)
-    files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    scans = sorted(folder.glob("ct.n*"))
+    scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
+    beside = scans[0].parent if scans else folder
+    files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
     if not files or not scans:
-        raise CommandError(f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it")
+        what = "expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, there or one folder down"
+        raise CommandError(f"{folder}: {what}")
     return read_labels(files[0]).with_body(read_volume(scans[0]), fat=True)
 
 

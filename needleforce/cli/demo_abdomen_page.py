@@ -84,7 +84,7 @@ def write_scene(made: Insertion, path: Path) -> Path:
 LEAST_NAMED = 800  # Pixels from which on a structure's name is written
 SLICE = (
     "The plane of the needle through the segmentation, as planned: entry and target, planned "
-    "boundaries (white), detected ruptures (yellow), and where the tip stopped (red), each moved "
+    "boundaries (white), detected ruptures (cyan), and where the tip stopped (red), each moved "
     "back by the true shift."
 )
 
@@ -153,7 +153,9 @@ def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
 def draw_slice(made: Insertion, path: Path) -> Path:
     """Draw the plane of the needle into a file."""
     import matplotlib.pyplot as plt
+    from matplotlib.patheffects import withStroke
 
+    outline = [withStroke(linewidth=3.0, foreground="0.15")]  # legible on any structure's colour
     along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
     colors, names = _section(made, along, across)
     figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
@@ -161,15 +163,18 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     plane.imshow(colors, extent=extent, aspect="equal")
     for name, row, column in names:
         place = (1e3 * across[column], 1e3 * along[row])
-        plane.text(*place, name, color="white", ha="center", va="center", fontsize=8)
+        style = {"color": "white", "fontsize": 8, "path_effects": outline}
+        plane.text(*place, name.replace("_", " "), ha="center", va="center", **style)
     tip = made.stop_m - made.shift_m
     plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
     plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
     plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
     planned_mm = [1e3 * layer.exit_m for layer in made.plan[:-1]]
     found_mm = [1e3 * (depth - made.shift_m) for depth, _ in made.states]
-    plane.hlines(planned_mm, -8.0, 8.0, color="white", lw=1.0, label="planned boundary")
-    plane.hlines(found_mm, -5.0, 5.0, color="yellow", lw=2.0, label="detected rupture")
+    lines = ((planned_mm, 8.0, "white", "planned boundary"), (found_mm, 5.0, "cyan", "rupture"))
+    for places_mm, half_mm, color, label in lines:
+        style = {"color": color, "lw": 2.0, "label": label, "path_effects": outline}
+        plane.hlines(places_mm, -half_mm, half_mm, **style)
     plane.set(
         xlabel="across the needle [mm]", ylabel="along the needle [mm]", title="Plan and insertion"
     )

@@ -93,7 +93,12 @@ def demo_command(
     ] = None,
     figure: Annotated[
         Path | None,
-        Parameter(metavar="FILE", group=OUTPUT, help="Its first picture: .png, .svg or .pdf."),
+        Parameter(
+            name=("--figure", "--png"),
+            metavar="FILE",
+            group=OUTPUT,
+            help="Its first picture: .png, .svg or .pdf.",
+        ),
     ] = None,
     data: Annotated[
         Path | None,
