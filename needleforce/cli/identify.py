@@ -197,7 +197,9 @@ class IdentificationResult:
             head=HEADER,
             rows=tuple(map(layer_cells, self.layers)),
             numeric=frozenset(range(len(HEADER))),
-            note="Times on the log's clock. A ? marks what the data do not identify.",
+            note="Times on the log's clock. A ? marks what the data do not identify. A layer begins "
+            "where the tip met it, or the membrane on it, and ends where it ruptured; a membrane is "
+            "pushed in before it ruptures, so layers may overlap.",
         )
         layers = plots.Section(
             heading="Layers",
@@ -213,7 +215,7 @@ class IdentificationResult:
 
 
 HEADER = (
-    *("layer", "from mm", "thick mm", "rupture s", "alarm s", "drop N"),
+    *("layer", "from mm", "to mm", "rupture s", "alarm s", "drop N"),
     *("K N/m", "friction N", "B Ns/m2"),
 )
 
@@ -225,7 +227,7 @@ def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
     return (
         str(layer.layer),
         f"{1e3 * layer.start_depth_m:.1f}",
-        f"{1e3 * layer.thickness_m:.1f}",
+        f"{1e3 * (layer.start_depth_m + layer.thickness_m):.1f}",
         f"{rupture.time_s:.2f}",
         f"{rupture.alarm_s:.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
