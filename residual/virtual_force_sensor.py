@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleforce.jit import working_copy
 from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
@@ -230,7 +231,8 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed, self._follows = np.zeros((3, self._wrench.size)), False
+        self._followed = working_copy(np.zeros((3, self._wrench.size)))
+        self._follows = False
         self._unchecked_s = 0.0
         self._waiting = 2
 
@@ -254,7 +256,7 @@ class VirtualForceSensor:
                 torque_covariance=self._wrench.torque_covariance,
                 weighed_at=self._wrench.gain.rows[0],
                 monitor=self._monitor.state,
-                wrench=self._followed,
+                wrench=np.array(self._followed),
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
                 waiting=self._waiting,
@@ -297,7 +299,7 @@ class VirtualForceSensor:
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed, self._follows = state.wrench, state.follows
+        self._followed, self._follows = working_copy(state.wrench), state.follows
         self._unchecked_s = state.unchecked_s
         self._waiting = state.waiting
         self._last, self.rejected = state.last, state.rejected

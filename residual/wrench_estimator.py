@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, dot
+from needleforce.jit import (
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+    compiled,
+    compiled_or,
+    dot,
+    working_copy,
+)
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -103,6 +112,19 @@ def weighted_inverse(
     return gain, covariance, conditioning, np.diag(inverse) * damping
 
 
+@compiled_or(np.ndarray.tolist)
+def numbers_of(array: Vector) -> Array:
+    """An array to take single numbers out of, see `working_copy`."""
+    return array
+
+
+@compiled
+def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
+    """Part of a force along the insertion direction [N], and square of that across it [N^2]."""
+    along = axis[0] * x + axis[1] * y + axis[2] * z
+    return along, max(x * x + y * y + z * z - along * along, 0.0)
+
+
 @compiled
 def smoothing_step(
     smoothed: WrittenVector, wrench: Vector, axis: Vector, slow: float, fast: float
@@ -115,12 +137,13 @@ def smoothing_step(
 
     `axis` is that of `WrenchGain`; `slow` that lag, `fast` one that stays besides [time steps].
     """
-    behind = wrench - smoothed
-    beside = float(dot(axis[:3], behind[:3])) ** 2
+    x, y, z = wrench[0] - smoothed[0], wrench[1] - smoothed[1], wrench[2] - smoothed[2]
+    along, across_squared = split_force(axis, x, y, z)
     # Of the lateral force two components are noisy.
-    beside_across = 0.5 * (float(dot(behind[:3], behind[:3])) - beside)
-    ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
-    smoothed += behind / (1.0 + fast + slow / (1.0 + ratio * ratio))
+    ratio = max(along * along / axis[5], 0.5 * across_squared / axis[6]) / SMOOTHED_SIGMAS**2
+    lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
+    for k in range(len(smoothed)):
+        smoothed[k] += (wrench[k] - smoothed[k]) / lag
 
 
 @compiled
@@ -161,28 +184,26 @@ def wrench_step(
     if not dot(turned, turned) <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
     size = len(rows) - 1
-    wrench, corrected = found[:size], found[size:]
+    corrected = found[size:]
     np.subtract(residual, offset, corrected)
-    np.dot(rows[1:], corrected, wrench)
-    along_needle, variances = axis[:3], axis[3:5]
-    unsmoothed = -float(dot(along_needle, wrench[:3]))
-    smoothed, followed = memory[0], memory[1]
+    wrench = numbers_of(rows[1:].dot(corrected))
+    unsmoothed, _ = split_force(axis, wrench[0], wrench[1], wrench[2])
+    smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
-    wrench[:] = smoothed
-    force = smoothed[:3]
-    axial = float(dot(along_needle, force))
-    across = max(float(dot(force, force)) - axial * axial, 0.0)
+    for k in range(size):
+        found[k] = smoothed[k]
+    x, y, z = smoothed[0], smoothed[1], smoothed[2]
+    along, across_squared = split_force(axis, x, y, z)
     smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    behind = smoothed - followed
-    missed = float(dot(along_needle, behind[:3])) ** 2
-    missed_across = float(dot(behind[:3], behind[:3])) - missed
+    missed, missed_across = split_force(axis, x - followed[0], y - followed[1], z - followed[2])
+    kept, variance, variance_across = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1])), axis[3], axis[4]
+    square = max(missed * missed - variance, kept * hidden[0])
     # Of the lateral force two components are noisy.
-    squares = np.array([missed, missed_across - variances[1]]) - variances
-    kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
-    hidden = np.maximum(squares, kept * memory[2, :2])
-    memory[2, :2] = np.minimum(hidden, KEPT_SIGMAS**2 * variances)
-    std = np.sqrt(variances + hidden)
-    return -axial, float(std[0]), math.sqrt(across), float(std[1]), unsmoothed
+    square_across = max(missed_across - 2.0 * variance_across, kept * hidden[1])
+    hidden[0] = min(square, KEPT_SIGMAS**2 * variance)
+    hidden[1] = min(square_across, KEPT_SIGMAS**2 * variance_across)
+    stds = math.sqrt(variance + square), math.sqrt(variance_across + square_across)
+    return -along, stds[0], math.sqrt(across_squared), stds[1], -unsmoothed
 
 
 @compiled
@@ -321,7 +342,7 @@ class WrenchEstimator:
             variances = np.ravel([_variances(axis, part) for part in parts])
         self.gain = WrenchGain(
             np.vstack((q, directions[:, :size].T.dot(gain))),
-            np.append(axis, variances),
+            working_copy(np.append(axis, variances)),
             (covariance, conditioning, removed),
             *unexplained(rows, inverse),
         )
