@@ -122,13 +122,13 @@ def numbers_of(array: Vector) -> Array:
 def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
     """Part of a force along the insertion direction [N], and square of that across it [N^2]."""
     along = axis[0] * x + axis[1] * y + axis[2] * z
-    return along, max(x * x + y * y + z * z - along * along, 0.0)
+    return along, x * x + y * y + z * z - along * along
 
 
 @compiled
 def smoothing_step(
     smoothed: WrittenVector, wrench: Vector, axis: Vector, slow: float, fast: float
-) -> None:
+) -> tuple[float, float]:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
     While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
@@ -136,6 +136,8 @@ def smoothing_step(
     momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
 
     `axis` is that of `WrenchGain`; `slow` that lag, `fast` one that stays besides [time steps].
+
+    Returns by how much the force is behind afterwards, as of `split_force`.
     """
     x, y, z = wrench[0] - smoothed[0], wrench[1] - smoothed[1], wrench[2] - smoothed[2]
     along, across_squared = split_force(axis, x, y, z)
@@ -144,6 +146,8 @@ def smoothing_step(
     lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
     for k in range(len(smoothed)):
         smoothed[k] += (wrench[k] - smoothed[k]) / lag
+    left = 1.0 - 1.0 / lag
+    return along * left, across_squared * left * left
 
 
 @compiled
@@ -187,15 +191,13 @@ def wrench_step(
     corrected = found[size:]
     np.subtract(residual, offset, corrected)
     wrench = numbers_of(rows[1:].dot(corrected))
-    unsmoothed, _ = split_force(axis, wrench[0], wrench[1], wrench[2])
+    unsmoothed = axis[0] * wrench[0] + axis[1] * wrench[1] + axis[2] * wrench[2]
     smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
     for k in range(size):
         found[k] = smoothed[k]
-    x, y, z = smoothed[0], smoothed[1], smoothed[2]
-    along, across_squared = split_force(axis, x, y, z)
-    smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    missed, missed_across = split_force(axis, x - followed[0], y - followed[1], z - followed[2])
+    along, across_squared = split_force(axis, smoothed[0], smoothed[1], smoothed[2])
+    missed, missed_across = smoothing_step(followed, smoothed, axis, lags[0], lags[1])
     kept, variance, variance_across = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1])), axis[3], axis[4]
     square = max(missed * missed - variance, kept * hidden[0])
     # Of the lateral force two components are noisy.
@@ -203,7 +205,7 @@ def wrench_step(
     hidden[0] = min(square, KEPT_SIGMAS**2 * variance)
     hidden[1] = min(square_across, KEPT_SIGMAS**2 * variance_across)
     stds = math.sqrt(variance + square), math.sqrt(variance_across + square_across)
-    return -along, stds[0], math.sqrt(across_squared), stds[1], -unsmoothed
+    return -along, stds[0], math.sqrt(max(across_squared, 0.0)), stds[1], -unsmoothed
 
 
 @compiled
