@@ -130,7 +130,7 @@ class VelocityEstimator:
         check_rows(_NAMES, rows)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
         found, settled = self.step(rows, dt_s)
-        return MatchedSample(*found, settled)
+        return MatchedSample(found[0], found[1], found[2], settled)
 
     def step(self, sample: Array, dt_s: float) -> tuple[Array, bool]:
         """As `update`, for finite numbers and a checked time step.

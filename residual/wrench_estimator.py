@@ -154,7 +154,6 @@ def smoothing_step(
 def wrench_step(
     q: Vector,
     residual: Vector,
-    offset: Vector,
     rows: Matrix,
     axis: Vector,
     lags: tuple[float, float],
@@ -170,15 +169,13 @@ def wrench_step(
 
     Args:
         q: Configuration [rad], shape (n,).
-        residual: External joint torque with its offset [Nm], shape (n,).
-        offset: What it reads without contact [Nm], shape (n,).
+        residual: External joint torque after offset removal [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
         lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
         memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid, along and
             across [N^2], brought to the end of the tick; shape (3, 3) or (3, 6).
-        found: Where force, torque if it is asked for, and the residual less its offset are written
-            [N, Nm], shape (3 + n,) or (6 + n,).
+        found: Where force, and torque if it is asked for, are written [N, Nm], shape (3,) or (6,).
 
     Returns resistance to insertion, its standard deviation, size of the lateral force, the standard
     deviation of one of its components, and resistance before it is smoothed [N]; NaN, and nothing
@@ -187,18 +184,16 @@ def wrench_step(
     turned = q - rows[0]
     if not dot(turned, turned) <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
-    size = len(rows) - 1
-    corrected = found[size:]
-    np.subtract(residual, offset, corrected)
-    wrench = numbers_of(rows[1:].dot(corrected))
+    wrench = numbers_of(rows[1:].dot(residual))
     unsmoothed = axis[0] * wrench[0] + axis[1] * wrench[1] + axis[2] * wrench[2]
     smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
-    for k in range(size):
+    for k in range(len(found)):
         found[k] = smoothed[k]
     along, across_squared = split_force(axis, smoothed[0], smoothed[1], smoothed[2])
     missed, missed_across = smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    kept, variance, variance_across = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1])), axis[3], axis[4]
+    variance, variance_across = axis[3], axis[4]
+    kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
     square = max(missed * missed - variance, kept * hidden[0])
     # Of the lateral force two components are noisy.
     square_across = max(missed_across - 2.0 * variance_across, kept * hidden[1])
@@ -367,9 +362,8 @@ class WrenchEstimator:
         covariances = self.torque_covariance - self._smoothed, self._noise
         rows, precisions = directions.dot(jacobian), (weights, self._inverse)
         made = weigh_joints(q, axis, directions, rows, covariances, precisions, self._damping)
-        makes, numbers, reported, *unexplained = made
-        self.gain = WrenchGain(makes, working_copy(numbers), reported, *unexplained)
-        covariance, _, removed = reported
+        self.gain = WrenchGain(made[0], working_copy(made[1]), *made[2:])
+        covariance, _, removed = self.gain.reported
         for array in (covariance, removed):
             array.setflags(write=False)
 
@@ -385,19 +379,18 @@ class WrenchEstimator:
         numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
-        size = self.size
-        found = np.empty(size + self._joints)
-        numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+        left, found = residual - offset, np.empty(self.size)
+        numbers = wrench_step(q, left, rows, axis, lags, memory, found)
         if not math.isfinite(numbers[0]):
             self.weigh(q)
             rows, axis, reported, _, _ = self.gain
-            numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+            numbers = wrench_step(q, left, rows, axis, lags, memory, found)
             if not math.isfinite(numbers[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
+        left.setflags(False)  # pyright: ignore[reportCallIssue]
         found.setflags(False)  # pyright: ignore[reportCallIssue]
-        torque = _NOTHING if size == 3 else found[3:6]
-        force, left = found[:3], found[size:]
+        force, torque = (found, _NOTHING) if self.size == 3 else (found[:3], found[3:])
         axial, std, lateral, across_std, raw = numbers  # unpacked twice with stars it takes longer
         seen, ratio, removed = reported
         return axial, std, lateral, across_std, force, torque, seen, ratio, removed, raw, left
