@@ -23,7 +23,6 @@ from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled, compiled_or
 from residual.errors import Array, ConfigurationError
 from residual.input_validation import (
     MOST_PLAUSIBLE,
-    all_fit,
     check_choice,
     check_interval,
     check_joint_vector,
@@ -44,7 +43,8 @@ carries a rupture."""
 NOISE_THRESHOLD_SIGMAS = 3.0  # Distance of the momentum at which the bandwidth has doubled
 _LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
-_MOST_SQUARED = (1.0 + 1e-9) * MOST_PLAUSIBLE**2  # Rounding makes no difference to `check_rows`
+_MOST_SQUARED = 3.0 * (1.0 + 1e-9) * MOST_PLAUSIBLE**2
+"""Of three signals: beyond it `check_rows` refuses one of them, whatever rounding does."""
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
@@ -77,8 +77,8 @@ def _momentum_by_numpy(
 ) -> None:
     """`set_momentum` where nothing compiles."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
-    rows[MOMENTUM + END] = np.vecdot(directions, momenta) + armature * velocity
-    turned = crossing.dot(twists.ravel()).reshape(momenta.shape)
+    rows[MOMENTUM + END] = directions.dot(momenta.ravel()) + armature * velocity
+    turned = crossing.dot(twists.ravel()).reshape(len(velocity), 6)
     rows[CORIOLIS + END] = np.vecdot(turned, momenta)
 
 
@@ -94,7 +94,7 @@ def set_momentum(
     for j in range(len(velocity)):
         along, turned = armature[j] * velocity[j], 0.0
         for a in range(6):
-            along += directions[j, a] * momenta[j, a]
+            along += directions[j, 6 * j + a] * momenta[j, a]
             for b in range(6):
                 turned += momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
         rows[MOMENTUM + END, j], rows[CORIOLIS + END, j] = along, turned
@@ -106,7 +106,7 @@ def momentum_step(
     motion: tuple[Matrix, Matrix],
     joints: tuple[Matrix, Matrix, Vector],
     load: Vector,
-    sample: tuple[Vector, Vector, Vector],
+    sample: Matrix,
     weights: Matrix,
     noise_threshold: Vector,
     dt_s: float,
@@ -123,10 +123,10 @@ def momentum_step(
         rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of the tick.
         motion: Twist v of every link at its end, and momentum h of the subtree it carries, in the
             link's axes, shape (n, 6).
-        joints: Direction S of every joint, shape (n, 6); the matrix that maps the stacked twists to
-            v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
+        joints: Direction S of every joint, times what is stacked, shape (n, 6 n); the matrix that
+            maps the stacked twists to v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
         load: g + tau_f there [Nm], shape (n,).
-        sample: q [rad], dq [rad/s] and measured torque [Nm] there, each of shape (n,).
+        sample: q [rad], dq [rad/s] and measured torque [Nm] there, shape (3, n).
         weights: See `set_step_weights`.
         noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of length 0 where
             nothing is smoothed.
@@ -134,11 +134,10 @@ def momentum_step(
 
     Returns whether the sample is finite and of plausible size; if not, nothing has happened.
     """
-    q, velocity, tau = sample
-    most = _MOST_SQUARED  # A NaN is not below it either.
-    if not (dot(q, q) < most and dot(velocity, velocity) < most and dot(tau, tau) < most):
+    numbers = sample.ravel()
+    if not dot(numbers, numbers) < _MOST_SQUARED:  # a NaN is not either
         return False
-    set_momentum(motion, joints, velocity, rows)
+    set_momentum(motion, joints, sample[1], rows)
     momentum = rows[MOMENTUM + END]
     if dt_s > 0.0 and noise_threshold.size:
         tick = BANDWIDTH_PER_S * dt_s
@@ -152,10 +151,10 @@ def momentum_step(
         behind /= ratio
         momentum -= behind
     rows[GRAVITY + END] = load
-    rows[TORQUE + END] = tau
+    rows[TORQUE + END] = sample[2]
     if dt_s > 0.0:
         if len(weights) == 1:
-            rows[RESIDUAL] = weights[0].dot(rows)
+            rows[RESIDUAL] = weights.dot(rows)[0]
         else:
             rows[RESIDUAL] = (weights.T * rows).sum(axis=0)
     rows[MOMENTUM:BEFORE] = rows[BEFORE:]
@@ -250,24 +249,17 @@ class MomentumObserver:
             SampleError: For a wrong shape, a number that is not finite or a time step that does
                 not advance; the state is then unchanged.
         """
-        sample: Any = (q, dq, tau)
-        position, velocity, torque = sample
-        # Compiled code takes contiguous arrays.
-        if not (
-            all_fit(sample, self._joints)
-            and position.strides == velocity.strides == torque.strides == (8,)
-        ):
-            position, velocity, torque = read_rows(_NAMES, sample, self._joints)
+        sample = read_rows(_NAMES, (q, dq, tau), self._joints)
         if self._friction is not None:  # Its model need not take what is not finite.
-            check_rows(_NAMES, np.stack((position, velocity, torque)))
+            check_rows(_NAMES, sample)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        residual = self.step(position, velocity, torque, dt_s)
+        residual = self.step(sample, dt_s)
         residual.setflags(False)  # pyright: ignore[reportCallIssue]  # by name three times as long
         return residual
 
-    def step(self, q: Array, dq: Array, tau: Array, dt_s: float) -> Array:
-        """As `update`, for contiguous arrays of the right shape and a checked time step."""
-        memory = self.memory
+    def step(self, sample: Array, dt_s: float) -> Array:
+        """As `update`, for a checked time step and one contiguous array of shape (3, n)."""
+        memory, q, dq = self.memory, sample[0], sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
@@ -283,9 +275,8 @@ class MomentumObserver:
             load += self._friction.torque(still)
         pin.computeCentroidalMomentum(model, data, q, dq)
         motion, joints = self._motion, self._directions
-        sample = q, dq, tau
         if not momentum_step(rows, motion, joints, load, sample, weights, threshold, dt_s):
-            check_rows(_NAMES, np.stack(sample))
+            check_rows(_NAMES, sample)
         memory.started = True
         return rows[0].copy()
 
@@ -342,7 +333,7 @@ def _joint_directions(robot: Robot) -> tuple[Array, Array, Array]:
     directions = np.array([joint_axis(joint) for joint in list(robot.model.joints)[1:]])
     # v x S = -(S x v)
     crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in directions)))
-    return directions, crossing, np.array(robot.model.armature)
+    return np.asarray(block_diag(*directions)), crossing, np.array(robot.model.armature)
 
 
 def _shared_rows(vectors: Any) -> Array:

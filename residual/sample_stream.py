@@ -133,25 +133,24 @@ class SampleStream:
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
         memory, observer, last_s = self.memory, self._observer, dt_s
-        if self._velocity is None:
-            q, dq, tau = rows[0], rows[1], rows[2]
-            settled = True
-        else:
-            q, dq, tau, settled = self._velocity.step(rows, dt_s)
+        found, settled = rows, True
+        if self._velocity is not None:
+            found, settled = self._velocity.step(rows, dt_s)
+        q, dq = found[0], found[1]
         if observer is None:
             return TorqueSample(q, dq, rows[-1], rows[-1], settled)
         if self._velocity is not None:
             memory.missed_s += dt_s
             if not settled:
                 memory.age_s = 0.0
-                return TorqueSample(q, dq, tau, observer.residual, False)
+                return TorqueSample(q, dq, found[2], observer.residual, False)
             dt_s, memory.missed_s = memory.missed_s, 0.0
-        residual = observer.step(q, dq, tau, dt_s)
+        residual = observer.step(found, dt_s)
         memory.age_s = 0.0 if dt_s > self._max_gap_s else memory.age_s + dt_s
         if memory.probe is not None:
             self._learn_noise(memory.probe, observer, rows, q, last_s)
         settled = memory.age_s >= self._settling_s and memory.probe is None
-        return _new(TorqueSample, (q, dq, tau, residual, settled))
+        return _new(TorqueSample, (q, dq, found[2], residual, settled))
 
     def _learn_noise(
         self, probe: NoiseProbe, observer: MomentumObserver, rows: Array, q: Array, dt_s: float
@@ -176,6 +175,12 @@ class SampleStream:
     def question(self) -> str:
         """Which signals may be missing, as they do not change; empty if none."""
         return "" if self._guard is None else self._guard.memory.question
+
+    @property
+    def remark(self) -> str:
+        """Warning or question, if there is one."""
+        guard = self._guard
+        return "" if guard is None else guard.memory.warning or guard.memory.question
 
     def restore(self, memory: StreamState) -> None:
         """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""

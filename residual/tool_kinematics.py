@@ -21,10 +21,6 @@ class ToolKinematics:
         insertion_axis: Insertion direction in the frame's axes, normalised here.
         offset_m: Where the needle's tip is in that frame: pose and Jacobian are the tip's.
 
-    Attributes:
-        jacobian: Of the latest `update`, in the frame's own axes, shape (6, n).
-        pose: Of the tip in the base, homogeneous, shape (4, 4).
-
     `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError` for an unknown
     frame.
     """
@@ -36,30 +32,34 @@ class ToolKinematics:
         insertion_axis: ArrayLike = (0.0, 0.0, 1.0),
         offset_m: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
-        self._model, self._data = robot.model, robot.create_data()
         self.axis_in_tool = unit_axis(insertion_axis)
         # One row of the Jacobian is the row along the axis, where the axis is one of the frame's.
         aligned = np.flatnonzero(self.axis_in_tool == 1.0)
         self._row = int(aligned[0]) if len(aligned) else None
-        self._frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
-        at, offset_m = robot.model.frames[self._frame_id], check_offset(offset_m)
-        self._joint_id, self._is_at_frame = at.parentJoint, not offset_m.any()
-        self._tip = at.placement * pin.SE3(np.eye(3), offset_m)
-        self.jacobian = np.zeros((6, robot.nv))
-        self.pose = np.eye(4)
+        frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
+        at, offset_m = robot.model.frames[frame_id], check_offset(offset_m)
+        tip = at.placement * pin.SE3(np.eye(3), offset_m)
+        self._model = pin.Model(robot.model)
+        self._frame_id = self._model.addFrame(
+            pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME), False
+        )
+        self._data = self._model.createData()
 
     def update(self, q: Array) -> None:
         """Move to a configuration [rad], shape (n,)."""
-        data = self._data
-        pin.computeJointJacobians(self._model, data, q)
-        if self._is_at_frame:  # by its number: two microseconds less
-            jacobian = pin.getFrameJacobian(self._model, data, self._frame_id, _LOCAL)
-            self.pose = pin.updateFramePlacement(self._model, data, self._frame_id).homogeneous
-        else:
-            jacobian = pin.getFrameJacobian(self._model, data, self._joint_id, self._tip, _LOCAL)
-            self.pose = (data.oMi[self._joint_id] * self._tip).homogeneous
+        pin.computeJointJacobians(self._model, self._data, q)
+
+    @property
+    def jacobian(self) -> Array:
+        """Of the latest `update`, in the frame's own axes, shape (6, n)."""
+        jacobian = pin.getFrameJacobian(self._model, self._data, self._frame_id, _LOCAL)
         # Of a single joint it comes as a vector.
-        self.jacobian = jacobian[:, None] if jacobian.ndim == 1 else jacobian
+        return jacobian[:, None] if jacobian.ndim == 1 else jacobian
+
+    @property
+    def pose(self) -> Array:
+        """Of the tip in the base, homogeneous, shape (4, 4)."""
+        return pin.updateFramePlacement(self._model, self._data, self._frame_id).homogeneous
 
     @property
     def axial_jacobian(self) -> Array:

@@ -26,7 +26,6 @@ from residual.momentum_observer import Alignment
 
 ROWS = 4  # Rows of a step: outputs of the first and second lag, input at start and end
 _NAMES = ("q", "tau")
-_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
 
 
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
@@ -130,24 +129,25 @@ class VelocityEstimator:
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        return self.step(rows, dt_s)
+        found, settled = self.step(rows, dt_s)
+        return MatchedSample(found[0], found[1], found[2], settled)
 
-    def step(self, sample: Array, dt_s: float) -> MatchedSample:
+    def step(self, sample: Array, dt_s: float) -> tuple[Array, bool]:
         """As `update`, for finite numbers and a checked time step.
 
-        The sample is position and torque, shape (2, n), contiguous.
+        The sample is position and torque, shape (2, n), contiguous; what a `MatchedSample` holds
+        is returned, its arrays as one, shape (3, n).
         """
         memory, rows, given = self.memory, self.memory.rows, sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:
             rows[:] = given
             memory.age_s, memory.started = 0.0, True
-            return MatchedSample(sample[0].copy(), np.zeros(self._joints), sample[1].copy(), False)
+            return np.stack((sample[0], np.zeros(self._joints), sample[1])), False
         if dt_s != self._dt_s:  # on an even clock that is once
             self._coefficients, self._dt_s = lag_pair_coefficients(self._bandwidth, dt_s), dt_s
         found = lag_pair_step(rows, self._coefficients, given, self._held)
         memory.age_s += dt_s
-        settled = memory.age_s >= self._settling_s - ROUNDING_S
-        return _new(MatchedSample, (found[0], found[1], found[2], settled))
+        return found, memory.age_s >= self._settling_s - ROUNDING_S
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

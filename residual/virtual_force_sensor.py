@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleforce.jit import working_copy
 from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
@@ -230,7 +231,8 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed, self._follows = np.zeros((3, self._wrench.size)), False
+        self._followed = working_copy(np.zeros((3, self._wrench.size)))
+        self._follows = False
         self._unchecked_s = 0.0
         self._waiting = 2
 
@@ -241,7 +243,6 @@ class VirtualForceSensor:
 
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
-        self._offset.sum_torques()
         stream = self._stream
         return deepcopy(
             SensorState(
@@ -254,7 +255,7 @@ class VirtualForceSensor:
                 torque_covariance=self._wrench.torque_covariance,
                 weighed_at=self._wrench.gain.rows[0],
                 monitor=self._monitor.state,
-                wrench=self._followed,
+                wrench=np.array(self._followed),
                 follows=self._follows,
                 unchecked_s=self._unchecked_s,
                 waiting=self._waiting,
@@ -297,7 +298,7 @@ class VirtualForceSensor:
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed, self._follows = state.wrench, state.follows
+        self._followed, self._follows = working_copy(state.wrench), state.follows
         self._unchecked_s = state.unchecked_s
         self._waiting = state.waiting
         self._last, self.rejected = state.last, state.rejected
@@ -360,7 +361,7 @@ class VirtualForceSensor:
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
-        if not (settled and bias.tared) or bias.leapt_s or stream.warning or stream.question:
+        if not (settled and bias.tared) or bias.leapt_s or stream.remark:
             status, message, warnings = self._assess(stream, settled=settled)
         last = _new(WrenchEstimate, (*found, status, message, monitor.mismatch, warnings))
         self._before, self._last = self._last, last
@@ -381,8 +382,7 @@ class VirtualForceSensor:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
             texts = reason, stream.warning, self.question or monitor.limit
             return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
-        frozen = stream.warning or stream.question
-        message = "; ".join(filter(None, (frozen, offset.warning, monitor.message)))
+        message = "; ".join(filter(None, (stream.remark, offset.warning, monitor.message)))
         return Status.OK, message, warnings
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:

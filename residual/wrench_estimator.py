@@ -6,7 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, dot
+from needleforce.jit import (
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+    compiled,
+    compiled_or,
+    dot,
+    working_copy,
+)
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -103,10 +112,23 @@ def weighted_inverse(
     return gain, covariance, conditioning, np.diag(inverse) * damping
 
 
+@compiled_or(np.ndarray.tolist)
+def numbers_of(array: Vector) -> Array:
+    """An array to take single numbers out of, see `working_copy`."""
+    return array
+
+
+@compiled
+def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
+    """Part of a force along the insertion direction [N], and square of that across it [N^2]."""
+    along = axis[0] * x + axis[1] * y + axis[2] * z
+    return along, x * x + y * y + z * z - along * along
+
+
 @compiled
 def smoothing_step(
     smoothed: WrittenVector, wrench: Vector, axis: Vector, slow: float, fast: float
-) -> None:
+) -> tuple[float, float]:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
     While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
@@ -114,20 +136,24 @@ def smoothing_step(
     momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
 
     `axis` is that of `WrenchGain`; `slow` that lag, `fast` one that stays besides [time steps].
+
+    Returns by how much the force is behind afterwards, as of `split_force`.
     """
-    behind = wrench - smoothed
-    beside = float(dot(axis[:3], behind[:3])) ** 2
+    x, y, z = wrench[0] - smoothed[0], wrench[1] - smoothed[1], wrench[2] - smoothed[2]
+    along, across_squared = split_force(axis, x, y, z)
     # Of the lateral force two components are noisy.
-    beside_across = 0.5 * (float(dot(behind[:3], behind[:3])) - beside)
-    ratio = max(beside / axis[5], beside_across / axis[6]) / SMOOTHED_SIGMAS**2
-    smoothed += behind / (1.0 + fast + slow / (1.0 + ratio * ratio))
+    ratio = max(along * along / axis[5], 0.5 * across_squared / axis[6]) / SMOOTHED_SIGMAS**2
+    lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
+    for k in range(len(smoothed)):
+        smoothed[k] += (wrench[k] - smoothed[k]) / lag
+    left = 1.0 - 1.0 / lag
+    return along * left, across_squared * left * left
 
 
 @compiled
 def wrench_step(
     q: Vector,
     residual: Vector,
-    offset: Vector,
     rows: Matrix,
     axis: Vector,
     lags: tuple[float, float],
@@ -143,15 +169,13 @@ def wrench_step(
 
     Args:
         q: Configuration [rad], shape (n,).
-        residual: External joint torque with its offset [Nm], shape (n,).
-        offset: What it reads without contact [Nm], shape (n,).
+        residual: External joint torque after offset removal [Nm], shape (n,).
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
         lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
         memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid, along and
             across [N^2], brought to the end of the tick; shape (3, 3) or (3, 6).
-        found: Where force, torque if it is asked for, and the residual less its offset are written
-            [N, Nm], shape (3 + n,) or (6 + n,).
+        found: Where force, and torque if it is asked for, are written [N, Nm], shape (3,) or (6,).
 
     Returns resistance to insertion, its standard deviation, size of the lateral force, the standard
     deviation of one of its components, and resistance before it is smoothed [N]; NaN, and nothing
@@ -160,29 +184,23 @@ def wrench_step(
     turned = q - rows[0]
     if not dot(turned, turned) <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
-    size = len(rows) - 1
-    wrench, corrected = found[:size], found[size:]
-    np.subtract(residual, offset, corrected)
-    np.dot(rows[1:], corrected, wrench)
-    along_needle, variances = axis[:3], axis[3:5]
-    unsmoothed = -float(dot(along_needle, wrench[:3]))
-    smoothed, followed = memory[0], memory[1]
+    wrench = numbers_of(rows[1:].dot(residual))
+    unsmoothed = axis[0] * wrench[0] + axis[1] * wrench[1] + axis[2] * wrench[2]
+    smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
-    wrench[:] = smoothed
-    force = smoothed[:3]
-    axial = float(dot(along_needle, force))
-    across = max(float(dot(force, force)) - axial * axial, 0.0)
-    smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    behind = smoothed - followed
-    missed = float(dot(along_needle, behind[:3])) ** 2
-    missed_across = float(dot(behind[:3], behind[:3])) - missed
-    # Of the lateral force two components are noisy.
-    squares = np.array([missed, missed_across - variances[1]]) - variances
+    for k in range(len(found)):
+        found[k] = smoothed[k]
+    along, across_squared = split_force(axis, smoothed[0], smoothed[1], smoothed[2])
+    missed, missed_across = smoothing_step(followed, smoothed, axis, lags[0], lags[1])
+    variance, variance_across = axis[3], axis[4]
     kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
-    hidden = np.maximum(squares, kept * memory[2, :2])
-    memory[2, :2] = np.minimum(hidden, KEPT_SIGMAS**2 * variances)
-    std = np.sqrt(variances + hidden)
-    return -axial, float(std[0]), math.sqrt(across), float(std[1]), unsmoothed
+    square = max(missed * missed - variance, kept * hidden[0])
+    # Of the lateral force two components are noisy.
+    square_across = max(missed_across - 2.0 * variance_across, kept * hidden[1])
+    hidden[0] = min(square, KEPT_SIGMAS**2 * variance)
+    hidden[1] = min(square_across, KEPT_SIGMAS**2 * variance_across)
+    stds = math.sqrt(variance + square), math.sqrt(variance_across + square_across)
+    return -along, stds[0], math.sqrt(max(across_squared, 0.0)), stds[1], -unsmoothed
 
 
 @compiled
@@ -207,13 +225,45 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
 def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
     """Of the axial force, and of the lateral in the direction known least; those of the unseen.
 
-    Force and axis in the same axes; where a component is not seen, neither is.
+    Force first in the covariance, in the axes of the axis; where a component is not seen, neither
+    is. Of the axial force alone the lateral is not.
     """
-    if np.diag(covariance).max() >= _UNSEEN:
+    force = np.ascontiguousarray(covariance[:3, :3])
+    if len(force) == 1:
+        return force[0, 0], _UNSEEN
+    if np.diag(force).max() >= _UNSEEN:
         return _UNSEEN, _UNSEEN
     across = np.eye(3) - np.outer(axis, axis)
-    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
-    return axis.dot(covariance).dot(axis), lateral
+    lateral = np.linalg.eigvalsh(across.dot(force).dot(across))[-1]
+    return axis.dot(force).dot(axis), lateral
+
+
+@compiled
+def weigh_joints(
+    q: Vector,
+    axis: Vector,
+    directions: Matrix,
+    rows: Matrix,
+    covariances: tuple[Matrix, Matrix],
+    precisions: tuple[Matrix, Matrix],
+    damping: Vector,
+) -> tuple[Array, Array, tuple[Array, float, Array], float, Array]:
+    """The numbers of a `WrenchGain` at a configuration [rad], shape (n,).
+
+    Unknowns act along ``directions``, (k, 6), and make torque by ``rows``, (k, n). Covariances are
+    that of the residual's error and that of its noise [Nm^2]; precisions that to weigh with, and
+    the inverse of the residual's covariance. The damping is that of `weighted_inverse`.
+    """
+    (error, noise), (weights, precision) = covariances, precisions
+    gain, covariance, conditioning, removed = weighted_inverse(rows, error, weights, damping)
+    noise_N2 = gain.dot(noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
+    numbers = np.empty(7)
+    numbers[:3] = axis
+    numbers[3], numbers[4] = _variances(axis, covariance)
+    numbers[5], numbers[6] = _variances(axis, noise_N2)
+    wrench = np.ascontiguousarray(directions[:, : max(len(directions), 3)].T).dot(gain)
+    makes = np.vstack((q.reshape(1, -1), wrench))
+    return makes, numbers, (covariance, conditioning, removed), *unexplained(rows, precision)
 
 
 class WrenchEstimator:
@@ -301,30 +351,19 @@ class WrenchEstimator:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
         tool, directions = self.kinematics, self._directions
         tool.update(q)
-        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
+        jacobian, axis = tool.jacobian, tool.axis_in_tool
         if self._in_base:
             turn = tool.rotation_tool_to_base
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
             axis = turn.dot(axis)
         if len(directions) == 1:
             directions = np.concatenate((axis, _NOTHING))[None]
-        rows, inverse = directions.dot(jacobian), self._inverse
-        precision = inverse if self._weighted else np.eye(self._joints)
-        error = self.torque_covariance - self._smoothed
-        gain, covariance, conditioning, removed = weighted_inverse(
-            rows, error, precision, self._damping
-        )
-        noise = gain.dot(self._noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
-        variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
-        if len(directions) > 1:
-            parts = (np.ascontiguousarray(each[:3, :3]) for each in (covariance, noise))
-            variances = np.ravel([_variances(axis, part) for part in parts])
-        self.gain = WrenchGain(
-            np.vstack((q, directions[:, :size].T.dot(gain))),
-            np.append(axis, variances),
-            (covariance, conditioning, removed),
-            *unexplained(rows, inverse),
-        )
+        weights = self._inverse if self._weighted else np.eye(self._joints)
+        covariances = self.torque_covariance - self._smoothed, self._noise
+        rows, precisions = directions.dot(jacobian), (weights, self._inverse)
+        made = weigh_joints(q, axis, directions, rows, covariances, precisions, self._damping)
+        self.gain = WrenchGain(made[0], working_copy(made[1]), *made[2:])
+        covariance, _, removed = self.gain.reported
         for array in (covariance, removed):
             array.setflags(write=False)
 
@@ -340,19 +379,18 @@ class WrenchEstimator:
         numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
-        size = self.size
-        found = np.empty(size + self._joints)
-        numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+        left, found = residual - offset, np.empty(self.size)
+        numbers = wrench_step(q, left, rows, axis, lags, memory, found)
         if not math.isfinite(numbers[0]):
             self.weigh(q)
             rows, axis, reported, _, _ = self.gain
-            numbers = wrench_step(q, residual, offset, rows, axis, lags, memory, found)
+            numbers = wrench_step(q, left, rows, axis, lags, memory, found)
             if not math.isfinite(numbers[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
         # By name it takes thrice as long, in every tick.
+        left.setflags(False)  # pyright: ignore[reportCallIssue]
         found.setflags(False)  # pyright: ignore[reportCallIssue]
-        torque = _NOTHING if size == 3 else found[3:6]
-        force, left = found[:3], found[size:]
+        force, torque = (found, _NOTHING) if self.size == 3 else (found[:3], found[3:])
         axial, std, lateral, across_std, raw = numbers  # unpacked twice with stars it takes longer
         seen, ratio, removed = reported
         return axial, std, lateral, across_std, force, torque, seen, ratio, removed, raw, left
