@@ -81,6 +81,7 @@ class PublishedMethod:
     """The published method, sample by sample."""
 
     takes_filtered_travel = False
+    is_idle = True  # every sample is as much work
     contact_depth_m = None  # a setting, nothing that is found
 
     def __init__(self, config: PublishedConfig) -> None:
