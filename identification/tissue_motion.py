@@ -53,7 +53,8 @@ _STEPS = 8  # Gauss-Newton steps of a new fit
 _UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1  # Of a search
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
-_LINEAR, _EMPTY = 8, (0.0,) * 5
+_EMPTY = (0.0,) * 5
+_OF_PRIOR = COULOMB_SPEED, FRACTION, FRACTION_STD  # for compiled code: of another file
 
 
 class Fit(NamedTuple):
@@ -169,7 +170,7 @@ class TissueMotion(NamedTuple):
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
                 end = 2 * n + m if heart < breath else end  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
-            error = window.waves(tried)[1] if row < 2 else window.first_fit(tried, time_s).error
+            error = window.waves(tried)[1] if row < 2 else window.first_fit(tried).error
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
@@ -180,7 +181,7 @@ class TissueMotion(NamedTuple):
             return self._chosen(window, time_s)
         if step == 0:
             hz = self.found[kind, 1:] if kind == 2 else self.found[kind, 1:2]
-            return self._replace(tried=window.first_fit(hz, time_s), unit=unit + 1)
+            return self._replace(tried=turned(window.first_fit(hz), time_s), unit=unit + 1)
         tried, best = window.stepped(self.tried), self.best
         # Of two beats the second is there only if it halves the error.
         factor = 0.5 if kind == 2 else 1.0
@@ -269,17 +270,83 @@ def _waves(hz: Vector, courses: Matrix, sigma: Vector, force: Vector) -> tuple[V
 
 
 @compiled
-def _rows(contact: tuple[Vector, Vector], speed: Vector, powers: Matrix) -> Matrix:
+def _moved(waves: Vector, hz: Vector, travel: float, damping: float) -> Matrix:
+    """Beats whose friction, of half, once and twice a damping, makes these waves; (3, m, 5)."""
+    beats = np.empty((3, len(hz), 5))
+    for k in range(len(hz)):
+        most = (_BREATH_STD if hz[k] < _SLOWEST_HEART else _HEART_STD)[1]
+        for i, scale in enumerate((0.5, 1.0, 2.0)):
+            beats[i, k, 0] = hz[k]
+            for h in range(2):
+                at, rate = 6 + 8 * k + 4 * h, 2.0 * math.pi * hz[k] * (1 + h) * damping
+                cosine, sine = (
+                    waves[at] + travel * waves[at + 1],
+                    waves[at + 2] + travel * waves[at + 3],
+                )
+                beats[i, k, 1 + 2 * h] = min(max(scale * sine / rate, -most), most)
+                beats[i, k, 2 + 2 * h] = min(max(-scale * cosine / rate, -most), most)
+    return beats
+
+
+@compiled
+def _solved(
+    contact: tuple[Matrix, Matrix],
+    speed: Vector,
+    powers: Matrix,
+    force: Vector,
+    prior: tuple[Matrix, Vector],
+) -> tuple[Matrix, Vector, float, Vector]:
     """Rows of the law in its eight linear unknowns, each over its standard deviation, (n, 8).
 
     `contact` holds presliding deflection and what is left of the tip's force, `speed` is relative
     to the tissue; `powers`, shape (3, n), are 1, y and y² over the standard deviation.
+
+    Returns them, the unknowns, the sum of squares of the error, and the error.
     """
-    (w, g), one, y = contact, powers[0], powers[1]
+    w, g, one, y = contact[0][0], contact[1][0], powers[0], powers[1]
     rows = np.empty((len(speed), 8))
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = one, w * one, w * y, speed * one
     rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7] = speed * y, g * one, g * y, g * powers[2]
-    return rows
+    linear, error = _fitted(rows, force, prior[0], prior[1])
+    return rows, linear, float(np.dot(error, error)), error
+
+
+@compiled
+def _prior(
+    slope: float, pace: float, most: float, law: tuple[float, float, float]
+) -> tuple[Matrix, Vector]:
+    """Information and its vector on o, C, c, V, b, T, K, H beforehand; `most` is a force."""
+    (coulomb_speed, fraction, fraction_std), pull = law, np.zeros(8)
+    stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
+    information = np.diag(stds**-2.0)
+    # Growth of friction as a part of the force's; how both frictions split it, and the rest.
+    growth, split = (2, 4, pace, fraction_std), (2, 4, -coulomb_speed, 0.3)
+    for i, j, other, std in (growth, split, (1, 3, -coulomb_speed, 0.3 * most / slope)):
+        variance = (std * slope) ** 2
+        information[i, i] += 1.0 / variance
+        information[j, j] += other * other / variance
+        information[i, j] = information[j, i] = information[i, j] + other / variance
+    pull[2] = fraction / (fraction_std**2 * slope)
+    pull[4] = pace * pull[2]
+    return information, pull
+
+
+@compiled
+def _scaled(
+    courses: Matrix, law: tuple[float, float, float]
+) -> tuple[Vector, Vector, float, float, Matrix, Vector, tuple[Matrix, Vector]]:
+    """What a `_Window` holds: travel, sigma, slope, pace, powers, force and prior."""
+    travel, speed, force = courses[1] - courses[1, 0], courses[2], courses[3]
+    size, n = np.abs(force), min(25, len(force))
+    sigma = _NOISE_N + _LAW_ERROR * size
+    # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
+    oldest = np.partition(force[:n], n - 5)[n - 5]
+    newest = np.partition(force[len(force) - n :], n - 5)[n - 5]
+    slope = max((newest - oldest) / max(travel[-1], 1.0), 0.005)
+    pace, one, most = max(speed.mean(), 0.3), 1.0 / sigma, max(size.max(), 0.05)
+    powers = np.empty((3, len(one)))
+    powers[0], powers[1], powers[2] = one, travel * one, travel * travel * one
+    return travel, sigma, slope, pace, powers, force * one, _prior(slope, pace, most, law)
 
 
 @compiled
@@ -319,40 +386,16 @@ class _Window:
     """The force over the last seconds, and what of it a motion explains."""
 
     def __init__(self, window: Array) -> None:
-        self.time_s, self.depth, self.speed, force = window.T.copy()
-        self.count, self.travel, size = len(window), self.depth - self.depth[0], np.abs(force)
-        self.sigma = _NOISE_N + _LAW_ERROR * size
-        # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
-        oldest, newest = np.partition(force[:25], -5)[-5], np.partition(force[-25:], -5)[-5]
-        self.slope = max(float(newest - oldest) / max(float(self.travel[-1]), 1.0), 0.005)
-        self.pace = max(float(self.speed.mean()), 0.3)
-        one = 1.0 / self.sigma
-        self.powers = np.array((one, self.travel * one, self.travel * self.travel * one))
-        self.force, self.prior = force * one, self._prior(max(float(size.max()), 0.05))
-
-    def _prior(self, most: float) -> tuple[Array, Array]:
-        """Information and its vector on o, C, c, V, b, T, K, H beforehand; the largest force."""
-        slope, pull = self.slope, np.zeros(_LINEAR)
-        stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
-        information = np.diag(stds**-2.0)
-        # Growth of friction as a part of the force's; how both frictions split it, and the rest.
-        parts = ((2, 4, self.pace, FRACTION_STD), (2, 4, -COULOMB_SPEED, 0.3))
-        for i, j, other, std in (*parts, (1, 3, -COULOMB_SPEED, 0.3 * most / slope)):
-            variance = (std * slope) ** 2
-            information[i, i] += 1.0 / variance
-            information[j, j] += other * other / variance
-            information[i, j] = information[j, i] = information[i, j] + other / variance
-        pull[2] = FRACTION / (FRACTION_STD**2 * slope)
-        pull[4] = self.pace * pull[2]
-        return information, pull
+        courses = window.T.copy()
+        (self.time_s, self.depth, self.speed, _), self.count = courses, len(window)
+        self.travel, self.sigma, self.slope, self.pace, *_ = found = _scaled(courses, _OF_PRIOR)
+        self.powers, self.force, self.prior = found[4:]
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
-        w, g = contact_along((self.depth - place)[None])
-        rows = _rows((w[0], g[0]), self.speed - speed, self.powers)
-        linear, error = _fitted(rows, self.force, *self.prior)
-        return rows, linear, float(error @ error), error
+        contact = contact_along((self.depth - place)[None])
+        return _solved(contact, self.speed - speed, self.powers, self.force, self.prior)
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
@@ -388,19 +431,14 @@ class _Window:
         courses = np.array((self.time_s, self.travel, self.speed))
         return _waves(hz, courses, self.sigma, self.force)
 
-    def first_fit(self, hz: Array, time_s: float) -> Fit:
+    def first_fit(self, hz: Array) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
-        found, y = self.waves(hz)[0], float(self.travel[-1])
+        found, y, at_s = self.waves(hz)[0], float(self.travel[-1]), float(self.time_s[-1])
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
-        rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
-        sizes = np.stack((waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2).reshape(-1, 4)
-        fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
-        for scale in (0.5, 1.0, 2.0):
-            limited = np.minimum(np.maximum(scale * sizes, -most), most)
-            beats = np.hstack((hz[:, None], limited))
-            fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
-        return turned(min(fits, key=lambda fit: fit.error), time_s)
+        fits = [
+            Fit(each, at_s, self.solved(each, at_s)[2]) for each in _moved(found, hz, y, damping)
+        ]
+        return min(fits, key=lambda fit: fit.error)
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
         """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""

@@ -337,8 +337,7 @@ class InsertionSession:
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
-        if self._had_events:
-            self._keep_what_is_due()
+        self._keep_what_is_due()
         status = wrench.status
         if status is _REJECTED:
             return self._idle(wrench)
