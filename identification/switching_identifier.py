@@ -216,10 +216,10 @@ class SwitchingMethod:
             self._resumed, self._levels = 1.0, self._levels.restarted()
         if not is_met:
             self._force_std_in_air = sample[7]
-        if not is_gap:
-            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
         self._place = place
         self._report(sample)
+        if not is_gap:
+            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
 
     def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
         """The needle's own speed, less jitter; less the tissue's, if that moves."""
