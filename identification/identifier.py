@@ -71,11 +71,6 @@ class Identifier:
         contact_m = self._method.contact_depth_m
         return None if contact_m is None else contact_m + float(self._samples[samples.SHIFT])
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether the last sample caused little work, and the next is not known to."""
-        return self._method.is_idle
-
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = _METHODS[type(self._config)](self._config)

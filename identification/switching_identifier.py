@@ -98,11 +98,6 @@ class SwitchingMethod:
         met = self._answer[0]
         return float(met[samples.CONTACT_M]) if met[samples.IN_CONTACT] > 0.0 else None
 
-    @property
-    def is_idle(self) -> bool:
-        """Whether nothing is left to do for the last block, which ended before this sample."""
-        return self._stage == _NOTHING and self._memory[samples.FILLED] > 0.0
-
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
@@ -153,8 +148,8 @@ class SwitchingMethod:
         """Do the next part of what is left to do for a block."""
         if self._stage >= _LAYERS:
             self._stage -= _LAYERS
-            self._report_layer(sample[7])
-            return
+            if self._report_layer(sample[7]):
+                return
         clock_s = sample[-1]
         if self._stage != _FOLLOW:
             if self._stage == _BRANCH:
@@ -265,7 +260,7 @@ class SwitchingMethod:
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
-        elif alarm is not None and self._is_layer_due(alarm):
+        elif alarm is not None:
             self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
@@ -299,26 +294,24 @@ class SwitchingMethod:
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
-    def _is_final_due(self, alarm: Rupture) -> bool:
-        """Whether the last layer, reported provisionally, is to be reported finally."""
-        travel = self._place.depth / _MM - alarm.depth_m
-        return not self.layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
+    def _report_layer(self, force_std: float) -> bool:
+        """Report the layer that the last rupture ended, twice, and keep what is known of it.
 
-    def _is_layer_due(self, alarm: Rupture) -> bool:
-        """Whether the layer that the last rupture ended is to be reported or revised."""
-        if self._is_open:
-            return self._place.depth / _MM - alarm.depth_m >= _PROVISIONAL_M
-        return self._place.time_s % _REVISE_S < self._place.dt_s or self._is_final_due(alarm)
-
-    def _report_layer(self, force_std: float) -> None:
-        """Report the layer that the last rupture ended, twice, and keep what is known of it."""
+        Returns whether that was due.
+        """
         layers, alarm = self.layers, self._alarm
-        assert alarm is not None, "there is nothing to report without one"
+        if alarm is None:
+            return False
+        travel = self._place.depth / _MM - alarm.depth_m
+        is_open, is_revised = self._is_open, self._place.time_s % _REVISE_S < self._place.dt_s
+        is_due = not is_open and not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
+        if not (travel >= _PROVISIONAL_M if is_open else is_due or is_revised):
+            return False
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction.
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0)
         friction = reports.friction_left(evidence, self._ruptures, grown)
-        if self._is_open:
+        if is_open:
             layer = None
             if friction is not None:
                 layer = reports.layer_left(evidence, alarm, self._ruptures, friction)
@@ -326,9 +319,9 @@ class SwitchingMethod:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
                 self._rupture_state = RuptureState.FRICTION_IDENTIFIED
-            return
+            return True
         layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
-        if self._is_final_due(alarm):
+        if is_due:
             partial = reports.partial_rupture_probability(evidence, self._ruptures)
             rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
             layer = replace(layer, is_final=True, rupture=rupture)
@@ -338,6 +331,7 @@ class SwitchingMethod:
         if earlier is not None and len(kept) > 1:
             kept[-2] = reports.with_friction(kept[-2], *earlier)
         self._keep(tuple(kept))
+        return True
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:

@@ -170,7 +170,11 @@ class TissueMotion(NamedTuple):
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
                 end = 2 * n + m if heart < breath else end  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
-            error = window.waves(tried)[1] if row < 2 else window.first_fit(tried).error
+            error = (
+                _waves(tried, window.courses, window.sigma)[1]
+                if row < 2
+                else window.first_fit(tried).error
+            )
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
@@ -248,12 +252,13 @@ def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[V
 
 
 @compiled
-def _waves(hz: Vector, courses: Matrix, sigma: Vector, force: Vector) -> tuple[Vector, float]:
+def _waves(hz: Vector, courses: Matrix, sigma: Vector) -> tuple[Vector, float]:
     """Fit of a smooth course and waves that grow with the travel; mean square of the rest.
 
-    `courses`, shape (3, n), are time, travel and speed; `force` is over its deviation `sigma`.
+    `courses`, shape (4, n), are those of a window, whose force has the deviation `sigma`.
     """
-    time_s, y, v = courses[0] - courses[0, -1], courses[1], courses[2]
+    time_s, v, force = courses[0] - courses[0, -1], courses[2], courses[3] / sigma
+    y = courses[1] - courses[1, 0]
     columns, row = np.ones((6 + 8 * len(hz), len(y))), 6
     columns[1], columns[2], columns[3], columns[4], columns[5] = y, y * y, y**3, v, v * y
     for k in range(2 * len(hz)):
@@ -278,45 +283,56 @@ def _moved(waves: Vector, hz: Vector, travel: float, damping: float) -> Matrix:
         for i, scale in enumerate((0.5, 1.0, 2.0)):
             beats[i, k, 0] = hz[k]
             for h in range(2):
-                at, rate = 6 + 8 * k + 4 * h, 2.0 * math.pi * hz[k] * (1 + h) * damping
-                cosine, sine = (
-                    waves[at] + travel * waves[at + 1],
-                    waves[at + 2] + travel * waves[at + 3],
-                )
-                beats[i, k, 1 + 2 * h] = min(max(scale * sine / rate, -most), most)
-                beats[i, k, 2 + 2 * h] = min(max(-scale * cosine / rate, -most), most)
+                at, size = 6 + 8 * k + 4 * h, scale / (2.0 * math.pi * hz[k] * (1 + h) * damping)
+                a = size * (waves[at + 2] + travel * waves[at + 3])
+                b = -size * (waves[at] + travel * waves[at + 1])
+                beats[i, k, 1 + 2 * h] = min(max(a, -most), most)
+                beats[i, k, 2 + 2 * h] = min(max(b, -most), most)
     return beats
 
 
 @compiled
 def _solved(
-    contact: tuple[Matrix, Matrix],
-    speed: Vector,
-    powers: Matrix,
-    force: Vector,
-    prior: tuple[Matrix, Vector],
+    contact: tuple[Matrix, Matrix], speed: Vector, known: tuple[Matrix, Vector, Matrix, Vector]
 ) -> tuple[Matrix, Vector, float, Vector]:
-    """Rows of the law in its eight linear unknowns, each over its standard deviation, (n, 8).
+    """The force as the law has it; `known` is what `_scaled` returns last.
 
     `contact` holds presliding deflection and what is left of the tip's force, `speed` is relative
-    to the tissue; `powers`, shape (3, n), are 1, y and y² over the standard deviation.
-
-    Returns them, the unknowns, the sum of squares of the error, and the error.
+    to the tissue. Returns the rows of the eight linear unknowns, each over its standard deviation,
+    shape (n, 8); the unknowns; the sum of squares of the error, and the error.
     """
+    powers, force, information, pull = known
     w, g, one, y = contact[0][0], contact[1][0], powers[0], powers[1]
     rows = np.empty((len(speed), 8))
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = one, w * one, w * y, speed * one
     rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7] = speed * y, g * one, g * y, g * powers[2]
-    linear, error = _fitted(rows, force, prior[0], prior[1])
+    linear, error = _fitted(rows, force, information, pull)
     return rows, linear, float(np.dot(error, error)), error
 
 
 @compiled
-def _prior(
-    slope: float, pace: float, most: float, law: tuple[float, float, float]
-) -> tuple[Matrix, Vector]:
-    """Information and its vector on o, C, c, V, b, T, K, H beforehand; `most` is a force."""
-    (coulomb_speed, fraction, fraction_std), pull = law, np.zeros(8)
+def _scaled(
+    courses: Matrix, law: tuple[float, float, float]
+) -> tuple[Vector, float, float, tuple[Matrix, Vector, Matrix, Vector]]:
+    """Of a window sigma, the force's slope and the pace.
+
+    And what does not depend on the motion: 1, y and y² over sigma, shape (3, n), and the force over
+    it; information and its vector on o, C, c, V, b, T, K, H beforehand.
+    """
+    travel, force, (coulomb_speed, fraction, fraction_std) = (
+        courses[1] - courses[1, 0],
+        courses[3],
+        law,
+    )
+    size, n = np.abs(force), min(25, len(force))
+    sigma, most, pull = _NOISE_N + _LAW_ERROR * size, max(size.max(), 0.05), np.zeros(8)
+    # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
+    oldest = np.partition(force[:n], n - 5)[n - 5]
+    newest = np.partition(force[len(force) - n :], n - 5)[n - 5]
+    slope = max((newest - oldest) / max(travel[-1], 1.0), 0.005)
+    pace, powers = max(courses[2].mean(), 0.3), np.ones((3, len(force))) / sigma
+    powers[1:] *= travel
+    powers[2] *= travel
     stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
     information = np.diag(stds**-2.0)
     # Growth of friction as a part of the force's; how both frictions split it, and the rest.
@@ -328,25 +344,7 @@ def _prior(
         information[i, j] = information[j, i] = information[i, j] + other / variance
     pull[2] = fraction / (fraction_std**2 * slope)
     pull[4] = pace * pull[2]
-    return information, pull
-
-
-@compiled
-def _scaled(
-    courses: Matrix, law: tuple[float, float, float]
-) -> tuple[Vector, Vector, float, float, Matrix, Vector, tuple[Matrix, Vector]]:
-    """What a `_Window` holds: travel, sigma, slope, pace, powers, force and prior."""
-    travel, speed, force = courses[1] - courses[1, 0], courses[2], courses[3]
-    size, n = np.abs(force), min(25, len(force))
-    sigma = _NOISE_N + _LAW_ERROR * size
-    # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
-    oldest = np.partition(force[:n], n - 5)[n - 5]
-    newest = np.partition(force[len(force) - n :], n - 5)[n - 5]
-    slope = max((newest - oldest) / max(travel[-1], 1.0), 0.005)
-    pace, one, most = max(speed.mean(), 0.3), 1.0 / sigma, max(size.max(), 0.05)
-    powers = np.empty((3, len(one)))
-    powers[0], powers[1], powers[2] = one, travel * one, travel * travel * one
-    return travel, sigma, slope, pace, powers, force * one, _prior(slope, pace, most, law)
+    return sigma, slope, pace, (powers, force / sigma, information, pull)
 
 
 @compiled
@@ -386,27 +384,26 @@ class _Window:
     """The force over the last seconds, and what of it a motion explains."""
 
     def __init__(self, window: Array) -> None:
-        courses = window.T.copy()
-        (self.time_s, self.depth, self.speed, _), self.count = courses, len(window)
-        self.travel, self.sigma, self.slope, self.pace, *_ = found = _scaled(courses, _OF_PRIOR)
-        self.powers, self.force, self.prior = found[4:]
+        self.courses, self.count = window.T.copy(), len(window)
+        self.time_s, self.depth, self.speed, _ = self.courses
+        self.sigma, self.slope, self.pace, self.known = _scaled(self.courses, _OF_PRIOR)
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
         contact = contact_along((self.depth - place)[None])
-        return _solved(contact, self.speed - speed, self.powers, self.force, self.prior)
+        return _solved(contact, self.speed - speed, self.known)
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
-        (one, y, _), beats = self.powers, fit.beats
+        (one, y, _), beats = self.known[0], fit.beats
         places, speeds = _derivatives(beats, self.time_s - fit.at_s)
         place = (beats * (np.arange(5) > 0)).ravel() @ places  # linear in the sizes
         # What turns round remembers its way there: differences.
         steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
         w, g = contact_along(self.depth - np.vstack((place, place + steps * places)))
         by_w, by_v = linear[1] * one + linear[2] * y, linear[3] * one + linear[4] * y
-        turned_by = (w[1:] - w[0]) * by_w + (g[1:] - g[0]) * (linear[5:] @ self.powers)
+        turned_by = (w[1:] - w[0]) * by_w + (g[1:] - g[0]) * (linear[5:] @ self.known[0])
         return np.ascontiguousarray((turned_by / steps - by_v * speeds).T)
 
     @property
@@ -426,18 +423,12 @@ class _Window:
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
         return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
-    def waves(self, hz: Array) -> tuple[Array, float]:
-        """As `_waves`, of these frequencies."""
-        courses = np.array((self.time_s, self.travel, self.speed))
-        return _waves(hz, courses, self.sigma, self.force)
-
     def first_fit(self, hz: Array) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
-        found, y, at_s = self.waves(hz)[0], float(self.travel[-1]), float(self.time_s[-1])
+        waves, y = _waves(hz, self.courses, self.sigma)[0], float(self.depth[-1] - self.depth[0])
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        fits = [
-            Fit(each, at_s, self.solved(each, at_s)[2]) for each in _moved(found, hz, y, damping)
-        ]
+        tried, at_s = _moved(waves, hz, y, damping), float(self.time_s[-1])
+        fits = [Fit(beats, at_s, self.solved(beats, at_s)[2]) for beats in tried]
         return min(fits, key=lambda fit: fit.error)
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
@@ -451,7 +442,7 @@ class _Window:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
         step = _step(
-            (rows, self._slopes(fit, linear)), error, self.prior[0], stds.ravel(), pull, fit.damping
+            (rows, self._slopes(fit, linear)), error, self.known[2], stds.ravel(), pull, fit.damping
         )
         change, left = step.reshape(beats.shape), float(error @ error)
         before = left + float((((beats - target) / stds) ** 2).sum())
