@@ -29,6 +29,7 @@ from needleforce.jit import (
     WrittenVector,
     compiled,
     compiled_or,
+    dot,
 )
 
 # Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the last one that
@@ -131,22 +132,23 @@ def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
     return found
 
 
-def _turn_plain(spread: Any, at: int, turn: Any) -> None:
+def _turn_plain(spreads: Any, n: int, at: int, turn: Any) -> None:
     pair, matrix = slice(at, at + 2), turn[:4].reshape(2, 2)
-    spread[pair] = matrix @ spread[pair]
-    spread[:, pair] = spread[:, pair] @ matrix.T
+    spreads[:n, pair] = matrix @ spreads[:n, pair]
+    spreads[:n, :, pair] = spreads[:n, :, pair] @ matrix.T
 
 
 @compiled_or(_turn_plain)
-def _turn(spread: WrittenMatrix, at: int, turn: Vector) -> None:
-    """Map two neighbouring unknowns, by the transition with which `turn` begins."""
+def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
+    """Map two neighbouring unknowns of n hypotheses, by the transition with which `turn` begins."""
     a, b, c, d = turn[0], turn[1], turn[2], turn[3]
-    for j in range(UNKNOWNS):
-        one, two = spread[at, j], spread[at + 1, j]
-        spread[at, j], spread[at + 1, j] = a * one + b * two, c * one + d * two
-    for j in range(UNKNOWNS):
-        one, two = spread[j, at], spread[j, at + 1]
-        spread[j, at], spread[j, at + 1] = a * one + b * two, c * one + d * two
+    for k in range(n):
+        for j in range(UNKNOWNS):
+            one, two = spreads[k, at, j], spreads[k, at + 1, j]
+            spreads[k, at, j], spreads[k, at + 1, j] = a * one + b * two, c * one + d * two
+        for j in range(UNKNOWNS):
+            one, two = spreads[k, j, at], spreads[k, j, at + 1]
+            spreads[k, j, at], spreads[k, j, at + 1] = a * one + b * two, c * one + d * two
 
 
 @compiled
@@ -179,25 +181,22 @@ def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turn
     `held` is the variance by which the cutting force changes, `colour` what is left of the coloured
     noise of the sensor, and its variance.
     """
-    means, spreads, _, facts, _ = store
-    for k in range(n):
-        mean, spread = means[k], spreads[k]
-        mean[COLOUR] *= colour[0]
-        for j in range(UNKNOWNS):
-            spread[COLOUR, j] *= colour[0]
-            spread[j, COLOUR] *= colour[0]
-        spread[OFFSET, OFFSET] += OFFSET_WALK * dt_s
-        spread[HELD, HELD] += held if facts[k, KIND] != AIR else 0.0
-        spread[COLOUR, COLOUR] += (1.0 - colour[0] ** 2) * colour[1]
-        for part in range(3):
-            turn, at = turns[part], HEART + 2 * part
-            one, two = mean[at], mean[at + 1]
-            mean[at], mean[at + 1] = turn[0] * one + turn[1] * two, turn[2] * one + turn[3] * two
-            _turn(spread, at, turn)
-            spread[at, at] += turn[4]
-            spread[at, at + 1] += turn[5]
-            spread[at + 1, at] += turn[5]
-            spread[at + 1, at + 1] += turn[6]
+    mean, spread, is_tissue = store[0][:n], store[1][:n], store[3][:n, KIND] != AIR
+    mean[:, COLOUR] *= colour[0]
+    spread[:, COLOUR] *= colour[0]
+    spread[:, :, COLOUR] *= colour[0]
+    spread[:, OFFSET, OFFSET] += OFFSET_WALK * dt_s
+    spread[:, HELD, HELD] += np.where(is_tissue, held, 0.0)
+    spread[:, COLOUR, COLOUR] += (1.0 - colour[0] ** 2) * colour[1]
+    for part in range(3):
+        turn, at = turns[part], HEART + 2 * part
+        one, two = mean[:, at].copy(), mean[:, at + 1].copy()
+        mean[:, at], mean[:, at + 1] = turn[0] * one + turn[1] * two, turn[2] * one + turn[3] * two
+        _turn(store[1], n, at, turn)
+        spread[:, at, at] += turn[4]
+        spread[:, at, at + 1] += turn[5]
+        spread[:, at + 1, at] += turn[5]
+        spread[:, at + 1, at + 1] += turn[6]
 
 
 @compiled
@@ -216,8 +215,8 @@ def correct(
         noise += (ONSET_ERROR * mean[HELD] * early) ** 2
         noise += (2.0 * mean[RELEASED] / fact[LENGTH] * depth_std) ** 2 * row[RELEASED]
         cross = _times(spread, row)
-        total = max(np.dot(row, cross), 0.0) + noise
-        error = force - np.dot(row, mean)
+        total = max(dot(row, cross), 0.0) + noise
+        error = force - dot(row, mean)
         surprise = error * error / total
         evidence = -0.5 * (math.log(total) + (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM))
         log_weights[k] += TEMPER * evidence

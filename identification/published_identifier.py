@@ -198,11 +198,8 @@ class PublishedMethod:
         windows[:, _OF_FORCE] -= damping * windows[:, _OF_SPEED]  # as if it were not felt
         windows.setflags(write=False)
         m[_RLS:_SUMS] = *rerun_windows(windows, (stiff, damp)), *self._psi0
-        m[_SUMS:_WINDOW_S], m[_WAITED_S], m[_CUMULATIVE] = (
-            windows[-1].tolist(),
-            0.0,
-            known + damping,
-        )
+        m[_SUMS:_WINDOW_S] = windows[-1].tolist()
+        m[_WAITED_S], m[_CUMULATIVE] = 0.0, known + damping
         self._windows, self._ruptured = windows[:-1], None
         self.layers = (*self.layers, layer)[-_MOST_LAYERS:]
         return layer

@@ -1,7 +1,8 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it uses its force and reports; in the
-next hypotheses of new events begin and the least likely go; one more may look for moving tissue.
+A block's work is spread over samples: the one that fills it uses its force and reports ruptures;
+the next reports a layer, where one is due; in the next hypotheses of new events begin and the least
+likely go; one more may look for moving tissue.
 """
 
 import math
@@ -49,6 +50,7 @@ _MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the bea
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
+_LAYERS = 4  # besides: first of all the layer that the last rupture ended
 
 
 class SwitchingState(NamedTuple):
@@ -130,7 +132,7 @@ class SwitchingMethod:
             return (self._rupture_state, *outputs, None, None, None)
         self._events = Events()
         while self._stage != _NOTHING:
-            self._work(sample[-1])
+            self._work(sample)
             if not is_full:  # else blocks are of one or two samples
                 break
         if is_full:
@@ -142,8 +144,13 @@ class SwitchingMethod:
         outputs = samples.switching_outputs(sample[2], sample[3], sample[6], *known)
         return (self._rupture_state, *outputs, *self._events)
 
-    def _work(self, clock_s: float) -> None:
+    def _work(self, sample: Sample) -> None:
         """Do the next part of what is left to do for a block."""
+        if self._stage >= _LAYERS:
+            self._stage -= _LAYERS
+            if self._report_layer(sample[7]):
+                return
+        clock_s = sample[-1]
         if self._stage != _FOLLOW:
             if self._stage == _BRANCH:
                 self._branch()
@@ -204,10 +211,10 @@ class SwitchingMethod:
             self._resumed, self._levels = 1.0, self._levels.restarted()
         if not is_met:
             self._force_std_in_air = sample[7]
-        if not is_gap:
-            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
         self._place = place
         self._report(sample)
+        if not is_gap:
+            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
 
     def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
         """The needle's own speed, less jitter; less the tissue's, if that moves."""
@@ -254,7 +261,7 @@ class SwitchingMethod:
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
         elif alarm is not None:
-            self._report_layer(evidence, alarm, sample[7])
+            self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
         known = layers_traversed(self.layers) + self._is_open
@@ -287,13 +294,20 @@ class SwitchingMethod:
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
-    def _report_layer(self, evidence: reports.Evidence, alarm: Rupture, force_std: float) -> None:
-        """Report the layer that the last rupture ended, twice, and keep what is known of it."""
-        layers, travel = self.layers, self._place.depth / _MM - alarm.depth_m
+    def _report_layer(self, force_std: float) -> bool:
+        """Report the layer that the last rupture ended, twice, and keep what is known of it.
+
+        Returns whether that was due.
+        """
+        layers, alarm = self.layers, self._alarm
+        if alarm is None:
+            return False
+        travel = self._place.depth / _MM - alarm.depth_m
         is_open, is_revised = self._is_open, self._place.time_s % _REVISE_S < self._place.dt_s
         is_due = not is_open and not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
         if not (travel >= _PROVISIONAL_M if is_open else is_due or is_revised):
-            return
+            return False
+        evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction.
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0)
         friction = reports.friction_left(evidence, self._ruptures, grown)
@@ -305,7 +319,7 @@ class SwitchingMethod:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
                 self._rupture_state = RuptureState.FRICTION_IDENTIFIED
-            return
+            return True
         layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
         if is_due:
             partial = reports.partial_rupture_probability(evidence, self._ruptures)
@@ -317,6 +331,7 @@ class SwitchingMethod:
         if earlier is not None and len(kept) > 1:
             kept[-2] = reports.with_friction(kept[-2], *earlier)
         self._keep(tuple(kept))
+        return True
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:

@@ -259,7 +259,8 @@ class InsertionSession:
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
-        self._keep_checkpoint(has_events=True)  # nothing before it
+        self._is_due = self._had_events = True  # There is nothing before it
+        self._keep_checkpoint()
         self._plan.begin(*self.zero)
 
     def reset(self) -> None:
@@ -270,6 +271,7 @@ class InsertionSession:
 
     def snapshot(self) -> SessionSnapshot:
         """All that the session remembers; `write_snapshot` stores it."""
+        self._keep_checkpoint()
         parts = self._sensor.snapshot(), self._identifier.snapshot(), self.zero, self._travel
         times_s = self._speed_lag_s, self._unused_s, self._time_s
         return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
@@ -303,7 +305,7 @@ class InsertionSession:
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
         self._travel, self._unused_s = snapshot.travel, snapshot.unused_s
-        self._time_s, self._earlier = snapshot.time_s, snapshot.earlier
+        self._time_s, self._earlier, self._is_due = snapshot.time_s, snapshot.earlier, False
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
 
@@ -334,6 +336,7 @@ class InsertionSession:
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
+        self._keep_checkpoint()
         status = wrench.status
         if status is _REJECTED:
             return self._idle(wrench)
@@ -360,17 +363,20 @@ class InsertionSession:
             if wrench.warnings & _PUSHED:
                 return self._skip(wrench, 0.0)  # its time was used: that is taken back
         self._identification = found
-        has_events = found.has_events
-        if has_events or self._time_s >= self._earlier[1].time_s + _TAKEN_BACK_S:
-            self._keep_checkpoint(has_events=has_events)
+        self._had_events, due_s = found.has_events, self._earlier[1].time_s + _TAKEN_BACK_S
+        self._is_due = self._had_events or self._time_s >= due_s
         self._plan.follow(found, depth_m, self._identifier.contact_depth_m)
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
-    def _keep_checkpoint(self, *, has_events: bool) -> None:
-        """Keep where to go back to, not before events: what was reported is not reported again."""
-        now = Checkpoint(self._time_s, self._identifier.snapshot())
-        self._earlier = now if has_events else self._earlier[1], now
+    def _keep_checkpoint(self) -> None:
+        """Keep where to go back to, not before events: what was reported is not reported again.
+
+        That is done at the next sample: the one before, most of all of an event, has enough to do.
+        """
+        if self._is_due:
+            now, self._is_due = Checkpoint(self._time_s, self._identifier.snapshot()), False
+            self._earlier = now if self._had_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
         """A valid tick that the identification does not get, or that raised a rupture in a push.
