@@ -3,6 +3,9 @@
 Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
 and each part shows most at lags near its own time. A part takes what the faster ones leave, the
 tissue's own motion only what they seldom leave by chance: else noise alone would look like one.
+
+Over travel they show the tissue's texture. The force of a gel is smooth over two millimetres; what
+is not is an error of the law, which cannot divide it into friction and tip force.
 """
 
 import math
@@ -19,6 +22,8 @@ BEATS = ((1.2, 0.3), (0.3, 0.5))  # Frequency [Hz] and damping of heartbeat and 
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
+_TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step, steps over which a texture is learned
+_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # powers of two of its lags; least number of differences
 _MEDIAN = 0.455  # Of a squared standard normal. Ruptures are few of the differences
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
@@ -97,6 +102,7 @@ class DisturbanceLevels(NamedTuple):
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
     step_s: float = STEP_S  # length of the last one: longer where samples are rare
+    is_texture: bool = False  # then lengths are of travel [mm], and no levels are learnt
 
     @property
     def noise(self) -> float:
@@ -122,14 +128,35 @@ class DisturbanceLevels(NamedTuple):
     def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
         """Use the mean force of a block [N] at a speed [mm/s]."""
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
-        if filled < STEP_S * (1.0 - 1e-6):
+        step = _TEXTURE_MM if self.is_texture else STEP_S
+        if filled < step * (1.0 - 1e-6):
             return self._replace(force_sum=total, filled_s=filled)
         squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
-        if count % 10.0 == 0.0 and seen[0] > 10.0:
+        if count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
             levels = _levels(squares, seen, _DESIGN, speed)
-        return DisturbanceLevels(past, count, squares, seen, levels, step_s=filled)
+        over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
+        rest = over * force, over, filled, self.is_texture
+        return DisturbanceLevels(past, count, squares, seen, levels, *rest)
+
+    def law_error(self, length: float, known: float, noise: float) -> float:
+        """Standard deviation [N] of an error of the law that lasts for a length, by the texture.
+
+        Beyond what is known of it, and what noise of the force explains.
+        """
+        if self.seen[_COARSE] < _LEAST_SEEN:
+            return 0.0
+        rough = _square(self.squares, self.seen, _COARSE) - _square(self.squares, self.seen, _FINE)
+        fine, coarse = (
+            6.0 - 8.0 * smooth_walk(lag, length)[0] + 2.0 * smooth_walk(2.0 * lag, length)[0]
+            for lag in (_TEXTURE_MM * 2.0**_FINE, _TEXTURE_MM * 2.0**_COARSE)
+        )
+        rough = rough / (coarse - fine) - 6.0 / coarse * noise**2
+        return math.sqrt(max(rough - known**2, 0.0))
+
+
+NO_TEXTURE = DisturbanceLevels(squares=np.zeros((8, _TEXTURES)), is_texture=True)
 
 
 @compiled
@@ -143,9 +170,16 @@ def _learn(
         if count <= 2 * lag:
             break
         square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
-        squares[k, int(seen[k]) % _MEMORY] = square
+        squares[k, int(seen[k]) % squares.shape[1]] = square
         seen[k] += 1.0
     return past
+
+
+@compiled
+def _square(squares: Matrix, seen: Vector, k: int) -> float:
+    """Variance of the differences at a lag, by their median."""
+    known = min(int(seen[k]), squares.shape[1])
+    return np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
 
 
 @compiled
@@ -153,9 +187,8 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     """Variance of each part, each taking what the faster ones leave."""
     levels, left, chance = np.zeros(4), np.zeros(8), np.zeros(8)
     for k in range(8):
-        known = min(int(seen[k]), _MEMORY)
-        if known > min(2 * 2**k, 30):
-            left[k] = np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
+        if seen[k] > min(2 * 2**k, _LEAST_SEEN):
+            left[k] = _square(squares, seen, k)
     for part in range(4):
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
-from identification.switching_update import IDENTIFIED, NO_ANSWER
+from identification.switching_update import COULOMB, IDENTIFIED, LEFT_COULOMB, NO_ANSWER
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
@@ -68,6 +68,9 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
     found = law.shaft_mixture(memory.store, weights, scene)
     answer[1], answer[2:], all_met, contact, tip = found
+    # No friction is known better than the texture lets the law be.
+    for part in LEFT_COULOMB, COULOMB:
+        answer[2 + part, part] += all_met * place.law_error**2
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed
