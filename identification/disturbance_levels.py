@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.estimate import Array
+from identification.hypothesis_filter import LAW_ERROR, LAW_MM
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
@@ -23,7 +24,7 @@ COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
 _TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step, steps over which a texture is learned
-_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # powers of two of its lags; least number of differences
+_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # powers of two of the lags used; least of differences
 _MEDIAN = 0.455  # Of a squared standard normal. Ruptures are few of the differences
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
@@ -78,17 +79,20 @@ def transitions(
 
 
 def _difference(part: int, lag_s: float) -> float:
-    """Variance of a second difference of a part of the noise of unit variance."""
+    """Variance of a second difference of a part of the noise, or of an error of the law, of one."""
 
     def likeness(lag_s: float) -> float:
         if part < 2:
             return math.exp(-lag_s / COLOUR_S) if part else 0.0
+        if part == 4:
+            return smooth_walk(lag_s, LAW_MM)[0]
         return oscillation(lag_s, *BEATS[part - 2])[0]
 
     return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 
 
 _DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
+_SHOWN = tuple(_difference(4, _TEXTURE_MM * 2**k) for k in (_FINE, _COARSE))
 
 
 class DisturbanceLevels(NamedTuple):
@@ -103,6 +107,11 @@ class DisturbanceLevels(NamedTuple):
     filled_s: float = 0.0  # length of that so far
     step_s: float = STEP_S  # length of the last one: longer where samples are rare
     is_texture: bool = False  # then lengths are of travel [mm], and no levels are learnt
+
+    @classmethod
+    def of_texture(cls) -> "DisturbanceLevels":
+        """Differences over travel, nothing known."""
+        return cls(squares=np.zeros((8, _TEXTURES)), is_texture=True)
 
     @property
     def noise(self) -> float:
@@ -140,23 +149,13 @@ class DisturbanceLevels(NamedTuple):
         rest = over * force, over, filled, self.is_texture
         return DisturbanceLevels(past, count, squares, seen, levels, *rest)
 
-    def law_error(self, length: float, known: float, noise: float) -> float:
-        """Standard deviation [N] of an error of the law that lasts for a length, by the texture.
-
-        Beyond what is known of it, and what noise of the force explains.
-        """
+    def law_error(self, force: float, noise: float) -> float:
+        """Error of the law, by the texture, beyond that known and noise: standard deviation [N]."""
         if self.seen[_COARSE] < _LEAST_SEEN:
             return 0.0
-        rough = _square(self.squares, self.seen, _COARSE) - _square(self.squares, self.seen, _FINE)
-        fine, coarse = (
-            6.0 - 8.0 * smooth_walk(lag, length)[0] + 2.0 * smooth_walk(2.0 * lag, length)[0]
-            for lag in (_TEXTURE_MM * 2.0**_FINE, _TEXTURE_MM * 2.0**_COARSE)
-        )
-        rough = rough / (coarse - fine) - 6.0 / coarse * noise**2
-        return math.sqrt(max(rough - known**2, 0.0))
-
-
-NO_TEXTURE = DisturbanceLevels(squares=np.zeros((8, _TEXTURES)), is_texture=True)
+        fine, coarse = (_square(self.squares, self.seen, k) for k in (_FINE, _COARSE))
+        variance = (coarse - fine) / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
+        return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
 
 
 @compiled

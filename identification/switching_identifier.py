@@ -14,13 +14,7 @@ from identification import hypothesis_filter as law
 from identification import rupture_report as reports
 from identification import switching_update as samples
 from identification.config import MultilayerConfig
-from identification.disturbance_levels import (
-    BEATS,
-    COLOUR_S,
-    NO_TEXTURE,
-    DisturbanceLevels,
-    transitions,
-)
+from identification.disturbance_levels import BEATS, COLOUR_S, DisturbanceLevels, transitions
 from identification.estimate import (
     Array,
     Events,
@@ -66,7 +60,7 @@ class SwitchingState(NamedTuple):
     levels: DisturbanceLevels = DisturbanceLevels()
     tissue: TissueMotion = TissueMotion()  # its motion by itself
     trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
-    texture: DisturbanceLevels = NO_TEXTURE  # of the tissue: differences over travel
+    texture: DisturbanceLevels = DisturbanceLevels.of_texture()
     place: Place = Place(*(0.0,) * 10)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
     deepest: float = -_FAR_MM  # point so far [mm]
@@ -217,9 +211,8 @@ class SwitchingMethod:
             self._force_std_in_air = sample[7]
         if not is_gap:
             self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
-        known = law.LAW_ERROR * abs(place.force - bank.likeliest[0][law.OFFSET])
-        law_error = self._texture.law_error(law.LAW_MM, known, sample[7])
-        self._place = place._replace(law_error=law_error)
+        axial = place.force - bank.likeliest[0][law.OFFSET]
+        self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
         self._report(sample)
 
     def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
