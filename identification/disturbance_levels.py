@@ -102,7 +102,8 @@ class DisturbanceLevels(NamedTuple):
     steps: float = 0.0  # how many of them follow each other undisturbed
     squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
     seen: Array = np.zeros(8)  # how many there have been
-    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
+    # Variances: white, colour, heart, breath; of a texture those of fine and coarse differences.
+    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
     step_s: float = STEP_S  # length of the last one: longer where samples are rare
@@ -111,7 +112,7 @@ class DisturbanceLevels(NamedTuple):
     @classmethod
     def of_texture(cls) -> "DisturbanceLevels":
         """Differences over travel, nothing known."""
-        return cls(squares=np.zeros((8, _TEXTURES)), is_texture=True)
+        return cls(squares=np.zeros((8, _TEXTURES)), levels=np.zeros(2), is_texture=True)
 
     @property
     def noise(self) -> float:
@@ -143,7 +144,9 @@ class DisturbanceLevels(NamedTuple):
         squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
-        if count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
+        if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
+            levels = np.array([_square(squares, seen, k) for k in (_FINE, _COARSE)])
+        elif count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
             levels = _levels(squares, seen, _DESIGN, speed)
         over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
         rest = over * force, over, filled, self.is_texture
@@ -151,9 +154,7 @@ class DisturbanceLevels(NamedTuple):
 
     def law_error(self, force: float, noise: float) -> float:
         """Error of the law, by the texture, beyond that known and noise: standard deviation [N]."""
-        if self.seen[_COARSE] < _LEAST_SEEN:
-            return 0.0
-        fine, coarse = (_square(self.squares, self.seen, k) for k in (_FINE, _COARSE))
+        fine, coarse = self.levels[:2].tolist()
         variance = (coarse - fine) / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
         return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
 
