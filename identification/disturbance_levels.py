@@ -4,8 +4,7 @@ Second differences of the force at lags of 10 ms to 1.3 s: a straight line does 
 and each part shows most at lags near its own time. A part takes what the faster ones leave, the
 tissue's own motion only what they seldom leave by chance: else noise alone would look like one.
 
-Over travel they show the tissue's texture. The force of a gel is smooth over two millimetres; what
-is not is an error of the law, which cannot divide it into friction and tip force.
+Over travel they show texture: an error of the law, which cannot say what of it is friction.
 """
 
 import math
@@ -84,9 +83,9 @@ def _difference(part: int, lag_s: float) -> float:
     def likeness(lag_s: float) -> float:
         if part < 2:
             return math.exp(-lag_s / COLOUR_S) if part else 0.0
-        if part == 4:
-            return smooth_walk(lag_s, LAW_MM)[0]
-        return oscillation(lag_s, *BEATS[part - 2])[0]
+        return (smooth_walk(lag_s, LAW_MM) if part == 4 else oscillation(lag_s, *BEATS[part - 2]))[
+            0
+        ]
 
     return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 
@@ -102,17 +101,16 @@ class DisturbanceLevels(NamedTuple):
     steps: float = 0.0  # how many of them follow each other undisturbed
     squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
     seen: Array = np.zeros(8)  # how many there have been
-    # Variances: white, colour, heart, breath; of a texture those of fine and coarse differences.
-    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])
+    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
     step_s: float = STEP_S  # length of the last one: longer where samples are rare
-    is_texture: bool = False  # then lengths are of travel [mm], and no levels are learnt
+    is_texture: bool = False  # then of travel [mm]; the level is coarse differences less fine ones
 
     @classmethod
     def of_texture(cls) -> "DisturbanceLevels":
         """Differences over travel, nothing known."""
-        return cls(squares=np.zeros((8, _TEXTURES)), levels=np.zeros(2), is_texture=True)
+        return cls(squares=np.zeros((8, _TEXTURES)), levels=np.zeros(1), is_texture=True)
 
     @property
     def noise(self) -> float:
@@ -145,7 +143,7 @@ class DisturbanceLevels(NamedTuple):
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
         if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
-            levels = np.array([_square(squares, seen, k) for k in (_FINE, _COARSE)])
+            levels = np.array([_square(squares, seen, _COARSE) - _square(squares, seen, _FINE)])
         elif count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
             levels = _levels(squares, seen, _DESIGN, speed)
         over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
@@ -154,8 +152,7 @@ class DisturbanceLevels(NamedTuple):
 
     def law_error(self, force: float, noise: float) -> float:
         """Error of the law, by the texture, beyond that known and noise: standard deviation [N]."""
-        fine, coarse = self.levels[:2].tolist()
-        variance = (coarse - fine) / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
+        variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
         return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
 
 

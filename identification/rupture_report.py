@@ -66,11 +66,9 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
     So many ruptures are known; the last was at a speed [mm/s], 0 before the first.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
-    found = law.shaft_mixture(memory.store, weights, scene)
-    answer[1], answer[2:], all_met, contact, tip = found
+    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, weights, scene)
     # No friction is known better than the texture lets the law be.
-    for part in LEFT_COULOMB, COULOMB:
-        answer[2 + part, part] += all_met * place.law_error**2
+    answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += all_met * place.law_error**2
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed

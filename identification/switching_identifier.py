@@ -202,8 +202,7 @@ class SwitchingMethod:
             _learn(bank, place, left, self._resumed, (depth_std, law_std))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
             self._stage = _BRANCH if is_advancing else _PRUNE
-            if is_met:
-                self._texture = self._texture.with_force(place.force, fresh, v)
+            self._texture = self._texture.with_force(place.force, fresh if is_met else 0.0, v)
         else:
             self._resumed, self._levels = 1.0, self._levels.restarted()
             self._texture = self._texture.restarted()
