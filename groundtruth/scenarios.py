@@ -129,9 +129,7 @@ def _catalogue() -> Iterator[Scenario]:
     liver = "bovine liver, capsule first"
     yield from _insertions("liver", liver, (BOVINE_LIVER,), TABLE_I_SPEED_M_S, None)
     sine = sinusoidal_motion(
-        stroke_m=ABDOMEN_STROKE_M,
-        frequency_hz=ABDOMEN_FREQUENCY_HZ,
-        standoff_m=ABDOMEN_STANDOFF_M,
+        stroke_m=ABDOMEN_STROKE_M, frequency_hz=ABDOMEN_FREQUENCY_HZ, standoff_m=ABDOMEN_STANDOFF_M
     )
     title = "abdominal phantom: fat, muscle, liver; sinusoidal speed"
     yield Scenario(id="abdomen-sinusoidal", title=title, layers=ABDOMEN, motion=sine)

@@ -3,6 +3,8 @@
 Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
 and each part shows most at lags near its own time. A part takes what the faster ones leave, the
 tissue's own motion only what they seldom leave by chance: else noise alone would look like one.
+
+Over travel they show texture: an error of the law, which cannot say what of it is friction.
 """
 
 import math
@@ -11,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.estimate import Array
+from identification.hypothesis_filter import LAW_ERROR, LAW_MM
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
@@ -19,6 +22,8 @@ BEATS = ((1.2, 0.3), (0.3, 0.5))  # Frequency [Hz] and damping of heartbeat and 
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
+_TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step, steps over which a texture is learned
+_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # powers of two of the lags used; least of differences
 _MEDIAN = 0.455  # Of a squared standard normal. Ruptures are few of the differences
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
@@ -73,17 +78,20 @@ def transitions(
 
 
 def _difference(part: int, lag_s: float) -> float:
-    """Variance of a second difference of a part of the noise of unit variance."""
+    """Variance of a second difference of a part of the noise, or of an error of the law, of one."""
 
     def likeness(lag_s: float) -> float:
         if part < 2:
             return math.exp(-lag_s / COLOUR_S) if part else 0.0
-        return oscillation(lag_s, *BEATS[part - 2])[0]
+        return (smooth_walk(lag_s, LAW_MM) if part == 4 else oscillation(lag_s, *BEATS[part - 2]))[
+            0
+        ]
 
     return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 
 
 _DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
+_SHOWN = tuple(_difference(4, _TEXTURE_MM * 2**k) for k in (_FINE, _COARSE))
 
 
 class DisturbanceLevels(NamedTuple):
@@ -97,6 +105,12 @@ class DisturbanceLevels(NamedTuple):
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that so far
     step_s: float = STEP_S  # length of the last one: longer where samples are rare
+    is_texture: bool = False  # then of travel [mm]; the level is coarse differences less fine ones
+
+    @classmethod
+    def of_texture(cls) -> "DisturbanceLevels":
+        """Differences over travel, nothing known."""
+        return cls(squares=np.zeros((8, _TEXTURES)), levels=np.zeros(1), is_texture=True)
 
     @property
     def noise(self) -> float:
@@ -122,14 +136,24 @@ class DisturbanceLevels(NamedTuple):
     def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
         """Use the mean force of a block [N] at a speed [mm/s]."""
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
-        if filled < STEP_S * (1.0 - 1e-6):
+        step = _TEXTURE_MM if self.is_texture else STEP_S
+        if filled < step * (1.0 - 1e-6):
             return self._replace(force_sum=total, filled_s=filled)
         squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
-        if count % 10.0 == 0.0 and seen[0] > 10.0:
+        if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
+            levels = np.array([_square(squares, seen, _COARSE) - _square(squares, seen, _FINE)])
+        elif count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
             levels = _levels(squares, seen, _DESIGN, speed)
-        return DisturbanceLevels(past, count, squares, seen, levels, step_s=filled)
+        over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
+        rest = over * force, over, filled, self.is_texture
+        return DisturbanceLevels(past, count, squares, seen, levels, *rest)
+
+    def law_error(self, force: float, noise: float) -> float:
+        """Error of the law, by the texture, beyond that known and noise: standard deviation [N]."""
+        variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
+        return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
 
 
 @compiled
@@ -143,9 +167,16 @@ def _learn(
         if count <= 2 * lag:
             break
         square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
-        squares[k, int(seen[k]) % _MEMORY] = square
+        squares[k, int(seen[k]) % squares.shape[1]] = square
         seen[k] += 1.0
     return past
+
+
+@compiled
+def _square(squares: Matrix, seen: Vector, k: int) -> float:
+    """Variance of the differences at a lag, by their median."""
+    known = min(int(seen[k]), squares.shape[1])
+    return np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
 
 
 @compiled
@@ -153,9 +184,8 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
     """Variance of each part, each taking what the faster ones leave."""
     levels, left, chance = np.zeros(4), np.zeros(8), np.zeros(8)
     for k in range(8):
-        known = min(int(seen[k]), _MEMORY)
-        if known > min(2 * 2**k, 30):
-            left[k] = np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
+        if seen[k] > min(2 * 2**k, _LEAST_SEEN):
+            left[k] = _square(squares, seen, k)
     for part in range(4):
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM

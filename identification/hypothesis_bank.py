@@ -94,6 +94,7 @@ class Place(NamedTuple):
     raw: float = 0.0  # unfiltered depth [mm]
     lag_s: float = 0.0  # by which the speed may be late
     before: float = 0.0  # mean force over the block before [N]
+    law_error: float = 0.0  # of the law, as the tissue's texture shows [N]
 
 
 def first_bank() -> Bank:

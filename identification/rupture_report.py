@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
-from identification.switching_update import IDENTIFIED, NO_ANSWER
+from identification.switching_update import COULOMB, IDENTIFIED, LEFT_COULOMB, NO_ANSWER
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
@@ -66,8 +66,9 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
     So many ruptures are known; the last was at a speed [mm/s], 0 before the first.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
-    found = law.shaft_mixture(memory.store, weights, scene)
-    answer[1], answer[2:], all_met, contact, tip = found
+    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, weights, scene)
+    # No friction is known better than the texture lets the law be.
+    answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += all_met * place.law_error**2
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM
     answer[0, 3:7] = place.depth, place.noise**2, tip, speed

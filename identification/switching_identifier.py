@@ -62,6 +62,7 @@ class SwitchingState(NamedTuple):
     levels: DisturbanceLevels = DisturbanceLevels()
     tissue: TissueMotion = TissueMotion()  # its motion by itself
     trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
+    texture: DisturbanceLevels = DisturbanceLevels.of_texture()
     place: Place = Place(*(0.0,) * 10)  # middle of the last block
     stage: int = _NOTHING  # what is left to do for that block
     deepest: float = -_FAR_MM  # point so far [mm]
@@ -89,7 +90,7 @@ class SwitchingMethod:
         arrays = self._bank.bank.copied(), np.array(self._memory), np.array(self._answer)
         course = self._place, self._stage, self._deepest, self._spawned, self._resumed
         found = self._ruptures, self._alarm, self.layers, self._rupture_state
-        learned = self._levels, self._tissue, self._trend
+        learned = self._levels, self._tissue, self._trend, self._texture
         return SwitchingState(*arrays, *learned, *course, self._force_std_in_air, *found)
 
     @property
@@ -103,6 +104,7 @@ class SwitchingMethod:
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
         self._answer, self._events = working_copy(state.answer), Events()
         self._levels, self._tissue, self._trend = state.levels, state.tissue, state.trend
+        self._texture = state.texture
         self._place, self._stage, self._resumed = state.place, state.stage, state.resumed
         self._deepest, self._spawned = state.deepest, state.spawned
         self._force_std_in_air, self._rupture_state = state.force_std_in_air, state.rupture_state
@@ -207,11 +209,14 @@ class SwitchingMethod:
             _learn(bank, place, left, self._resumed, (depth_std, law_std))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
             self._stage = _BRANCH if is_advancing else _PRUNE
+            self._texture = self._texture.with_force(place.force, fresh if is_met else 0.0, v)
         else:
             self._resumed, self._levels = 1.0, self._levels.restarted()
+            self._texture = self._texture.restarted()
         if not is_met:
             self._force_std_in_air = sample[7]
-        self._place = place
+        axial = place.force - bank.likeliest[0][law.OFFSET]
+        self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
         self._report(sample)
         if not is_gap:
             self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
@@ -308,8 +313,8 @@ class SwitchingMethod:
         if not (travel >= _PROVISIONAL_M if is_open else is_due or is_revised):
             return False
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
-        # What the force's slow error grew by since the air is in the friction.
-        grown = max(force_std**2 - self._force_std_in_air**2, 0.0)
+        # What the force's slow error grew by since the air is in the friction, and the law's.
+        grown = max(force_std**2 - self._force_std_in_air**2, 0.0) + self._place.law_error**2
         friction = reports.friction_left(evidence, self._ruptures, grown)
         if is_open:
             layer = None

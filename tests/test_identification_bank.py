@@ -136,6 +136,22 @@ def test_noise_is_learned_part_by_part_and_neither_a_ramp_nor_chance_is_a_motion
     assert levels.restarted().with_force(1.0, 0.01, 2.0).steps == 1.0
 
 
+def test_texture_shows_an_error_of_the_law_and_noise_and_a_bend_do_not():
+    smooth = rough = DisturbanceLevels.of_texture()
+    rng, (error, slope) = np.random.default_rng(2), (0.0, 0.0)
+    a, b, c, d, *noise = transitions(1.0, 0.05, law.LAW_MM, (0.0, 0.0, 0.2**2))[2]
+    spread, found = np.array([noise[:2], noise[1:]]), []
+    for k, white in enumerate((0.005 * rng.standard_normal(4000)).tolist()):
+        mixed = np.array([[a, b], [c, d]]) @ (error, slope)
+        error, slope = mixed + rng.multivariate_normal((0.0, 0.0), spread)
+        smooth = smooth.with_force(white + 0.03 * 0.05 * k + 1e-5 * (0.05 * k) ** 2, 0.05, 5.0)
+        rough = rough.with_force(white + error, 0.05, 5.0)
+        found.append((smooth.law_error(1.0, 0.0), rough.law_error(1.0, 0.0)))
+    assert np.max(found, axis=0)[0] < 0.03
+    assert np.mean(found, axis=0)[1] == pytest.approx(0.2, rel=0.25)
+    assert rough.law_error(1.0, 0.3) == 0.0
+
+
 @pytest.mark.parametrize(
     ("since_s", "speed", "fall_N", "braking"),
     [

@@ -233,9 +233,7 @@ def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     kinds = {"liver": liver, "fat": fat, "cavity": fat}
     layers = [
         replace(
-            kinds.get(layer.name, muscle),
-            name=layer.name,
-            thickness_m=layer.exit_m - layer.entry_m,
+            kinds.get(layer.name, muscle), name=layer.name, thickness_m=layer.exit_m - layer.entry_m
         )
         for layer in plan
     ]

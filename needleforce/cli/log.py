@@ -140,10 +140,7 @@ class Result(Protocol):
 
 
 def run_log(
-    source: str,
-    output: Output,
-    request: ChannelRequest,
-    estimate: Callable[[LogSession], Result],
+    source: str, output: Output, request: ChannelRequest, estimate: Callable[[LogSession], Result]
 ) -> int:
     """Read a log, write what was asked for, print the outcome and return the exit code.
 
