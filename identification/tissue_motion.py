@@ -275,6 +275,23 @@ def _waves(hz: Vector, courses: Matrix, sigma: Vector) -> tuple[Vector, float]:
 
 
 @compiled
+def _moved(waves: Vector, hz: Vector, travel: float, damping: float) -> Matrix:
+    """Beats whose friction, of half, once and twice a damping, makes these waves; (3, m, 5)."""
+    beats = np.empty((3, len(hz), 5))
+    for k in range(len(hz)):
+        most = (_BREATH_STD if hz[k] < _SLOWEST_HEART else _HEART_STD)[1]
+        for i, scale in enumerate((0.5, 1.0, 2.0)):
+            beats[i, k, 0] = hz[k]
+            for h in range(2):
+                at, size = 6 + 8 * k + 4 * h, scale / (2.0 * math.pi * hz[k] * (1 + h) * damping)
+                a = size * (waves[at + 2] + travel * waves[at + 3])
+                b = -size * (waves[at] + travel * waves[at + 1])
+                beats[i, k, 1 + 2 * h] = min(max(a, -most), most)
+                beats[i, k, 2 + 2 * h] = min(max(b, -most), most)
+    return beats
+
+
+@compiled
 def _solved(
     contact: tuple[Matrix, Matrix], speed: Vector, known: tuple[Matrix, Vector, Matrix, Vector]
 ) -> tuple[Matrix, Vector, float, Vector]:
@@ -332,14 +349,19 @@ def _scaled(
 
 @compiled
 def _step(
-    rows: tuple[Matrix, Matrix, Vector], prior: Matrix, stds: Vector, pull: Vector, damping: float
+    rows: tuple[Matrix, Matrix],
+    error: Vector,
+    prior: Matrix,
+    stds: Vector,
+    pull: Vector,
+    damping: float,
 ) -> Vector:
     """Change of the motion's numbers by a Gauss-Newton step, damped as Levenberg does.
 
-    `rows` are those of the linear unknowns, whose information beforehand is `prior`, those of the
-    numbers, which lie within `stds` beforehand and are pulled by `pull`, and the error.
+    `rows` are those of the linear unknowns, whose information beforehand is `prior`, and of the
+    numbers, which lie within `stds` beforehand and are pulled by `pull`.
     """
-    linear, slopes, error = rows
+    linear, slopes = rows
     n, size = len(prior), len(prior) + len(stds)
     known, pulled = np.zeros((size, size)), np.zeros(size)
     known[:n, :n], pulled[n:] = prior, pull
@@ -403,16 +425,10 @@ class _Window:
 
     def first_fit(self, hz: Array) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
-        found, y = _waves(hz, self.courses, self.sigma)[0], float(self.depth[-1] - self.depth[0])
+        waves, y = _waves(hz, self.courses, self.sigma)[0], float(self.depth[-1] - self.depth[0])
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
-        rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
-        sizes = np.stack((waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2).reshape(-1, 4)
-        fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
-        for scale in (0.5, 1.0, 2.0):
-            limited = np.minimum(np.maximum(scale * sizes, -most), most)
-            beats = np.hstack((hz[:, None], limited))
-            fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
+        tried, at_s = _moved(waves, hz, y, damping), float(self.time_s[-1])
+        fits = [Fit(beats, at_s, self.solved(beats, at_s)[2]) for beats in tried]
         return min(fits, key=lambda fit: fit.error)
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
@@ -425,8 +441,9 @@ class _Window:
         else:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
-        law = rows, self._slopes(fit, linear), error
-        step = _step(law, self.known[2], stds.ravel(), pull, fit.damping)
+        step = _step(
+            (rows, self._slopes(fit, linear)), error, self.known[2], stds.ravel(), pull, fit.damping
+        )
         change, left = step.reshape(beats.shape), float(error @ error)
         before = left + float((((beats - target) / stds) ** 2).sum())
         for _ in range(3):
