@@ -53,8 +53,7 @@ _STEPS = 8  # Gauss-Newton steps of a new fit
 _UNITS = len(BREATH) + 2 * len(HEART) + 3 * _STEPS + 1  # Of a search
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
-_EMPTY = (0.0,) * 5
-_OF_PRIOR = COULOMB_SPEED, FRACTION, FRACTION_STD  # for compiled code: of another file
+_LINEAR, _EMPTY = 8, (0.0,) * 5
 
 
 class Fit(NamedTuple):
@@ -170,11 +169,7 @@ class TissueMotion(NamedTuple):
                 tried = np.array([slow, rate] if heart < breath else [hz, fast])
                 end = 2 * n + m if heart < breath else end  # there are fewer slow ones
             # With waves that grow many a slow one fits as well: what matters is where to begin.
-            error = (
-                _waves(tried, window.courses, window.sigma)[1]
-                if row < 2
-                else window.first_fit(tried).error
-            )
+            error = window.waves(tried)[1] if row < 2 else window.first_fit(tried, time_s).error
             found = self.found.copy()
             if unit in (0, n, n + m) or error < found[row, 0]:
                 found[row] = error, tried[0], tried[-1]
@@ -185,7 +180,7 @@ class TissueMotion(NamedTuple):
             return self._chosen(window, time_s)
         if step == 0:
             hz = self.found[kind, 1:] if kind == 2 else self.found[kind, 1:2]
-            return self._replace(tried=turned(window.first_fit(hz), time_s), unit=unit + 1)
+            return self._replace(tried=window.first_fit(hz, time_s), unit=unit + 1)
         tried, best = window.stepped(self.tried), self.best
         # Of two beats the second is there only if it halves the error.
         factor = 0.5 if kind == 2 else 1.0
@@ -252,13 +247,12 @@ def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[V
 
 
 @compiled
-def _waves(hz: Vector, courses: Matrix, sigma: Vector) -> tuple[Vector, float]:
+def _waves(hz: Vector, courses: Matrix, sigma: Vector, force: Vector) -> tuple[Vector, float]:
     """Fit of a smooth course and waves that grow with the travel; mean square of the rest.
 
-    `courses`, shape (4, n), are those of a window, whose force has the deviation `sigma`.
+    `courses`, shape (3, n), are time, travel and speed; `force` is over its deviation `sigma`.
     """
-    time_s, v, force = courses[0] - courses[0, -1], courses[2], courses[3] / sigma
-    y = courses[1] - courses[1, 0]
+    time_s, y, v = courses[0] - courses[0, -1], courses[1], courses[2]
     columns, row = np.ones((6 + 8 * len(hz), len(y))), 6
     columns[1], columns[2], columns[3], columns[4], columns[5] = y, y * y, y**3, v, v * y
     for k in range(2 * len(hz)):
@@ -275,76 +269,17 @@ def _waves(hz: Vector, courses: Matrix, sigma: Vector) -> tuple[Vector, float]:
 
 
 @compiled
-def _moved(waves: Vector, hz: Vector, travel: float, damping: float) -> Matrix:
-    """Beats whose friction, of half, once and twice a damping, makes these waves; (3, m, 5)."""
-    beats = np.empty((3, len(hz), 5))
-    for k in range(len(hz)):
-        most = (_BREATH_STD if hz[k] < _SLOWEST_HEART else _HEART_STD)[1]
-        for i, scale in enumerate((0.5, 1.0, 2.0)):
-            beats[i, k, 0] = hz[k]
-            for h in range(2):
-                at, size = 6 + 8 * k + 4 * h, scale / (2.0 * math.pi * hz[k] * (1 + h) * damping)
-                a = size * (waves[at + 2] + travel * waves[at + 3])
-                b = -size * (waves[at] + travel * waves[at + 1])
-                beats[i, k, 1 + 2 * h] = min(max(a, -most), most)
-                beats[i, k, 2 + 2 * h] = min(max(b, -most), most)
-    return beats
-
-
-@compiled
-def _solved(
-    contact: tuple[Matrix, Matrix], speed: Vector, known: tuple[Matrix, Vector, Matrix, Vector]
-) -> tuple[Matrix, Vector, float, Vector]:
-    """The force as the law has it; `known` is what `_scaled` returns last.
+def _rows(contact: tuple[Vector, Vector], speed: Vector, powers: Matrix) -> Matrix:
+    """Rows of the law in its eight linear unknowns, each over its standard deviation, (n, 8).
 
     `contact` holds presliding deflection and what is left of the tip's force, `speed` is relative
-    to the tissue. Returns the rows of the eight linear unknowns, each over its standard deviation,
-    shape (n, 8); the unknowns; the sum of squares of the error, and the error.
+    to the tissue; `powers`, shape (3, n), are 1, y and y² over the standard deviation.
     """
-    powers, force, information, pull = known
-    w, g, one, y = contact[0][0], contact[1][0], powers[0], powers[1]
+    (w, g), one, y = contact, powers[0], powers[1]
     rows = np.empty((len(speed), 8))
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = one, w * one, w * y, speed * one
     rows[:, 4], rows[:, 5], rows[:, 6], rows[:, 7] = speed * y, g * one, g * y, g * powers[2]
-    linear, error = _fitted(rows, force, information, pull)
-    return rows, linear, float(np.dot(error, error)), error
-
-
-@compiled
-def _scaled(
-    courses: Matrix, law: tuple[float, float, float]
-) -> tuple[Vector, float, float, tuple[Matrix, Vector, Matrix, Vector]]:
-    """Of a window sigma, the force's slope and the pace.
-
-    And what does not depend on the motion: 1, y and y² over sigma, shape (3, n), and the force over
-    it; information and its vector on o, C, c, V, b, T, K, H beforehand.
-    """
-    travel, force, (coulomb_speed, fraction, fraction_std) = (
-        courses[1] - courses[1, 0],
-        courses[3],
-        law,
-    )
-    size, n = np.abs(force), min(25, len(force))
-    sigma, most, pull = _NOISE_N + _LAW_ERROR * size, max(size.max(), 0.05), np.zeros(8)
-    # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
-    oldest = np.partition(force[:n], n - 5)[n - 5]
-    newest = np.partition(force[len(force) - n :], n - 5)[n - 5]
-    slope = max((newest - oldest) / max(travel[-1], 1.0), 0.005)
-    pace, powers = max(courses[2].mean(), 0.3), np.ones((3, len(force))) / sigma
-    powers[1:] *= travel
-    powers[2] *= travel
-    stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
-    information = np.diag(stds**-2.0)
-    # Growth of friction as a part of the force's; how both frictions split it, and the rest.
-    growth, split = (2, 4, pace, fraction_std), (2, 4, -coulomb_speed, 0.3)
-    for i, j, other, std in (growth, split, (1, 3, -coulomb_speed, 0.3 * most / slope)):
-        variance = (std * slope) ** 2
-        information[i, i] += 1.0 / variance
-        information[j, j] += other * other / variance
-        information[i, j] = information[j, i] = information[i, j] + other / variance
-    pull[2] = fraction / (fraction_std**2 * slope)
-    pull[4] = pace * pull[2]
-    return sigma, slope, pace, (powers, force / sigma, information, pull)
+    return rows
 
 
 @compiled
@@ -384,26 +319,51 @@ class _Window:
     """The force over the last seconds, and what of it a motion explains."""
 
     def __init__(self, window: Array) -> None:
-        self.courses, self.count = window.T.copy(), len(window)
-        self.time_s, self.depth, self.speed, _ = self.courses
-        self.sigma, self.slope, self.pace, self.known = _scaled(self.courses, _OF_PRIOR)
+        self.time_s, self.depth, self.speed, force = window.T.copy()
+        self.count, self.travel, size = len(window), self.depth - self.depth[0], np.abs(force)
+        self.sigma = _NOISE_N + _LAW_ERROR * size
+        # Of its oldest and newest 25 means the fifth largest: above most turns of friction.
+        oldest, newest = np.partition(force[:25], -5)[-5], np.partition(force[-25:], -5)[-5]
+        self.slope = max(float(newest - oldest) / max(float(self.travel[-1]), 1.0), 0.005)
+        self.pace = max(float(self.speed.mean()), 0.3)
+        one = 1.0 / self.sigma
+        self.powers = np.array((one, self.travel * one, self.travel * self.travel * one))
+        self.force, self.prior = force * one, self._prior(max(float(size.max()), 0.05))
+
+    def _prior(self, most: float) -> tuple[Array, Array]:
+        """Information and its vector on o, C, c, V, b, T, K, H beforehand; the largest force."""
+        slope, pull = self.slope, np.zeros(_LINEAR)
+        stds = np.array([0.05, most, slope, most / 3, slope / 3, most, slope, slope / 10])
+        information = np.diag(stds**-2.0)
+        # Growth of friction as a part of the force's; how both frictions split it, and the rest.
+        parts = ((2, 4, self.pace, FRACTION_STD), (2, 4, -COULOMB_SPEED, 0.3))
+        for i, j, other, std in (*parts, (1, 3, -COULOMB_SPEED, 0.3 * most / slope)):
+            variance = (std * slope) ** 2
+            information[i, i] += 1.0 / variance
+            information[j, j] += other * other / variance
+            information[i, j] = information[j, i] = information[i, j] + other / variance
+        pull[2] = FRACTION / (FRACTION_STD**2 * slope)
+        pull[4] = self.pace * pull[2]
+        return information, pull
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
-        contact = contact_along((self.depth - place)[None])
-        return _solved(contact, self.speed - speed, self.known)
+        w, g = contact_along((self.depth - place)[None])
+        rows = _rows((w[0], g[0]), self.speed - speed, self.powers)
+        linear, error = _fitted(rows, self.force, *self.prior)
+        return rows, linear, float(error @ error), error
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
-        (one, y, _), beats = self.known[0], fit.beats
+        (one, y, _), beats = self.powers, fit.beats
         places, speeds = _derivatives(beats, self.time_s - fit.at_s)
         place = (beats * (np.arange(5) > 0)).ravel() @ places  # linear in the sizes
         # What turns round remembers its way there: differences.
         steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
         w, g = contact_along(self.depth - np.vstack((place, place + steps * places)))
         by_w, by_v = linear[1] * one + linear[2] * y, linear[3] * one + linear[4] * y
-        turned_by = (w[1:] - w[0]) * by_w + (g[1:] - g[0]) * (linear[5:] @ self.known[0])
+        turned_by = (w[1:] - w[0]) * by_w + (g[1:] - g[0]) * (linear[5:] @ self.powers)
         return np.ascontiguousarray((turned_by / steps - by_v * speeds).T)
 
     @property
@@ -423,13 +383,24 @@ class _Window:
         is_lower = still > _CLEARER[bool(is_slow.any())] * fit.error
         return is_lower and still - fit.error > _CLEAR and fit.error < _FAIR * self.count
 
-    def first_fit(self, hz: Array) -> Fit:
+    def waves(self, hz: Array) -> tuple[Array, float]:
+        """As `_waves`, of these frequencies."""
+        courses = np.array((self.time_s, self.travel, self.speed))
+        return _waves(hz, courses, self.sigma, self.force)
+
+    def first_fit(self, hz: Array, time_s: float) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
-        waves, y = _waves(hz, self.courses, self.sigma)[0], float(self.depth[-1] - self.depth[0])
+        found, y = self.waves(hz)[0], float(self.travel[-1])
         damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        tried, at_s = _moved(waves, hz, y, damping), float(self.time_s[-1])
-        fits = [Fit(beats, at_s, self.solved(beats, at_s)[2]) for beats in tried]
-        return min(fits, key=lambda fit: fit.error)
+        waves = found[6:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
+        rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
+        sizes = np.stack((waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2).reshape(-1, 4)
+        fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
+        for scale in (0.5, 1.0, 2.0):
+            limited = np.minimum(np.maximum(scale * sizes, -most), most)
+            beats = np.hstack((hz[:, None], limited))
+            fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
+        return turned(min(fits, key=lambda fit: fit.error), time_s)
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
         """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
@@ -442,7 +413,7 @@ class _Window:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
         step = _step(
-            (rows, self._slopes(fit, linear)), error, self.known[2], stds.ravel(), pull, fit.damping
+            (rows, self._slopes(fit, linear)), error, self.prior[0], stds.ravel(), pull, fit.damping
         )
         change, left = step.reshape(beats.shape), float(error @ error)
         before = left + float((((beats - target) / stds) ** 2).sum())
