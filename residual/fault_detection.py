@@ -262,7 +262,7 @@ class FaultDetector:
         memory = self.memory
         torque = memory.last[-self._joints :]
         stuck = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = max(np.abs(torque / self._limit_Nm).tolist()) >= LOADED_RATIO
+        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if stuck and not memory.torque.repeats:

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needleforce.jit import Vector, compiled
 from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
@@ -63,13 +62,6 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
     second, third = (np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3))
     # As in `white_noise`. Resolution alone makes less than two thirds of a step of such noise.
     return (third > LEAST_WHITENESS * second) & (third / (0.6745 * np.sqrt(20.0)) >= resolution)
-
-
-@compiled
-def repeat_times(values: Vector, last: Vector, still_s: Vector, dt_s: float) -> tuple[Array, float]:
-    """For how long each value has been the same after a time more [s], shape (n,), and the most."""
-    still_s = np.where(values == last, still_s + dt_s, 0.0)
-    return still_s, float(still_s.max())
 
 
 @dataclass(slots=True, eq=False)
@@ -141,6 +133,6 @@ class SingleSignalDetector:
 
     def check(self, values: Array, dt_s: float) -> list[int]:
         """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
-        found = repeat_times(values, self.values, self.still_s, dt_s)
-        self.values, (self.still_s, self.longest_s) = values, found
+        self.still_s = (values == self.values) * (self.still_s + dt_s)
+        self.values, self.longest_s = values, max(self.still_s.tolist())
         return np.flatnonzero(self.still_s >= self.limit_s).tolist() if self.longest_s else []
