@@ -116,34 +116,17 @@ class Tare(NamedTuple):
 
 
 @compiled
-def own_rows(
-    q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
-) -> Array:
-    """What each joint's own parameters but the offset are multiplied with, a row each."""
-    count = len(states)
-    own = np.empty((count + (4 if len(ripple_per_rad) else 2), len(q)))
-    own[:count], own[count] = states, age_s
-    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
-    if len(ripple_per_rad):
-        own[count + 2], own[count + 3] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
-    return own
-
-
-@compiled
-def own_torque(
-    mean: Vector, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
-) -> Array:
-    """What all parameters of a `BiasModel` but those of the links make [Nm], shape (n,)."""
-    own = own_rows(q, states, age_s, fading_s, ripple_per_rad)
-    return mean[: len(q)] + (own * mean[len(mean) - own.size :].reshape(own.shape)).sum(axis=0)
-
-
-@compiled
 def all_columns(
     links: Matrix, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
 ) -> Array:
     """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
-    (joints, first), own = links.shape, own_rows(q, states, age_s, fading_s, ripple_per_rad)
+    (joints, first), count = links.shape, len(states)
+    # What each joint's own parameters are multiplied with, a row each.
+    own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
+    own[:count], own[count] = states, age_s
+    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
+    if len(ripple_per_rad):
+        own[count + 2], own[count + 3] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
     columns = np.zeros((joints, joints + first + own.size))
     columns[:, joints : joints + first] = links
     for k in range(joints):
@@ -168,8 +151,6 @@ class BiasModel:
         self.kind: TareKind = kind
         self.prior = prior
         self._model, self._data = robot.model, robot.create_data()
-        # An arm whose links weigh what those of the robot are off by, as this tare has it.
-        self._errors, self._weighed = pin.Model(robot.model), None
         self._still = np.zeros(n)
         self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
         ratio = prior.gear_ratio if kind == "model" else ()
@@ -229,17 +210,7 @@ class BiasModel:
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
         """Residual without contact at a position, states and age: H theta, shape (n,)."""
-        if self.kind == "constant":
-            return tare.mean
-        if tare is not self._weighed:
-            self._weighed = tare
-            for k, (mass, *moment) in enumerate(tare.mean[self.groups["links"]].reshape(-1, 4), 1):
-                mass = mass or 1e-12  # what gravity does not show is 0, and has no centre of mass
-                lever = np.array(moment) / mass
-                self._errors.inertias[k] = pin.Inertia(mass, lever, np.zeros((3, 3)))
-        links = pin.computeGeneralizedGravity(self._errors, self._data, q)
-        fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
-        return links + own_torque(tare.mean, q, states, age_s, fading_s, ripple_per_rad)
+        return self.columns(q, states, age_s).dot(tare.mean)
 
     def covariance_Nm2(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
