@@ -225,45 +225,13 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
 def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
     """Of the axial force, and of the lateral in the direction known least; those of the unseen.
 
-    Force first in the covariance, in the axes of the axis; where a component is not seen, neither
-    is. Of the axial force alone the lateral is not.
+    Force and axis in the same axes; where a component is not seen, neither is.
     """
-    force = np.ascontiguousarray(covariance[:3, :3])
-    if len(force) == 1:
-        return force[0, 0], _UNSEEN
-    if np.diag(force).max() >= _UNSEEN:
+    if np.diag(covariance).max() >= _UNSEEN:
         return _UNSEEN, _UNSEEN
     across = np.eye(3) - np.outer(axis, axis)
-    lateral = np.linalg.eigvalsh(across.dot(force).dot(across))[-1]
-    return axis.dot(force).dot(axis), lateral
-
-
-@compiled
-def weigh_joints(
-    q: Vector,
-    axis: Vector,
-    directions: Matrix,
-    rows: Matrix,
-    covariances: tuple[Matrix, Matrix],
-    precisions: tuple[Matrix, Matrix],
-    damping: Vector,
-) -> tuple[Array, Array, tuple[Array, float, Array], float, Array]:
-    """The numbers of a `WrenchGain` at a configuration [rad], shape (n,).
-
-    Unknowns act along ``directions``, (k, 6), and make torque by ``rows``, (k, n). Covariances are
-    that of the residual's error and that of its noise [Nm^2]; precisions that to weigh with, and
-    the inverse of the residual's covariance. The damping is that of `weighted_inverse`.
-    """
-    (error, noise), (weights, precision) = covariances, precisions
-    gain, covariance, conditioning, removed = weighted_inverse(rows, error, weights, damping)
-    noise_N2 = gain.dot(noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
-    numbers = np.empty(7)
-    numbers[:3] = axis
-    numbers[3], numbers[4] = _variances(axis, covariance)
-    numbers[5], numbers[6] = _variances(axis, noise_N2)
-    wrench = np.ascontiguousarray(directions[:, : max(len(directions), 3)].T).dot(gain)
-    makes = np.vstack((q.reshape(1, -1), wrench))
-    return makes, numbers, (covariance, conditioning, removed), *unexplained(rows, precision)
+    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
+    return axis.dot(covariance).dot(axis), lateral
 
 
 class WrenchEstimator:
@@ -351,19 +319,30 @@ class WrenchEstimator:
         """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
         tool, directions = self.kinematics, self._directions
         tool.update(q)
-        jacobian, axis = tool.jacobian, tool.axis_in_tool
+        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
         if self._in_base:
             turn = tool.rotation_tool_to_base
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
             axis = turn.dot(axis)
         if len(directions) == 1:
             directions = np.concatenate((axis, _NOTHING))[None]
-        weights = self._inverse if self._weighted else np.eye(self._joints)
-        covariances = self.torque_covariance - self._smoothed, self._noise
-        rows, precisions = directions.dot(jacobian), (weights, self._inverse)
-        made = weigh_joints(q, axis, directions, rows, covariances, precisions, self._damping)
-        self.gain = WrenchGain(made[0], working_copy(made[1]), *made[2:])
-        covariance, _, removed = self.gain.reported
+        rows, inverse = directions.dot(jacobian), self._inverse
+        precision = inverse if self._weighted else np.eye(self._joints)
+        error = self.torque_covariance - self._smoothed
+        gain, covariance, conditioning, removed = weighted_inverse(
+            rows, error, precision, self._damping
+        )
+        noise = gain.dot(self._noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
+        variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
+        if len(directions) > 1:
+            parts = (np.ascontiguousarray(each[:3, :3]) for each in (covariance, noise))
+            variances = np.ravel([_variances(axis, part) for part in parts])
+        self.gain = WrenchGain(
+            np.vstack((q, directions[:, :size].T.dot(gain))),
+            working_copy(np.append(axis, variances)),
+            (covariance, conditioning, removed),
+            *unexplained(rows, inverse),
+        )
         for array in (covariance, removed):
             array.setflags(write=False)
 
