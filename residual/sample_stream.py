@@ -176,12 +176,6 @@ class SampleStream:
         """Which signals may be missing, as they do not change; empty if none."""
         return "" if self._guard is None else self._guard.memory.question
 
-    @property
-    def remark(self) -> str:
-        """Warning or question, if there is one."""
-        guard = self._guard
-        return "" if guard is None else guard.memory.warning or guard.memory.question
-
     def restore(self, memory: StreamState) -> None:
         """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""
         self.memory = memory

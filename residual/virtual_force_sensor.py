@@ -362,7 +362,7 @@ class VirtualForceSensor:
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
-        if not (settled and bias.tared) or bias.leapt_s or stream.remark:
+        if not (settled and bias.tared) or bias.leapt_s or stream.warning or stream.question:
             status, message, warnings = self._assess(stream, settled=settled)
         last = _new(WrenchEstimate, (*found, status, message, monitor.mismatch, warnings))
         self._before, self._last = self._last, last
@@ -383,7 +383,8 @@ class VirtualForceSensor:
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
             texts = reason, stream.warning, self.question or monitor.limit
             return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
-        message = "; ".join(filter(None, (stream.remark, offset.warning, monitor.message)))
+        frozen = stream.warning or stream.question
+        message = "; ".join(filter(None, (frozen, offset.warning, monitor.message)))
         return Status.OK, message, warnings
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
