@@ -29,7 +29,6 @@ from needleforce.jit import (
     WrittenVector,
     compiled,
     compiled_or,
-    dot,
 )
 
 # Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the last one that
@@ -215,8 +214,8 @@ def correct(
         noise += (ONSET_ERROR * mean[HELD] * early) ** 2
         noise += (2.0 * mean[RELEASED] / fact[LENGTH] * depth_std) ** 2 * row[RELEASED]
         cross = _times(spread, row)
-        total = max(dot(row, cross), 0.0) + noise
-        error = force - dot(row, mean)
+        total = max(np.dot(row, cross), 0.0) + noise
+        error = force - np.dot(row, mean)
         surprise = error * error / total
         evidence = -0.5 * (math.log(total) + (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM))
         log_weights[k] += TEMPER * evidence

@@ -300,10 +300,7 @@ class SwitchingMethod:
             self._tissue = self._tissue.restarted(sample[-1])
 
     def _report_layer(self, force_std: float) -> bool:
-        """Report the layer that the last rupture ended, twice, and keep what is known of it.
-
-        Returns whether that was due.
-        """
+        """Report the layer that the last rupture ended, twice, where due; whether it was."""
         layers, alarm = self.layers, self._alarm
         if alarm is None:
             return False

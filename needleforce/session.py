@@ -370,11 +370,8 @@ class InsertionSession:
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _keep_checkpoint(self) -> None:
-        """Keep where to go back to, not before events: what was reported is not reported again.
-
-        That is done at the next sample: the one before, most of all of an event, has enough to do.
-        """
-        if self._is_due:
+        """Keep where to go back to, not before events: what was reported is not reported again."""
+        if self._is_due:  # since the last sample, which had enough to do
             now, self._is_due = Checkpoint(self._time_s, self._identifier.snapshot()), False
             self._earlier = now if self._had_events else self._earlier[1], now
 

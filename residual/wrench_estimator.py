@@ -6,16 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import (
-    Matrix,
-    Vector,
-    WrittenMatrix,
-    WrittenVector,
-    compiled,
-    compiled_or,
-    dot,
-    working_copy,
-)
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, working_copy
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -112,12 +103,6 @@ def weighted_inverse(
     return gain, covariance, conditioning, np.diag(inverse) * damping
 
 
-@compiled_or(np.ndarray.tolist)
-def numbers_of(array: Vector) -> Array:
-    """An array to take single numbers out of, see `working_copy`."""
-    return array
-
-
 @compiled
 def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
     """Part of a force along the insertion direction [N], and square of that across it [N^2]."""
@@ -182,9 +167,9 @@ def wrench_step(
     else has happened, where the arm has turned too far for the gain.
     """
     turned = q - rows[0]
-    if not dot(turned, turned) <= MOST_TURN_RAD**2:
+    if not (turned * turned).sum() <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
-    wrench = numbers_of(rows[1:].dot(residual))
+    wrench = rows[1:].dot(residual)
     unsmoothed = axis[0] * wrench[0] + axis[1] * wrench[1] + axis[2] * wrench[2]
     smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)

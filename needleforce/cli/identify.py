@@ -197,9 +197,8 @@ class IdentificationResult:
             head=HEADER,
             rows=tuple(map(layer_cells, self.layers)),
             numeric=frozenset(range(len(HEADER))),
-            note="Times on the log's clock. A ? marks what the data do not identify. A layer "
-            "begins where the tip met it, or the membrane on it, and ends where it ruptured; a "
-            "membrane is pushed in before it ruptures, so layers may overlap.",
+            note="Times on the log's clock. A ? marks what the data do not identify. Where a "
+            "membrane is pushed in before it ruptures, layers overlap.",
         )
         layers = plots.Section(
             heading="Layers",
