@@ -83,9 +83,8 @@ def _difference(part: int, lag_s: float) -> float:
     def likeness(lag_s: float) -> float:
         if part < 2:
             return math.exp(-lag_s / COLOUR_S) if part else 0.0
-        if part == 4:
-            return smooth_walk(lag_s, LAW_MM)[0]
-        return oscillation(lag_s, *BEATS[part - 2])[0]
+        is_law = part == 4
+        return (smooth_walk(lag_s, LAW_MM) if is_law else oscillation(lag_s, *BEATS[part - 2]))[0]
 
     return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 

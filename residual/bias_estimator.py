@@ -18,7 +18,6 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-MOST_TORQUES = 1000  # as many samples are kept between two renewals at most; then their sum is
 MOST_BLOCKS = 400  # A fit of as many takes part of a second; then the older half is merged in pairs
 WEIGH_S = 0.25
 """So often the covariance is renewed: it changes with pose and age, both slowly. At once where
@@ -167,9 +166,8 @@ class BiasEstimator:
                 memory.leapt_s += dt_s
             if not memory.tared:
                 memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
-        self._torques.append(tau)
-        if len(self._torques) >= MOST_TORQUES:  # a clock of nanoseconds
-            self.sum_torques()
+        memory.torque_sum += tau
+        memory.summed += 1
         if memory.now_s < memory.due_s - ROUNDING_S:
             return False
         self._renew()
@@ -179,7 +177,6 @@ class BiasEstimator:
         """Renew what changes slowly: hysteresis, friction, the offset, and the error by motion."""
         memory, basis, q = self.memory, self._basis, self.memory.q
         dt_s = memory.now_s - memory.renewed_s
-        self.sum_torques()
         torque = memory.torque_sum / memory.summed
         memory.torque_sum, memory.summed = np.zeros(self._joints), 0
         memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
@@ -196,13 +193,6 @@ class BiasEstimator:
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
         motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)
         memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
-
-    def sum_torques(self) -> None:
-        """Keep the sum of the torques only: `memory` is then complete."""
-        memory = self.memory
-        memory.torque_sum = np.array([memory.torque_sum, *self._torques]).sum(axis=0)
-        memory.summed += len(self._torques)
-        self._torques.clear()
 
     def record(self, residual: Array, dt_s: float) -> None:
         """Record one settled residual [Nm] of free motion; ignored once tared."""
@@ -273,7 +263,6 @@ class BiasEstimator:
     def restore(self, memory: BiasState) -> None:
         """Go on from a `memory`, which is kept, of an estimator of the same robot and settings."""
         self.memory = memory
-        self._torques: list[Array] = []
 
     def reset(self) -> None:
         """Forget everything."""
@@ -283,7 +272,7 @@ class BiasEstimator:
                 recorder=TareRecorder.of_size(self._joints, states),
                 joint_memory=np.zeros((states, self._joints)),
                 states=np.zeros((states, self._joints)),
-                torque_sum=still,
+                torque_sum=np.zeros(self._joints),
                 bias=still,
                 motion_Nm2=still,
                 most_motion_Nm2=still,

@@ -243,7 +243,6 @@ class VirtualForceSensor:
 
     def snapshot(self) -> SensorState:
         """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
-        self._offset.sum_torques()
         stream = self._stream
         return deepcopy(
             SensorState(
