@@ -124,13 +124,15 @@ def smoothing_step(
 
     Returns by how much the force is behind afterwards, as of `split_force`.
     """
-    x, y, z = wrench[0] - smoothed[0], wrench[1] - smoothed[1], wrench[2] - smoothed[2]
+    # Python's own numbers where nothing compiles: those of numpy take twice as long.
+    x, y = float(wrench[0] - smoothed[0]), float(wrench[1] - smoothed[1])
+    z = float(wrench[2] - smoothed[2])
     along, across_squared = split_force(axis, x, y, z)
     # Of the lateral force two components are noisy.
     ratio = max(along * along / axis[5], 0.5 * across_squared / axis[6]) / SMOOTHED_SIGMAS**2
     lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
     for k in range(len(smoothed)):
-        smoothed[k] += (wrench[k] - smoothed[k]) / lag
+        smoothed[k] += float(wrench[k] - smoothed[k]) / lag
     left = 1.0 - 1.0 / lag
     return along * left, across_squared * left * left
 
@@ -170,7 +172,7 @@ def wrench_step(
     if not (turned * turned).sum() <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
     wrench = rows[1:].dot(residual)
-    unsmoothed = axis[0] * wrench[0] + axis[1] * wrench[1] + axis[2] * wrench[2]
+    unsmoothed, _ = split_force(axis, float(wrench[0]), float(wrench[1]), float(wrench[2]))
     smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
     for k in range(len(found)):
