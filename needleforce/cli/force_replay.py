@@ -204,6 +204,7 @@ class Replay:
     def __init__(self, robot: Robot, config: SensorConfig, options: SensorOptions) -> None:
         self.sensor = VirtualForceSensor(robot, config)
         self.robot, self.config, self.is_external = robot, config, options.external_torque
+        self._joints = len(robot.joint_names)
         self.frame = config.frame if config.frame is not None else robot.tool_frame
         self._options, self._has_velocity = options, False
         self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
@@ -233,7 +234,8 @@ class Replay:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
+        if q_rad.shape[1] != self._joints:
+            require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
             self._taring = Taring(self, self._options, t_s[0])
