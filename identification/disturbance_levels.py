@@ -1,10 +1,10 @@
-"""How noisy the force is, part by part: white, colour of the sensor, heartbeat, breathing.
+"""Noise levels of the force, part by part: white, coloured, heartbeat, breathing.
 
-Second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show in them,
-and each part shows most at lags near its own time. A part takes what the faster ones leave, the
-tissue's own motion only what they seldom leave by chance: else noise alone would look like one.
+Learnt from second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show
+in them, and each part shows most at lags near its own time scale. A part gets what the faster ones
+leave; motion of the tissue only what they seldom leave by chance, or noise would pass for motion.
 
-Over travel they show texture: an error of the law, which cannot say what of it is friction.
+Over travel the differences show texture, an error of the law: some of it may be friction.
 """
 
 import math
@@ -21,10 +21,10 @@ STEP_S = 0.01  # time between two forces in the differences
 BEATS = ((1.2, 0.3), (0.3, 0.5))  # Frequency [Hz] and damping of heartbeat and breathing
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
-_MOVED_MM = 3.0  # over more travel it is the tissue that varies, not its motion
-_TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step, steps over which a texture is learned
-_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # powers of two of the lags used; least of differences
-_MEDIAN = 0.455  # Of a squared standard normal. Ruptures are few of the differences
+_MOVED_MM = 3.0  # lags with more travel are left out: in them the tissue varies, it does not move
+_TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step; steps over which texture is learned
+_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # texture's lags, 2**2 and 2**4 steps; least differences
+_MEDIAN = 0.455  # Median of a squared standard normal; few of the differences contain a rupture
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
 noise, relative to its size and times the root of n: motion of the tissue must show beyond it."""
@@ -78,7 +78,7 @@ def transitions(
 
 
 def _difference(part: int, lag_s: float) -> float:
-    """Variance of a second difference of a part of the noise, or of an error of the law, of one."""
+    """Variance of a second difference of a part (0 to 3), or of the law's error (4), of one."""
 
     def likeness(lag_s: float) -> float:
         if part < 2:
@@ -97,14 +97,14 @@ class DisturbanceLevels(NamedTuple):
     """What is known of the noise."""
 
     past: Array = np.zeros(257)  # forces, a step apart, newest last
-    steps: float = 0.0  # how many of them follow each other undisturbed
+    steps: float = 0.0  # number of consecutive steps since the last gap
     squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
-    seen: Array = np.zeros(8)  # how many there have been
+    seen: Array = np.zeros(8)  # number of differences so far, at each lag
     levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
     force_sum: float = 0.0  # integral of the force over the step being filled
-    filled_s: float = 0.0  # length of that so far
-    step_s: float = STEP_S  # length of the last one: longer where samples are rare
-    is_texture: bool = False  # then of travel [mm]; the level is coarse differences less fine ones
+    filled_s: float = 0.0  # length of that step so far
+    step_s: float = STEP_S  # length of the last step: longer where samples are rare
+    is_texture: bool = False  # steps of travel [mm]; the level is coarse less fine differences
 
     @classmethod
     def of_texture(cls) -> "DisturbanceLevels":
@@ -118,7 +118,7 @@ class DisturbanceLevels(NamedTuple):
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
     def beside(self, tissue: TissueMotion, time_s: float) -> "DisturbanceLevels":
-        """With what is left of heartbeat and breathing once most of the motion is known."""
+        """The levels with what remains of heartbeat and breathing once the motion is known."""
         if not tissue.is_known:
             return self
         heart, breath, part = tissue.limits(time_s)
@@ -150,7 +150,7 @@ class DisturbanceLevels(NamedTuple):
         return DisturbanceLevels(past, count, squares, seen, levels, *rest)
 
     def law_error(self, force: float, noise: float) -> float:
-        """Error of the law, by the texture, beyond that known and noise: standard deviation [N]."""
+        """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and noise."""
         variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
         return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
 

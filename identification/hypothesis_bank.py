@@ -17,27 +17,27 @@ from identification.estimate import Array
 from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02  # least travel between new hypotheses
-HAZARD = 0.02  # ruptures per mm of travel, beforehand
+HAZARD = 0.02  # prior rate of ruptures per mm of travel
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
-"""Of a layer's end or a membrane: gels release within 0.1 to 0.5 mm, real liver within 2 mm."""
-PARTIAL_RELEASES_MM = np.array([0.5, 1.5])  # of a partial rupture: within liver 0.5 to 2 mm
+"""Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2 mm."""
+PARTIAL_RELEASES_MM = np.array([0.5, 1.5])  # the same of a partial rupture: in liver 0.5 to 2 mm
 _NO_RELEASES_MM = np.array([0.3])
-PARTIAL_FRACTION = 0.15  # of ruptures
-KEPT_PROBABILITY = 0.2  # of ends of a layer after which some of the tip's force stays for a while
-AIR_FRACTION = 0.25  # of ends into free air
-MEMBRANE_FRACTION = 0.15  # membranes met under a layer, per rupture
+PARTIAL_FRACTION = 0.15  # prior fraction of ruptures that are partial
+KEPT_PROBABILITY = 0.2  # prior fraction of layer ends after which some tip force stays for a while
+AIR_FRACTION = 0.25  # prior fraction of layer ends that lead into free air
+MEMBRANE_FRACTION = 0.15  # prior number of membranes met under a layer, per rupture
 MEMBRANE_STEP_MM = 0.25  # travel between hypotheses of a membrane met
 LEAST_MM = 1.2  # least travel between two ruptures: about a needle diameter
 QUOTAS = (60, 8, 16, 6)
-"""Hypotheses kept: of events just past, of membranes just met, of older ones, of older membranes.
-What an event was shows in some tenths of a millimetre; then it competes with the older ones."""
+"""Most hypotheses kept: with a recent event, a membrane just met, older events, older membranes.
+What an event was shows only some tenths of a millimetre later; until then it is protected."""
 CAPACITY = sum(QUOTAS) + 90  # with the children of one step, before they are pruned
-NEGLIGIBLE = -30.0  # logarithm of a weight that no force will raise again
-_LIKELY = 25.0  # by so much less may the logarithm be of what has children
+NEGLIGIBLE = -30.0  # a hypothesis with a smaller logarithm of its weight is dropped
+_LIKELY = 25.0  # a parent's log weight is at most so far below the largest
 _OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
 _OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
-"""Places, for compiled code: it does not use constants of another file."""
-Rows = NDArray[np.int64]  # Of hypotheses, shape (m,)
+"""Indices for compiled code, which does not use constants of another file."""
+Rows = NDArray[np.int64]  # Row numbers of hypotheses, shape (m,)
 
 
 @compiled
@@ -52,8 +52,8 @@ class Bank(NamedTuple):
     means: Array  # of the unknowns, shape (n, 20)
     spreads: Array  # their covariances, shape (n, 20, 20)
     log_weights: Array  # logarithm of each one's probability, shape (n,)
-    facts: Array  # what it takes for certain, shape (n, 10)
-    records: Array  # what it says of the last rupture, shape (n, 16)
+    facts: Array  # what it assumes to be known, shape (n, 10)
+    records: Array  # what it knows of the last rupture, for reports, shape (n, 16)
 
     @property
     def damage(self) -> str:
@@ -87,14 +87,14 @@ class Place(NamedTuple):
     dt_s: float  # length of the block
     depth: float  # [mm]
     speed: float  # [mm/s]
-    deflection: float  # presliding, -1 to 1
+    deflection: float  # presliding deflection, -1 to 1
     force: float  # mean over the block [N]
-    usual_speed: float  # of the last ten seconds [mm/s]
+    usual_speed: float  # mean over the last ten seconds [mm/s]
     noise: float  # standard deviation of a block's force [N]
     raw: float = 0.0  # unfiltered depth [mm]
     lag_s: float = 0.0  # by which the speed may be late
     before: float = 0.0  # mean force over the block before [N]
-    law_error: float = 0.0  # of the law, as the tissue's texture shows [N]
+    law_error: float = 0.0  # error of the law that the tissue's texture shows [N]
 
 
 def first_bank() -> Bank:
@@ -108,7 +108,7 @@ def first_bank() -> Bank:
 
 
 class BankMemory:
-    """Room for a bank that changes in place; pruning writes what it keeps into a second one."""
+    """Memory of a bank that changes in place; pruning copies what it keeps into a second one."""
 
     def __init__(self, bank: Bank) -> None:
         shapes = [(CAPACITY, *part.shape[1:]) for part in bank]
@@ -125,11 +125,11 @@ class BankMemory:
 
     @property
     def likeliest(self) -> tuple[list[float], list[float]]:
-        """Unknowns of the likeliest hypothesis, and what it takes for certain."""
+        """Means of the unknowns, and the facts, of the likeliest hypothesis."""
         return self.store[0][0].tolist(), self.store[3][0].tolist()
 
     def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
-        """Add what may have happened since the hypotheses spawned last, at depth `before`.
+        """Add hypotheses of what may have happened since the last call, at depth `before`.
 
         `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms so far.
         """
@@ -138,7 +138,7 @@ class BankMemory:
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
         scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
-        # A release can be over within a block: what it fell from is the force of the one before.
+        # A release can be over within a block, so the force it fell from is the block's before.
         moment = (*scene, time_s, tissue_speed, place.before, float(reported))
         for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
@@ -164,8 +164,8 @@ def _events(
     """What may happen to one hypothesis.
 
     Yields:
-        Event, what the tip is in then, whether some of its force stays, lengths of the release,
-        and how likely each is.
+        Event, what the tip is in after it, whether some of its force stays, lengths of the
+        release, and the probability of each.
     """
     kind = fact[law.KIND]
     if kind == law.AIR:
@@ -196,7 +196,7 @@ def _events(
 def _parents(
     log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int, int]
 ) -> Rows:
-    """The likeliest of each kind whose last release is over: what it was may only show there."""
+    """The likeliest of each kind whose last release is over: until then its nature is open."""
     release, length, kind, is_held = places
     kinds = 2.0 * facts[:, kind] + facts[:, is_held]
     may = depth > facts[:, release] + np.maximum(facts[:, length], 0.3)
@@ -211,7 +211,7 @@ def _parents(
 def _ranked(
     log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int]
 ) -> tuple[Rows, Vector]:
-    """The likeliest, so many of each class at most, best first, and their weights."""
+    """Rows of the likeliest, within the quota of each class, best first, and their log weights."""
     tip, kind, membrane = places
     is_pushed = facts[:, kind] == membrane
     is_old = depth - facts[:, tip] >= np.where(is_pushed, 1.5, 0.4)

@@ -4,13 +4,13 @@ Given such a history the axial force is linear in twenty unknowns:
 
     f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
 
-with o the offset; C, V Coulomb and viscous friction of the layers left; R the tip force being
-released, L the part of it by which its release is longer than assumed, U what of it stays and fades
-later, T the force held or needed to cut, K, H stiffness; c, b friction per length of shaft in the
-layer; d disturbances: the colour of the sensor's noise, heartbeat, breathing, and the error of this
-law. Known are w, the presliding deflection (1 when sliding inwards), v the speed, x the travel of
-the tip and y the length of shaft in the layer, and e is white. An event is a linear map of the
-unknowns that leaves the force as it is.
+with o the offset; C, V Coulomb and viscous friction of the layers traversed; R the tip force being
+released, L the part of it by which its release is longer than assumed, U the part that stays and
+fades later, T the force held or needed to cut, K, H stiffness and its growth; c, b friction per
+length of shaft in the layer; d disturbances: coloured sensor noise, heartbeat, breathing, error of
+this law. Known are the presliding deflection w (1 when sliding inwards), the speed v, the travel x
+of the tip and the length y of shaft in the layer; e is white. An event (contact, rupture) is a
+linear map of the unknowns that leaves the force as it is.
 
 So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
 well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
@@ -31,64 +31,64 @@ from needleforce.jit import (
     compiled_or,
 )
 
-# Places of the unknowns. LEFT: friction, at the last rupture, of the shaft since the last one that
-# was reported before it; EARLIER: the same of that one.
+# Indices of the unknowns. LEFT: friction [N] of the layer that the last rupture ended, of the shaft
+# since the rupture reported before; EARLIER: the same for that earlier rupture.
 OFFSET, COULOMB, VISCOUS, RELEASED, LONGER, HELD, STIFFNESS, STIFFENING, KEPT = range(9)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(9, 13)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(13, 20)
 UNKNOWNS, FACTS, RECORDS = 20, 10, 16
 _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
-# Places of what a hypothesis takes for certain: where its tip is; depth at which the shaft's
-# friction and the tip's force in the layer begin; depth and length of the last release; whether
-# HELD is held force, not cutting; whether the friction's fraction has been judged; how many
-# ruptures it knows of, at most one more than were reported; force of the layer before the last
-# until its release has been judged; whether the layer was entered through a membrane.
+# Indices of a hypothesis's facts: what the tip is in (AIR, LAYER, MEMBRANE); depths [mm] at which
+# the layer's friction (ROOT) and tip force (TIP) begin; depth and length of the last release [mm];
+# whether HELD is held force, not cutting; whether the prior of friction's fraction was applied;
+# number of ruptures, at most one more than were reported; force of the layer before [N], until its
+# release has been checked; whether the layer was entered through a membrane.
 KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE, IS_PUNCTURED = range(10)
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
 CONTACT, EXIT, PARTIAL, MEETING = range(4)
-"""Events; a membrane is met under a layer that goes on pushing, and its puncture is an exit."""
+"""Events: contact, end of a layer or membrane, partial rupture, membrane met under a layer."""
 
-# Places of what a report needs: when, where, how fast and at which force the last rupture was, and
-# whether it was partial; where the shaft since the last one reported begins and ends, its friction;
-# stiffness, Coulomb and viscous friction per length of its last part and their variances; where
-# tissue was first met; the least force since the last rupture.
+# Indices of a hypothesis's record, for reports: time, depth, speed and force of the last rupture,
+# whether it was partial; start, end and friction of the shaft since the rupture reported before;
+# stiffness, Coulomb and viscous friction per length of its last part, each with its variance; depth
+# of the first contact; least force since the last rupture.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
 PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = 5, 6, 7, 8, 14, 15
 
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
-"""Room for hypotheses, a row each: means, covariances, log weights, facts, records."""
+"""Memory for hypotheses, a row each: means, covariances, log weights, facts, records."""
 Scene = tuple[float, float, float]  # depth, speed and presliding deflection
 Moment = tuple[float, float, float, float, float, float, float]
 """A scene; time, standard deviation of the tissue's own speed, force, ruptures reported."""
-Event = tuple[int, float, bool]  # which, what the tip is in then, whether some of its force stays
+Event = tuple[int, float, bool]  # which; what the tip is in after it; if some of its force stays
 
-CUTTING_ONSET_MM = 1.0  # Until a fresh layer's cutting force is there: about a needle diameter
+CUTTING_ONSET_MM = 1.0  # Travel until a new layer's cutting force is full: a needle's diameter
 LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
-"""Relative error of the linear law, the same over so much travel; and part of that error for
-friction of the layers left: it depends on the motion alone."""
+"""Relative error of the linear law; its correlation length [mm]; the fraction of this error that
+friction of the layers traversed has, which depends on the motion alone."""
 CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
-"""Cutting force [N], and the travel over which stiffness would reach what it is more or less."""
-OFFSET_WALK = 1e-6  # drift of the sensor's zero [N²/s]
+"""Prior cutting force and its deviation [N]; its growth per growth of the stiffness [mm]."""
+OFFSET_WALK = 1e-6  # random walk of the sensor's zero, variance per time [N²/s]
 KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
-"""Of a tip force that stays after its rupture, and the travel over which it fades: chosen, between
-the 30 and 60 % that partial ruptures in liver suggest."""
-NO_RELEASE, NEVER = -1e9, -1e8  # depth of a release before any, and one that no release is above
+"""Fraction of a tip force that stays after its rupture, its deviation, and the travel over which it
+fades: chosen, between the 30 and 60 % that partial ruptures in liver suggest."""
+NO_RELEASE, NEVER = -1e9, -1e8  # depth that means "no release"; every release is deeper than NEVER
 SHAPE_ERROR, SHAPE_MM, ONSET_ERROR = 0.08, 0.02, 0.1
-"""Of a release, as part of its force, alike over so much travel; of an onset of cutting."""
-LENGTH_ERROR = 0.12  # of the logarithm of a release's length: so far apart are those assumed
-TEMPER = 0.5  # weight of evidence: errors of the law are alike from one block to the next
-FREEDOM = 8.0  # degrees of freedom of Student's t: a single surprise proves little
+"""Relative error of a release's shape, its correlation length [mm]; the same of a cutting onset."""
+LENGTH_ERROR = 0.12  # prior deviation of a release length's logarithm, between those assumed
+TEMPER = 0.5  # exponent of the likelihood: errors of the law are alike from one block to the next
+FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
-"""Growth of the force in a layer, before data [N/mm], and the growth of that growth [N/mm²]."""
+"""Prior growth of the force in a layer and its deviation [N/mm]; deviation of H [N/mm²]."""
 NO_FORCE, NO_SLOPE = 0.02, 0.002
-"""Cutting force or friction [N] and stiffness [N/mm] that count as none."""
+"""Deviation with which a negative cutting force or friction [N], stiffness [N/mm], is set to 0."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
-"""Of friction in that growth, at a speed [mm/s]; only the viscous part grows with speed."""
-PUSHED_MM = 12.0  # a membrane hardly gives more
-LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # of a layer's force, released at its rupture; in an answer
+"""Prior fraction of friction in that growth, its deviation, the speed [mm/s] at which they hold."""
+PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
+LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # fraction of force a rupture releases; weight in an answer
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
-"""Speed at which Coulomb and viscous friction are equal [mm/s]: 1.5 in gels, 7.5 in liver."""
+"""Speed of equal Coulomb and viscous friction [mm/s], std of its log: 1.5 in gels, 7.5 in liver."""
 
 
 @compiled_or(lambda spread, row: spread @ row)
@@ -111,7 +111,7 @@ def _measure_plain(mean: Any, spread: Any, cross: Any, error: float, variance: f
 def _measure(
     mean: WrittenVector, spread: WrittenMatrix, cross: Vector, error: float, variance: float
 ) -> None:
-    """Use a measurement, for its error and variance and its covariance with the unknowns."""
+    """Kalman update: error and variance of a measurement, `cross` its covariance with unknowns."""
     for i in range(UNKNOWNS):
         gain = cross[i] / variance
         mean[i] += gain * error
@@ -139,7 +139,7 @@ def _turn_plain(spreads: Any, n: int, at: int, turn: Any) -> None:
 
 @compiled_or(_turn_plain)
 def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
-    """Map two neighbouring unknowns of n hypotheses, by the transition with which `turn` begins."""
+    """Map two neighbouring unknowns of n hypotheses by a 2x2 transition, `turn`'s first numbers."""
     a, b, c, d = turn[0], turn[1], turn[2], turn[3]
     for k in range(n):
         for j in range(UNKNOWNS):
@@ -159,7 +159,7 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
     released = (1.0 - gone) ** 2
     travel, length = max(depth - fact[TIP], 0.0), max(depth - fact[ROOT], 0.0)
     if fact[IS_PUNCTURED] > 0.0:
-        # What a membrane had pushed in springs back along the shaft as its force is released.
+        # Tissue that the membrane had pushed in springs back along the shaft with the release.
         length *= 1.0 - released
     onset = min(travel / CUTTING_ONSET_MM, 1.0)
     row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = 1.0, deflection, speed, released
@@ -177,8 +177,8 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
 def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turns: Matrix) -> None:
     """Move the unknowns of n hypotheses on by a block; see `disturbance_levels.transitions`.
 
-    `held` is the variance by which the cutting force changes, `colour` what is left of the coloured
-    noise of the sensor, and its variance.
+    `held` is the variance added to the cutting force, `colour` the decay of the sensor's coloured
+    noise over the block, and its variance.
     """
     mean, spread, is_tissue = store[0][:n], store[1][:n], store[3][:n, KIND] != AIR
     mean[:, COLOUR] *= colour[0]
@@ -202,7 +202,7 @@ def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turn
 def correct(
     store: Store, n: int, scene: Scene, force: float, block: tuple[float, float, float]
 ) -> None:
-    """Use a block's mean force for n hypotheses: its travel, variance, the depth's deviation."""
+    """Update n hypotheses with a block's force; `block`: travel, variance, deviation of depth."""
     (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = store, block
     shape = SHAPE_ERROR * math.sqrt(max(SHAPE_MM / max(travel, 0.1 * SHAPE_MM), 1.0))
     for k in range(n):
@@ -225,7 +225,7 @@ def correct(
 
 @compiled
 def friction_fraction(speed: float) -> tuple[float, float, float]:
-    """Friction in the growth of the force at a speed, its deviation, and Coulomb's part of it."""
+    """Friction's fraction of the force's growth at a speed, its deviation, Coulomb's part of it."""
     odds = FRACTION / (1.0 - FRACTION)
     odds *= (COULOMB_SPEED + speed) / (COULOMB_SPEED + FRACTION_SPEED)
     fraction = odds / (1.0 + odds)
@@ -264,16 +264,16 @@ def _add_prior(
 def after_event(
     mean: Vector, spread: Matrix, fact: Vector, moment: Moment, event: Event, passed: float
 ) -> tuple[Vector, Matrix]:
-    """Mean and covariance of a hypothesis after an event; the force goes on as it was.
+    """Mean and covariance of a hypothesis after an event, which leaves the force as it is.
 
-    `passed` is the shaft in the layer since the last event.
+    `passed` is the length of shaft that entered the layer since the last event.
     """
     (what, becomes, is_kept), was, row = event, fact[KIND], regressor(fact, moment[:3])
     depth, speed, deflection, _, unseen, force, reported = moment
     change, noise, tip = np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
-    if what in (EXIT, PARTIAL):  # the error of the law was the tip's, and goes with it
+    if what in (EXIT, PARTIAL):  # the law's error belonged to the tip force and ends with it
         noise[LONGER] = (LENGTH_ERROR * np.dot(tip, mean)) ** 2
         tip[LAW] = 1.0
         change[LAW : LAW_RATE + 1] = 0.0
@@ -285,7 +285,7 @@ def after_event(
     else:
         change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
     if what == CONTACT:
-        noise[COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # or it starts inside tissue
+        noise[COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # the log may begin inside tissue
     elif what != PARTIAL:
         if was == LAYER:
             length = max(depth - fact[ROOT], 0.0)
@@ -347,14 +347,14 @@ def add_children(
 
 @compiled
 def _condition(mean: WrittenVector, spread: WrittenMatrix, row: Vector, variance: float) -> None:
-    """Take row @ unknowns for zero, with a variance."""
+    """Measure row @ unknowns as zero, with a variance."""
     cross = _times(spread, row)
     _measure(mean, spread, cross, -np.dot(row, mean), np.dot(row, cross) + variance)
 
 
 @compiled
 def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is_due: bool) -> bool:
-    """Apply the prior of friction's fraction in the growth of the force, once that is known."""
+    """Apply the prior of friction's fraction of the force's growth, once that growth is known."""
     row = np.zeros(UNKNOWNS)
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
     slope, variance = np.dot(row, mean), np.dot(row, _times(spread, row))
@@ -373,7 +373,7 @@ def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is
 
 @compiled
 def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float:
-    """Take for none what is negative and cannot be; returns what that adds to the log weight."""
+    """Set to zero what is negative but cannot be; returns the change of the log weight."""
     added, row = 0.0, np.zeros(UNKNOWNS)
     for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
         variance, value = max(spread[at, at], 0.0), mean[at]
@@ -390,7 +390,7 @@ def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float
 def weigh(
     store: Store, n: int, place: tuple[float, float, float, float], is_advancing: bool
 ) -> None:
-    """Weigh down what no tissue does, at a depth, speed, length of block and noise of the force."""
+    """Lower weights of what no tissue does; `place`: depth, speed, length of block, force noise."""
     means, spreads, log_weights, facts, _ = store
     depth, speed, dt_s, noise = place
     for k in range(n):
@@ -415,11 +415,11 @@ def weigh(
 
 @compiled
 def shaft_mixture(store: Store, weights: Vector, scene: Scene) -> tuple[Any, ...]:
-    """Friction of the shaft at a place, all hypotheses together but the least likely.
+    """Friction of the shaft at a place: mixture of all hypotheses but the least likely.
 
     Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
-    shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); how likely tissue has been
-    met, and at which depth; and the force at the tip that the likeliest hypothesis says.
+    shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); the probability that tissue
+    has been met, and its depth; and the tip force of the likeliest hypothesis.
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))

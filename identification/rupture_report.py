@@ -1,4 +1,4 @@
-"""What the bank says: the shaft's friction at one depth, ruptures, and layers left.
+"""What the bank says: the shaft's friction at one depth, ruptures, and layers traversed.
 
 Every answer is a mixture over the hypotheses: its mean is their mean, and where they differ its
 standard deviation is wider than that of each.
@@ -20,29 +20,29 @@ from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
-"""Least released force of a rupture worth an alarm: in standard deviations of a block's force, and
-two thirds of the least seen in real liver."""
-_VISIBLE = 0.3  # Part of that by which the force must have fallen since: else it only grows slower
-_LATE_S = 0.5  # An alarm after more travel, at the usual speed, wants a force lower than before
+"""Least released force for an alarm: in standard deviations of a block's force, and in newtons (two
+thirds of the least rupture seen in real liver)."""
+_VISIBLE = 0.3  # Fraction of it by which the force must have fallen: else it only grows slower
+_LATE_S = 0.5  # If the alarm is later, in travel at the usual speed, the force must still be lower
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
-"""Of the force, no robot brakes so hard before its speed is known: a fall, and one per second; and
-a fall that is large."""
+"""Falls, as fractions of the force: one, and one per second [1/s], that no robot makes by braking
+before its speed is known; and one that counts as large."""
 _SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
-"""By which a speed that nobody measures may be late: of the sensor, and of the travel filter."""
-_LEAST_SLOWED = 0.02  # part of the speed lost that is no noise of a filtered speed
+"""Lag of the speed: at least; per ratio of the filter's noise of depth and of speed; at most."""
+_LEAST_SLOWED = 0.02  # fraction of the speed lost below which it is noise of the filtered speed
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
-"""Fall of viscous friction, per part of the speed lost so far: the speed is late, and travel shows
-its mean; of a large fall it must show half."""
-_RECENT_S = 0.5  # For so long travel since the rupture shows the speed better than a noisy one
-_LEAST_PROBABILITY = 0.3  # Of all hypotheses with the last rupture, together, to say what it was
+"""Largest relative fall that braking explains, per fraction of the speed lost: more than 1, since
+the speed is late and travel shows its mean. The second is for a large fall."""
+_RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed better, less noisy
+_LEAST_PROBABILITY = 0.3  # Total of all hypotheses with the last rupture, to say what it was
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 _OF_COUNT = law.KIND, law.IS_HELD, law.RELEASED, law.KEPT, law.HELD
-"""Places, for compiled code: it does not use constants of another file."""
+"""Indices for compiled code, which does not use constants of another file."""
 
 
 class Evidence(NamedTuple):
-    """The bank, how likely each of its n hypotheses is, and how many ruptures it admits."""
+    """The bank, the probability of each of its n hypotheses, and how many ruptures each counts."""
 
     bank: Bank
     weights: Array  # probabilities, shape (n,)
@@ -50,9 +50,9 @@ class Evidence(NamedTuple):
 
 
 def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
-    """What the bank says after an alarm, the last of so many known; None before the first.
+    """Evidence of the bank after the last of `known` alarms; `alarm` is None before the first.
 
-    Hypotheses that know only of a rupture clearly before the alarm's deny that one.
+    A hypothesis whose last rupture lies clearly before the alarm's counts as denying that one.
     """
     before_mm = -math.inf if alarm is None else _MM * alarm.depth_m - LEAST_MM
     ruptures, rupture_mm = bank.facts[:, law.RUPTURES], bank.records[:, law.RUPTURE_MM]
@@ -63,11 +63,11 @@ def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
 def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, speed: float) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-    So many ruptures are known; the last was at a speed [mm/s], 0 before the first.
+    `known` ruptures were reported, the last at a speed [mm/s], 0 before the first.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
     answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, weights, scene)
-    # No friction is known better than the texture lets the law be.
+    # Friction is known no better than the law is, whose error the texture shows.
     answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += all_met * place.law_error**2
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM
@@ -76,12 +76,12 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
 
 
 class Evaluation(NamedTuple):
-    """What the hypotheses say of the number of ruptures."""
+    """What the hypotheses say about the number of ruptures."""
 
     more: float  # probability of one more than known, with a clear fall of the force
     fewer: float  # probability of fewer than known
     pick: int  # the likeliest of those hypotheses, -1 without any
-    best: int  # ruptures of the likeliest of all
+    best: int  # number of ruptures of the likeliest of all
 
 
 def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
@@ -89,7 +89,7 @@ def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
     force = bank.records[:, law.RUPTURE_FORCE]
     is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
-    # Where the force is higher again, a rupture thought of late is rather tissue that has changed.
+    # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
     is_undone = is_late & (force <= place.force)
     most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
     limits = float(known), least, law.LAYER
@@ -109,9 +109,9 @@ def _counted(
     limits: tuple[float, float, float],
     places: tuple[int, int, int, int, int],
 ) -> tuple[float, float, int, int]:
-    """An `Evaluation`, for the ruptures known, the least force released, and what a layer is.
+    """An `Evaluation`; `limits`: ruptures known, least force released, the kind of a layer.
 
-    A rupture releases `most`: no more than the force there was, nothing where the force is back.
+    A rupture releases at most `most`: the force there was, or nothing where the force is back.
     """
     (known, least, layer), (kind, is_held, released, kept, held) = limits, places
     # After a partial rupture part of the force is held: what has fallen is the rest.
@@ -127,7 +127,7 @@ def _counted(
 def speed_lag(depth_std: float, speed_std: float) -> float:
     """By how much the speed may be late [s], from the noise that the travel filter leaves in both.
 
-    That of the depth is noise of the speed over about as long as the filter is slow.
+    Their ratio is about the time constant of the filter.
     """
     lag_s = _LAGS * depth_std / max(speed_std, 1e-9)
     return min(max(lag_s, _SPEED_LAG_S), _MOST_LAG_S)
@@ -136,10 +136,10 @@ def speed_lag(depth_std: float, speed_std: float) -> float:
 def may_be_braking(
     bank: Bank, evaluation: Evaluation, place: Place, time_s: float, tissue: TissueMotion
 ) -> bool:
-    """Whether a needle that slows down could make the fall of the force as well.
+    """Whether a needle that slows down could explain the fall of the force.
 
-    The speed is known late, and friction falls with it at once: a fall that is small beside the
-    force waits until the speed would show, and counts only if it is more than the speed explains.
+    Friction falls with the speed at once, but the speed is known late. So a relatively small fall
+    waits until the speed would show braking, and counts only if it exceeds what that explains.
     """
     record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
@@ -163,7 +163,7 @@ def may_be_braking(
 def rupture_of(
     evidence: Evidence, pick: int, layer: int, probability: float, alarm: tuple[float, float, float]
 ) -> Rupture:
-    """The rupture that hypothesis `pick` knows of.
+    """The last rupture of hypothesis `pick`.
 
     `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
     """
@@ -186,9 +186,9 @@ def rupture_of(
 
 
 def _weights_of(evidence: Evidence, known: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Probabilities of the hypotheses that know of so many ruptures, of others 0, shape (n,).
+    """Probabilities of the hypotheses with `known` ruptures, of others 0, shape (n,).
 
-    And which of all say that the tip pushes a membrane under the last layer.
+    And in which of all the tip pushes a membrane under the last layer.
     """
     facts = evidence.bank.facts
     is_meeting = (facts[:, law.KIND] == law.MEMBRANE) & (facts[:, law.IS_HELD] > 0.0)

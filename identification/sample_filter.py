@@ -1,10 +1,10 @@
 """From raw samples to depth and speed of the tip: a check, then a Kalman filter.
 
-The filter's state is depth and speed; the speed changes as white acceleration makes it. Every
-sample measures the depth, and the speed where the robot reports it. How noisy either is shows in
-how far a sample lies from the line between its neighbours, which no needle's motion does within a
-few milliseconds. Noise of positions behind a filter, or of a coarse encoder, is smooth, and so is
-that of a speed made from them: what their means over 16 ms scatter says how little they know.
+The filter's state is depth and speed, driven by white acceleration. Every sample measures the
+depth, and the speed where the robot reports it. The noise of either is learnt from the distance of
+a sample to the line between its neighbours: a needle does not leave that line within milliseconds.
+Noise of filtered positions, or of a coarse encoder, is smooth, and so is that of a speed made from
+them: it is learnt from the scatter of means over 16 ms.
 """
 
 import math
@@ -18,53 +18,53 @@ from identification.estimate import SampleStatus
 from needleforce.jit import WrittenVector, compiled
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
-"""What Python or numpy would make a float of, though nobody measures it."""
+"""Types that Python or numpy would convert to a float although they are no measurements."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
-"""Intervals outside are wrong units or garbage: quotients by them, or their sum, overflow."""
+"""Time steps outside this range are wrong units or garbage; quotients or sums would overflow."""
 LARGEST_MOTION = 1e3  # no needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow
 _ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
 one standard deviation. Starts and stops are quicker, see `_density`."""
-_MEMORY_S = 2.0  # over which noise is learned
+_MEMORY_S = 2.0  # memory of the learnt noise
 _FIRST, _CLIP = 50.0, 9.0
-"""After so many values a square counts at most so many times the known one: no noise, but motion
-or a slip."""
+"""After so many values a square is clipped to so many times the learnt variance: more is motion or
+a slip, not noise."""
 _LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
 _RISE_S = 8.0
-"""Means of a moving needle lie off a line by its motion as well: their least scatter counts, and
-what was least once is forgotten in so long (minimum statistics, Martin 2001)."""
-_HASTE_S = 0.05
-_SIGNIFICANT = 4.0
-_MOST_SURPRISE = 5.0  # Standard deviations one innovation counts: a single odd depth is no turn
+"""Smooth noise: length of a block, blocks before it counts, memory of the least scatter. Motion of
+the needle adds to the scatter of means, so the least counts (minimum statistics, Martin 2001)."""
+_HASTE_S = 0.05  # averaging time of the standardised innovations
+_SIGNIFICANT = 4.0  # squared mean innovation, over its variance, that chance does not explain
+_MOST_SURPRISE = 5.0  # An innovation is clipped to so many deviations: one odd depth is no turn
 _GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
-_FASTEST_M_S = 0.1  # of a needle that nobody has seen move
+_FASTEST_M_S = 0.1  # assumed speed of a needle in a gap, where its motion is not seen
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
-"""At its first sample: 0.1 mm, and a tenth of a metre per second."""
+"""Of the state at the first sample: 0.1 mm, and a tenth of a metre per second, squared."""
 
 STATUSES = tuple(SampleStatus)  # in the order of their numbers; those used come first
 _OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
 _DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
 LAST_USED = _TIME_GAP
 
-# Places in the memory. Of the check: time since the start, smoothed interval; last depth that could
-# be read, of a sample used or rejected; sum of all jumps removed; recent travel by depth and by
-# speed; time since that last depth, whether there is one, and time from the last sample used to it.
+# Indices of the memory. Of the check: time since the start, smoothed time step; last finite depth,
+# of a sample used or rejected; sum of all jumps removed; recent travel by depth and by speed; time
+# since that last depth, whether there is one, and time from the last sample used to it.
 TIME, _USUAL_DT, _RAW_DEPTH, SHIFT, _BY_DEPTH, _BY_SPEED, _PENDING, _HAS_DEPTH, _REJECTED = range(9)
-# Of the filter: its state and covariance, and of that what noise of the samples alone has left in
-# the answer; means of the latest standardised innovations of depth and of a measured speed.
+# Of the filter: its state and covariance; the part of the covariance that is due to noise of the
+# samples alone; means of the latest standardised innovations of depth and of a measured speed.
 _DEPTH, _SPEED, _VAR_DEPTH, _COVARIANCE, _VAR_SPEED = range(9, 14)
 _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 19)
-# What is known of the noise of depth and speed and of their means: five numbers each. Of the block
-# of such means being filled: its length, the number of its samples, the sums of both.
+# Noise of depth and speed, and of their means: five numbers each. Block of means being filled: its
+# length, the number of its samples, the sums of depth and speed. Least variances of the means.
 OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
 _FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
 LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
 SAMPLE_MEMORY = 45
-# Of a noise: variance of single samples, on how many values that rests; the last value, the one
-# before, and the time between them, 0 while there are none.
+# The five numbers of a noise: variance of single samples, number of values it rests on; the last
+# value, the one before, and the time between them, 0 while there are none.
 _VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
 
 Limits = tuple[float, float, float, float, float]  # The fields of `CheckConfig`
@@ -113,14 +113,14 @@ def _check_motion(
     change = depth - m[_RAW_DEPTH] if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / sign_memory_s)
-    # A needle that has stopped in a gap has moved in it as well, or in it alone.
+    # A needle that stands still after a gap may have moved during it.
     fastest = max(abs(speed), abs(m[_SPEED]), _FASTEST_M_S if dt > gap else 0.0)
     is_jump = abs(surprise) > jump_m + fastest * dt
     by_depth, by_speed = keep * m[_BY_DEPTH], keep * m[_BY_SPEED]
     if is_jump:
         m[SHIFT] += surprise
     elif has_depth and dt <= gap and is_measured:
-        # One speed says nothing of the travel through a gap, nor of that before the first depth.
+        # The speed now says nothing about travel during a gap, or before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
     is_contrary = by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
     m[_BY_DEPTH], m[_BY_SPEED], m[_RAW_DEPTH], m[_HAS_DEPTH] = by_depth, by_speed, depth, 1.0
@@ -156,11 +156,11 @@ def _check_numbers(
 
 @compiled
 def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least: float) -> None:
-    """Use one value, `dt_s` after the last one, for the noise whose numbers begin at a place.
+    """Learn from one value, `dt_s` after the last one, the noise whose numbers begin at `at`.
 
-    With weights a, 1 - a of its neighbours the middle of three values is off their line by a
-    variance of 1 + a^2 + (1 - a)^2 single ones. A value that has not changed at all is one of a
-    needle at rest or rounded: it says nothing.
+    With weights a, 1 - a of its neighbours the middle of three values is off their line by
+    1 + a^2 + (1 - a)^2 times the variance of one. Three equal values are those of a needle at rest,
+    or rounded: they say nothing.
     """
     variance, seen = memory[at + _VARIANCE], memory[at + _SEEN]
     last, before, last_dt = memory[at + _LAST], memory[at + _BEFORE], memory[at + _LAST_DT]
@@ -180,8 +180,8 @@ def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least
 def _density(memory: WrittenVector, gain: float) -> float:
     """Spectral density of the acceleration just now.
 
-    Innovations of a filter that keeps up have no mean: one that chance does not explain shows a
-    needle that starts, stops or turns.
+    Innovations of a filter that keeps up have zero mean: a mean that chance does not explain shows
+    a needle that starts, stops or turns.
     """
     surprise = max(abs(memory[_SURPRISE]), abs(memory[_SPEED_SURPRISE]))
     haste = max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
@@ -211,7 +211,7 @@ def _measure(memory: WrittenVector, k: int, value: float, noise: float) -> float
 
 @compiled
 def _noise(memory: WrittenVector, single: int, least: int, dt_s: float) -> float:
-    """Variance of a sample's noise, as if it were white: of a smooth one a block is one sample."""
+    """Variance of white noise as strong as this one: of smooth noise a block is one sample."""
     return max(memory[single + _VARIANCE], memory[least] * _BLOCK_S / dt_s)
 
 
@@ -219,7 +219,7 @@ def _noise(memory: WrittenVector, single: int, least: int, dt_s: float) -> float
 def _learn_smooth_noise(
     memory: WrittenVector, at: int, least: int, value: float, dt_s: float, floor: float
 ) -> None:
-    """Use the mean of a block, for the noise whose numbers begin at a place, and for its least."""
+    """Learn from a block's mean the noise whose numbers begin at `at`, and its least variance."""
     learn_noise(memory, at, value, dt_s, floor)
     variance, last = memory[at + _VARIANCE], memory[least] * math.exp(min(dt_s / _RISE_S, 50.0))
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
@@ -294,12 +294,12 @@ def take_sample(
 ) -> tuple[int, float, float, float, Motion]:
     """Check one raw sample and, if it can be used, filter its depth and speed.
 
-    Depth, speed, force and interval are as `Identifier.update` takes them; a speed that nobody
-    measured is the last one estimated, which contradicts no depth. Time runs on over a sample that
-    is rejected, as long as its interval is valid: a dropped force does not shift the clock.
+    Depth, speed, force and time step are as `Identifier.update` takes them; a speed that is not
+    measured is the last estimate, which contradicts no depth. Time runs on over a rejected sample
+    as long as its time step is valid: a dropped force does not shift the clock.
 
-    Returns the status by its place in `STATUSES`, and of a sample to use the interval since the one
-    used before [s]; the time since the start; the depth less the jumps removed; the motion.
+    Returns the status as index in `STATUSES`; of a valid sample the time since the one used before
+    [s]; the time since the start; the depth less the jumps removed; the motion.
     """
     speed = speed_m_s if is_measured else memory[_SPEED]
     number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0

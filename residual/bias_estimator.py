@@ -1,4 +1,4 @@
-"""Keeps the tare: records free motion, fits, subtracts, and says how far it may be trusted."""
+"""Records free motion, fits the tare, subtracts the bias, and gives the covariance of the rest."""
 
 import math
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-MOST_BLOCKS = 400  # A fit of as many takes part of a second; then the older half is merged in pairs
+MOST_BLOCKS = 400  # Then the older half is merged in pairs: fitting 400 takes part of a second
 WEIGH_S = 0.25
-"""So often the covariance is renewed: it changes with pose and age, both slowly. At once where
-motion lets a variance grow by `MOST_GROWTH` of itself."""
+"""Time after which the covariance is renewed: it changes with pose and age, both slowly. It is
+renewed at once when motion makes a variance grow by `MOST_GROWTH` of itself."""
 MOST_GROWTH = 0.1
 SMOOTHING_S = 0.05
-"""Lag of the velocity whose distance from the present one is the acceleration: noise of an encoder
-then stays below a tenth of the torque sensor's, and a motion of 2 Hz loses a sixth."""
+"""Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder noise in it
+stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses a sixth."""
 
 
 @dataclass(slots=True, eq=False)
@@ -36,11 +36,11 @@ class TareRecorder:
     one; the latest blocks stay short.
     """
 
-    # Of every block: samples, their times [s], positions, residuals, squares of these, and states;
-    # shape (m, 5 + states, n)
+    # Per block: number of samples, and the sums of their times [s], positions, residuals, squared
+    # residuals and states; shape (m, 5 + states, n)
     sums: Array
     open: Array  # The same of the block that is not complete yet, shape (5 + states, n)
-    age_s: float = 0.0  # Its length so far [s]
+    age_s: float = 0.0  # Length of that block so far [s]
 
     @classmethod
     def of_size(cls, joints: int, states: int) -> Self:
@@ -85,19 +85,19 @@ class BiasState:
     """All that a `BiasEstimator` remembers."""
 
     recorder: TareRecorder  # Free motion recorded for the next tare
-    joint_memory: Array  # Of hysteresis and friction, see `residual.joint_states`
-    states: Array  # What follows from it, shape (states, n)
-    torque_sum: Array  # Of the torques since the last renewal [Nm], shape (n,)
-    bias: Array  # Offset that is subtracted [Nm], shape (n,)
-    motion_Nm2: Array  # Variance of the residual's error by motion, shape (n,)
-    most_motion_Nm2: Array  # Beyond it the covariance is renewed at once, shape (n,)
-    weighed_s: float = -WEIGH_S  # When it was renewed last [s]
+    joint_memory: Array  # Memory of hysteresis and friction, see `residual.joint_states`
+    states: Array  # States of hysteresis and friction, shape (states, n)
+    torque_sum: Array  # Sum of the torques since the last renewal [Nm], shape (n,)
+    bias: Array  # Bias that is subtracted [Nm], shape (n,)
+    motion_Nm2: Array  # Variance of the residual's error due to motion, shape (n,)
+    most_motion_Nm2: Array  # Value beyond which the covariance is renewed at once, shape (n,)
+    weighed_s: float = -WEIGH_S  # When the covariance was renewed last [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
-    smooth_dq: Array  # Velocity of a moment ago [rad/s], shape (n,)
+    smooth_dq: Array  # Lagged velocity, for the acceleration [rad/s], shape (n,)
     tare: Tare  # The tare in force, the prior's before the first
     started: bool = False  # Whether a sample has come
-    tared: bool = False  # Whether it is the current one
+    tared: bool = False  # Whether that tare is current: no new recording was started
     tared_s: float = 0.0  # When it was taken [s]
     now_s: float = 0.0  # Time since the start [s]
     renewed_s: float = 0.0  # When states and offset were renewed last [s]
@@ -109,21 +109,21 @@ class BiasState:
 
 
 class BiasEstimator:
-    """Subtracts the residual's error without contact from the observer's output.
+    """Subtracts the bias, the residual without contact, from the observer's output.
 
-    Until the first `tare` the prior stands in: no offset, a large covariance.
+    Until the first `tare` the prior is used: no offset, a large covariance.
 
     Attributes:
         block_s: Length of a recorded block [s].
-        memory: All that it remembers, for whoever reads it every tick: not to be written.
+        memory: All that it remembers, to be read every tick, not to be written.
     """
 
     RENEW_S = 0.02
-    """The offset changes with pose and torque, slowly: it is renewed this often."""
+    """Interval at which the bias is renewed: it changes slowly, with pose and torque."""
     LEAP_S = 60.0
-    """A longer time step is a pause or a clock that was set: one step cannot show which. Drift is
-    hundredths of a newton in a minute, newtons in an hour. It counts as a pause, and is reported
-    until the next tare. Free motion recorded before it is forgotten."""
+    """A longer time step is a pause or a clock that was set: one step cannot show which. It counts
+    as a pause and is reported until the next tare; free motion recorded before it is forgotten.
+    Drift is hundredths of a newton in a minute, newtons in an hour."""
     BLOCK_LAGS = 2.0
     """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
 
@@ -141,7 +141,7 @@ class BiasEstimator:
 
     @property
     def warning(self) -> str:
-        """What a leap has made of the tare, or of the motion recorded for it; empty without one."""
+        """Effect of a long time step on the tare or the recorded motion; empty without one."""
         if self.memory.leapt_s == 0.0:
             return ""
         return TARE_EXPIRED if self.memory.tared else FORGOTTEN
@@ -153,15 +153,15 @@ class BiasEstimator:
         return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
-        """Follow position [rad], velocity, torque [Nm], kept, not copied, a time after the last.
+        """Use position [rad], velocity, torque [Nm] `dt_s` after the last; kept, not copied.
 
-        Returns whether joint states and offset have been renewed: the covariance may then be, too.
+        Returns whether joint states and bias were renewed: the covariance may then be renewed, too.
         """
         memory = self.memory
         memory.q, memory.dq = q, dq
         memory.now_s += dt_s
         if dt_s > self.LEAP_S:
-            # A drift fitted to motion on both sides of it would be far off.
+            # A drift fitted to motion before and after such a step would be far off.
             if not self.is_fresh:
                 memory.leapt_s += dt_s
             if not memory.tared:
@@ -187,8 +187,8 @@ class BiasEstimator:
             followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
             follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
-        # A tare is of slow motion. It corrects masses and first moments as far as gravity shows
-        # them; what turns and accelerates the links is still as uncertain as the prior says.
+        # A tare is recorded in slow motion: it corrects masses and first moments as far as gravity
+        # shows them. Torque that accelerates the links stays as uncertain as the prior's masses.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
         motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)

@@ -1,9 +1,9 @@
 """Fits a tare to blocks of free motion: Bayesian least squares with sizes that are learnt.
 
-The prior says how large link errors, friction and drift are on arms of a kind. Of one arm they may
-be several times smaller or larger: the sizes that make the motion likeliest are taken (empirical
+The prior states how large link errors, friction and drift are on arms of a kind. On one arm they
+may be several times smaller or larger: the sizes that make the motion likeliest are used (empirical
 Bayes), so that the tare's covariance is that of this arm. The size of hysteresis is not learnt: in
-air it is so like friction that either would take half of the other.
+air it is so similar to friction that each would take half of the other.
 """
 
 from collections.abc import Iterator
@@ -15,26 +15,26 @@ from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.errors import Array
 
 LEARNT = ("links", "friction", "drift")
-"""Groups of columns whose size is learnt, and the random walk; offset and ripple are seen
-directly."""
-OCTAVES = np.arange(-2.0, 5.1)  # sizes that are tried, as powers of two of the prior's
-OCTAVES_STD = 1.5  # how far an arm may be from those: keeps what the motion does not show
+"""Groups of columns whose size is learnt, as is the random walk's; offset and ripple show directly
+in the data."""
+OCTAVES = np.arange(-2.0, 5.1)  # sizes that are tried: powers of two, relative to the prior's
+OCTAVES_STD = 1.5  # prior deviation of that exponent: holds sizes that the motion does not show
 SWEEPS = 3  # passes over the groups, one at a time
 WALK_TERMS = 8  # of the Karhunen-Loeve series of a random walk: 96 % of its variance
-CONTACT_STD_N = 100.0  # of a contact's force before data: any
+CONTACT_STD_N = 100.0  # prior deviation of a contact's force: practically any
 FEW_BLOCKS = 8
-"""From seven differences between neighbours a variance is known to two thirds of itself; from fewer
-it may be nearly nothing by chance, and a few blocks would count for too much."""
-BATCHES = (1, 2, 4)  # blocks averaged to see coloured noise: a filter of 8 Hz outlasts two
+"""Least blocks for a variance from their differences: seven give it to two thirds of itself, fewer
+may give nearly zero by chance, and the blocks would get too much weight."""
+BATCHES = (1, 2, 4)  # blocks averaged to see coloured noise: a filter of 8 Hz outlasts two blocks
 
 
 class FreeMotionFit:
     """The likeliest causes of the residuals of a free motion.
 
-    Two passes: the first takes the noise seen between neighbouring blocks for independent; what it
-    leaves beyond that is the sensors' waviness, a wave along each joint's position that comes back
-    when the joint does. The second pass knows of it, so that waves do not pass for many independent
-    samples of a slope.
+    Two passes. The first assumes independent noise, as large as between neighbouring blocks; what
+    it leaves beyond that is the sensors' waviness, a wave along each joint's position that repeats
+    when the joint returns. The second pass includes the waves in the noise, so that they do not
+    count as many independent samples of a slope.
 
     Args:
         basis: The causes.
@@ -85,7 +85,7 @@ class FreeMotionFit:
     def _fit(self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool) -> Array:
         """Both passes; returns the variance of a single residual about the fit, shape (n,)."""
         blocks, residual = self.blocks, self.blocks.residual_Nm
-        # Neighbours of which there are few mean nothing: then a block is as noisy as its samples.
+        # With few blocks their differences mean nothing: a block then counts as noisy as a sample.
         least = np.square(basis.prior.resolution_fraction * basis.effort_Nm)
         white = least + (blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,)))
         self._whiteners = [np.eye(len(residual)) / v for v in white]
@@ -132,10 +132,10 @@ class FreeMotionFit:
         return np.stack([residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1)
 
     def _lagging(self, mean: Array, covariance: Array) -> Array:
-        """The likeliest parameters with which wide loops of hysteresis lag; in units of the prior.
+        """Parameters, in units of the prior, with non-negative sizes of the wide hysteresis loops.
 
-        Noise of the torque moves the loops, too, so that least squares finds loops that lead: wide
-        ones would hide changes of the force. The narrowest takes some of the noise away.
+        Torque noise drives the loops, too, so least squares can find negative ones, whose output
+        leads: wide ones would hide changes of the force. The narrowest removes some of the noise.
         """
         basis, loops = self.basis, self.basis.groups.get("hysteresis")
         if loops is None or basis.loops == 1:
@@ -148,11 +148,11 @@ class FreeMotionFit:
         return mean + covariance[:, wide] @ (shared @ change)
 
     def information_on(self, torque: Array) -> tuple[Array, Array]:
-        """What the motion says of causes that were not fitted, all that was fitted left free.
+        """Information about causes that were not fitted, with all fitted parameters left free.
 
-        Of the torque of a unit of every such cause [Nm], shape (blocks, n, causes), it makes their
-        information, shape (causes, causes), and evidence, shape (causes,): an estimate of a sum of
-        causes is the sum of its evidence over that of its information.
+        From the torque of a unit of every such cause [Nm], shape (blocks, n, causes), it returns
+        their information, shape (causes, causes), and evidence, shape (causes,). The estimate of a
+        sum of causes is the sum of its evidence over that of its information.
         """
         count = torque.shape[2]
         information, evidence = np.zeros((count, count)), np.zeros(count)
@@ -206,9 +206,9 @@ def _likeliest_sizes(
 
 
 def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
-    """Variance per joint of white noise as strong as this one is at low frequency, shape (n,).
+    """Variance per joint of white noise as strong as this noise at low frequency, shape (n,).
 
-    Batch means: of noise that outlasts a block the mean of several is less quiet than of white.
+    Batch means: averaging several blocks reduces noise that outlasts a block less than white noise.
     """
     found = []
     for size in batches:
@@ -223,9 +223,9 @@ def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
 def _wave_variance(left: Array, white: Array, travel_rad: Array, basis: BiasModel) -> Array:
     """Variance of the sensors' waviness per joint [Nm^2], shape (n,).
 
-    What the first pass left beyond the white noise. A joint that moved less than a few wavelengths
-    has had its wave fitted away as a slope: it is given what the others have, in proportion to
-    range, since an arm's torque sensors are of one kind.
+    It is what the first pass left beyond the white noise. In a joint that moved less than a few
+    wavelengths the fit has taken the wave for a slope: it gets the variance of the others, in
+    proportion to range, since an arm's torque sensors are of one kind.
     """
     own = np.maximum((left**2).mean(axis=0) - white, 0.0)
     moved = travel_rad > 4.0 * basis.prior.wave_rad

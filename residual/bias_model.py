@@ -1,7 +1,7 @@
-"""Offset removal that lasts: a model of what a robot's residual reads without contact.
+"""Model of the bias: what a robot's residual reads without contact.
 
-Section IV of the paper subtracts a constant r_0, which holds near where it was taken only. Here
-the error is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
+Section IV of the paper subtracts a constant r_0, which holds only near where it was taken. Here
+the bias is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
 Bayesian least squares over the free motion before contact. It extrapolates along the insertion
 and its covariance says how far. The offset is subtracted from the observer's output, never inside
 its integral, so that it does not fade.
@@ -41,31 +41,31 @@ class BiasPrior:
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
         hysteresis_fraction: Hysteresis of the torque sensor, per loop of `hysteresis_widths`.
             0.01 %: well within the 0.5 % linearity such sensors are sold with.
-        hysteresis_widths: Half widths of the loops, as fractions of range: a Prandtl-Ishlinskii
-            model, since the width of a loop is not known beforehand.
+        hysteresis_widths: Half widths of the loops, as fractions of range; several, a
+            Prandtl-Ishlinskii model, since the width of a loop is not known beforehand.
         ripple_fraction: Amplitude of the ripple of a joint with a known `gear_ratio`.
-        gear_ratio: Of the harmonic drive of each joint, if known: its torque sensor's ripple then
-            goes with twice the motor angle, and is fitted. Empty if unknown.
-        wave_rad: Length over which a torque sensor's own waviness changes [rad]. A harmonic drive
-            of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
-        friction_fraction: Coulomb friction of a bearing between torque sensor and link, and as much
-            for what it has more at low speed. 0.03 %: a bearing of 50 mm radius under 100 N with a
+        gear_ratio: Of the harmonic drive of each joint, if known: ripple of its torque sensor at
+            twice the motor angle is then fitted. Empty if unknown.
+        wave_rad: Correlation length of a torque sensor's waviness [rad]. A harmonic drive of 160:1
+            has a ripple of period pi/160 = 0.02 rad: a quarter of that.
+        friction_fraction: Coulomb friction of a bearing between torque sensor and link; the excess
+            at low speed has the same prior. 0.03 %: a bearing of 50 mm radius under 100 N with a
             friction coefficient of rolling, 0.005, has 0.025 Nm.
         viscous_fraction_s: Viscous friction there, per rad/s. 0.4 %: an identification of a real
             LWR 4+ found 0.19 to 0.84 Nm s/rad on joints of 38 to 176 Nm.
         stribeck_rad_s: Speed over which friction falls from that at rest to Coulomb friction; ball
             bearings and seals do so within hundredths of a radian per second.
-        presliding_rad: Half the rotation over which friction turns round, per Maxwell-slip
-            element; until then a bearing is a spring. Rolling bearings slide after 5 to 50 um: at
-            a radius of 50 mm 0.1 to 1 mrad.
-        drift_fraction_per_min: Drift, a steady one and one that fades, each. 0.01 % a minute, as
-            strain gauges warm up (an ATI Mini45 was seen to drift 0.04 % of its range in 4
+        presliding_rad: Half the rotation over which friction reverses, per Maxwell-slip element;
+            until then a bearing is a spring. Rolling bearings slide after 5 to 50 um: at a radius
+            of 50 mm 0.1 to 1 mrad.
+        drift_fraction_per_min: Steady drift, and the same for a drift that fades. 0.01 % a minute,
+            as strain gauges warm up (an ATI Mini45 was seen to drift 0.04 % of its range in 4
             minutes).
-        fading_s: Time in which the second one fades; that Mini45 drifted half as fast later on.
-        walk_fraction_per_sqrt_min: Random walk beside it.
-        resolution_fraction: What no torque sensor resolves; keeps the weights of joints sensible on
-            signals without noise. 0.001 %.
-        fallback_effort_Nm: Stands in where a description gives no effort limit [Nm].
+        fading_s: Time constant of the drift that fades; that Mini45 drifted half as fast later on.
+        walk_fraction_per_sqrt_min: Random walk in addition to the drift.
+        resolution_fraction: Least noise assumed, finer than any torque sensor resolves; keeps the
+            weights of joints sensible on signals without noise. 0.001 %.
+        fallback_effort_Nm: Used where a description gives no effort limit [Nm].
 
     Raises:
         ConfigurationError: If a number is not finite and positive.
@@ -103,15 +103,15 @@ class BiasPrior:
 class Tare(NamedTuple):
     """A fitted offset: parameters of a `BiasModel`, which robot and settings give."""
 
-    mean: Array  # Offsets first, shape (m,)
+    mean: Array  # Parameters, offsets first, shape (m,)
     covariance: Array  # Of the parameters, shape (m, m)
     noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
-    scatter_Nm2: Array  # Of its diagonal what a mean over a recorded block takes away, shape (n,)
+    scatter_Nm2: Array  # Part of its diagonal that the mean of a recorded block removes, shape (n,)
     walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
 
     @property
     def kind(self) -> TareKind:
-        """With parameters beyond one offset per joint or not."""
+        """``model`` if there are parameters beyond one offset per joint."""
         return "constant" if len(self.mean) == len(self.noise_Nm2) else "model"
 
 
@@ -121,7 +121,7 @@ def all_columns(
 ) -> Array:
     """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
     (joints, first), count = links.shape, len(states)
-    # What each joint's own parameters are multiplied with, a row each.
+    # Regressors of each joint's own parameters, one row per parameter.
     own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
     own[:count], own[count] = states, age_s
     own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
@@ -167,7 +167,7 @@ class BiasModel:
         self.groups = dict(zip(std, map(slice, [0, *ends], ends), strict=True))
 
     def _prior_std(self) -> dict[str, Array]:
-        """Of every group of columns, in order."""
+        """Prior standard deviations of every group of columns, in order."""
         prior, effort = self.prior, self.effort_Nm
         if self.kind == "constant":
             return {"offset": 100.0 * prior.offset_fraction * effort}
@@ -220,7 +220,7 @@ class BiasModel:
 
     @property
     def prior_tare(self) -> Tare:
-        """What is known before any free motion was seen: no offset, the prior's covariance."""
+        """The tare before any free motion was seen: no offset, the prior's covariance."""
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
         steady, none = np.zeros(self.joints), np.zeros(len(self.std))
         return Tare(none, np.diag(self.std**2), noise, steady, self.walk_Nm2_per_s())

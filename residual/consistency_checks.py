@@ -1,9 +1,9 @@
-"""What makes a force uncertain and changes slowly: limits, singular poses, a mismatch, velocities.
+"""Slow checks: joint limits, singular poses, model mismatch, pushes on the arm, velocities.
 
-Whether measured velocities are the rate of the measured positions is judged by travel that fades
-within a second, summed from q by its differences and from dq by trapezoids between two checks. So a
-position that is coarse or held is off by one step at most, noise and vibration of the velocity
-average out, and what is left of a valid pair is the time by which one is later than the other.
+Measured velocities should be the rate of the measured positions. To check this, the travel of the
+last second (fading) is summed from the differences of q, and from dq by trapezoids between two
+checks. A coarse or held position is then off by one step at most, noise and vibration of the
+velocity average out, and a valid pair differs only by the lag between the two.
 Travel of a joint that hardly moves means nothing and is not used.
 """
 
@@ -19,18 +19,18 @@ from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-TRAVEL_S = 1.0  # in which travel fades: shorter makes slow strokes short, longer adds up bias
+TRAVEL_S = 1.0  # in which travel fades: if less, slow strokes look short; if more, bias adds up
 MEMORY_S = 10.0
-"""Of the motion that is used; time at rest does not count, so an arm that waits for its tare
-does not forget."""
-LONGEST_S = 0.2  # a trapezoid over more means nothing
+"""Memory of the comparison; time at rest does not count, so an arm that waits for its tare does not
+forget."""
+LONGEST_S = 0.2  # a trapezoid over a longer step means nothing
 MOST_ACCELERATION_RAD_S2 = 20.0  # as in `residual.fault_detection`: a jump has no rate
 LEAST_TRAVEL_RAD = 0.015  # ten steps of a very coarse encoder; 60 mm in air make thrice as much
-DQ_RATIO = 20.0  # so many times that travel by dq alone is used too, whatever q does
+DQ_RATIO = 20.0  # with so many times that travel by dq alone a joint is checked whatever q does
 TOLERATED_LAG_S = 0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
 TOLERATED_RAD = 0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
 LEAST_SECONDS = 1.0  # of motion, before anything is reported
-LEAST_BEYOND = 0.01  # Rms difference beyond the tolerated that is judged, relative to the travel
+LEAST_BEYOND = 0.01  # least rms difference beyond the tolerated, relative to the travel
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -42,33 +42,33 @@ FACTORS = {
 """Factors with a likely reason; each may come with the other sign."""
 OTHER_FACTOR = "is it in other units, or of the motor before its gear, or are time stamps wrong?"
 NEAR = 0.05
-"""So near to one of these a factor is that one, to another joint's travel dq's is that one's."""
-MOST_OFF = 0.4  # Relative rms difference of dq's travel from q's that noise does not make
-LEAST_OFF = 0.12  # the same where another joint or a lag is just what makes it
+"""Relative distance within which a factor is one of these, or dq's travel is another joint's."""
+MOST_OFF = 0.4  # relative rms difference of dq's travel from q's that noise does not reach
+LEAST_OFF = 0.12  # the same if another joint or a lag explains the difference
 UNEXPLAINED = 0.1
-"""Fraction of dq's mean square travel that a factor may leave over, or a lag of the difference."""
+"""Fraction that may be left: by a factor of dq's mean square travel, by a lag of the difference."""
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
-"""A filtered velocity is late by 20 ms; what is late by more, over that much motion, is
-reported."""
-STILL = 1e-3  # what moves by less than this fraction of the other stands still
+"""A longer lag is reported, after so many seconds of motion; a filtered velocity is late by only
+20 ms."""
+STILL = 1e-3  # a signal whose travel is less than this fraction of the other's stands still
 
 LIMIT_MARGIN_RAD = 0.01  # half a degree from its limit a joint counts as being there
 MOST_RAD = 4.0 * math.pi  # two turns: beyond a limit and this a position is hardly in radians
 LEAST_SINGULAR_VALUE = 0.05
-"""Below it a newton is a twentieth of a newton metre in all joints together: as much as the noise
-of one torque sample."""
+"""[m] At this value a newton makes a twentieth of a newton metre in all joints together, as much as
+the noise of one torque sample; below it the pose is near singular."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
-NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0  # torque now, that before, what it usually differs by
+NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0  # memory of the torque now, before, of their difference
 PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
-"""Mean squares, in units of that, of what no wrench explains: from the first on the arm is pushed,
-down to the second; up to the third it is learnt as usual. From the last on, of what no axial force
-explains, a rupture is not reported."""
+"""Mean square of a torque change that no wrench explains, in units of the usual one. From PUSHED on
+the arm is pushed, until below LET_GO; below USUAL it is learnt as usual. From BESIDE on, for what
+no axial force explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
-LEARNED_S = 1.0  # before anything is called unusual
+LEARNED_S = 1.0  # learning time before anything is called unusual
 LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
-"""A change of so much, and of such a part of the largest one explained, may be hysteresis of any
-joint's sensor, or an error of the lever arms."""
+"""A change up to this may be hysteresis of a joint's sensor; one up to this fraction of the largest
+explained change may be an error of the lever arms."""
 
 
 class VelocityMatch(NamedTuple):
@@ -77,10 +77,10 @@ class VelocityMatch(NamedTuple):
     # Position [rad], velocity as measured and rate of the position [rad/s] at the last check; then
     # fading travel of q and of dq [rad]; shape (5, n)
     motion: Array
-    seconds: Array  # Time for which a joint has been judged [s], shape (n,)
-    # Sum of squares of the difference of both travels beyond a lag [rad^2 s], shape (n,)
+    seconds: Array  # Time for which a joint has been checked [s], shape (n,)
+    # Sum of squares of the difference of both travels beyond the tolerated [rad^2 s], shape (n,)
     beyond: Array
-    # Sums of products of dq's travel, q's, and the change of q's, two and two; shape (n, 3, 3)
+    # Sums of pairwise products of dq's travel, q's, and the rate of q's; shape (n, 3, 3)
     moments: Array
     # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s]; (n, n)
     squares: Array
@@ -96,7 +96,7 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
 
 @compiled
 def travels(motion: Matrix) -> NDArray[np.bool_]:
-    """Which joints have moved far enough to be judged, shape (n,)."""
+    """Which joints have moved far enough to be checked, shape (n,)."""
     most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
     return most > DQ_RATIO * LEAST_TRAVEL_RAD
 
@@ -160,7 +160,7 @@ def velocity_fault(match: VelocityMatch) -> str:
 
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
-    """The joint whose rate a velocity is, if there is one: its own velocity is not right either."""
+    """The joint whose rate dq of joint i is, if there is one; its own dq must be wrong, too."""
     squares, products, square_dq = match.squares[i], match.products[i], match.moments[i, 0, 0]
     is_right = (match.seconds >= LEAST_SECONDS) & ~off
     moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
@@ -173,9 +173,9 @@ def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
 
 
 def _late(match: VelocityMatch, i: int) -> str:
-    """By how much a velocity is late, if that is all that is wrong.
+    """Lag of a velocity, if that is all that is wrong.
 
-    Least squares of dq's travel over q's and over the change of q's.
+    Found by least squares of dq's travel on q's and on the rate of q's.
     """
     (square_dq, *others), (product, own, _), (_, _, change) = match.moments[i]
     normal = match.moments[i, 1:, 1:]
@@ -193,7 +193,7 @@ def _late(match: VelocityMatch, i: int) -> str:
 
 
 def _factor(match: VelocityMatch, i: int) -> str:
-    """What a constant factor between velocity and rate stands for, or that there is none."""
+    """Likely reason of a constant factor between velocity and rate, or that there is none."""
     (square_dq, product, _), (_, own, _), _ = match.moments[i]
     if square_dq < STILL**2 * own:
         return "stands still while q moves: is it sent at all?"
@@ -213,16 +213,16 @@ def _factor(match: VelocityMatch, i: int) -> str:
 class TorqueChange(NamedTuple):
     """Joint torque without its offset, now and before, both smoothed."""
 
-    # Torque now, and before, the same while the arm is pushed [Nm]; then the mean product of their
+    # Torque now; torque before, kept while the arm is pushed [Nm]; then the mean product of their
     # differences [Nm^2]; shape (n + 2, n)
     torques: Array
-    learned_s: float = 0.0  # time over which that was learned
-    pushed_s: float = 0.0  # time since the arm is pushed
+    learned_s: float = 0.0  # time over which that product was learned
+    pushed_s: float = 0.0  # time since the arm has been pushed
 
 
 @compiled
 def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tuple[float, Array]:
-    """As `unusual_change`, in units of a covariance [Nm^2], and what is explained [Nm], (n,)."""
+    """Like `unusual_change`, for a given covariance [Nm^2]; also the explained part [Nm], (n,)."""
     precision = np.linalg.inv(covariance).T  # the same, with its rows in order
     weighted = rows.dot(precision)
     information = weighted.dot(rows.T)
@@ -237,9 +237,9 @@ def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tupl
 def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
     """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
 
-    Unknowns make torque by ``rows``, (k, n). In units of what is usual: the mean product of changes
-    that were none [Nm^2], shape (n, n), shrunk towards its diagonal; and, beyond ``enough``, of
-    what sensors and lever arms may be wrong by in what is explained, which only lowers it.
+    Unknowns make torque by ``rows``, (k, n). The unit is ``usual``, the mean product of changes
+    without a push [Nm^2], shape (n, n), shrunk towards its diagonal. A value beyond ``enough`` is
+    computed again with errors of sensors and lever arms in the explained part, which lowers it.
     """
     if len(rows) >= len(change):
         return 0.0
@@ -279,21 +279,21 @@ class MonitorState(NamedTuple):
     mismatch_squared: float = 0.0  # Smoothed, in units of the covariance before it was widened
     widening: float = 1.0  # Factor by which the covariance in use was widened
     warnings: int = 0  # Of the last check, as a number
-    at_limit: tuple[int, ...] = ()  # Indices of joints that were at a position limit then
+    at_limit: tuple[int, ...] = ()  # Indices of joints at a position limit in that check
     # Of measured velocities with positions; None before a check, and where velocities are estimated
     match: VelocityMatch | None = None
     change: TorqueChange | None = None  # None before the tare
 
 
 class ConsistencyMonitor:
-    """Checks now and then what is too slow, and too costly, for every sample.
+    """Checks, every few samples, what changes slowly and costs too much for every sample.
 
     Attributes:
         state: All that it remembers; its arrays are never written again.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
-        velocity_fault: What is wrong with measured velocities, in words; empty if nothing surely
+        velocity_fault: What is surely wrong with measured velocities, in words; empty if nothing
             is.
-        warnings: What was found at the last check.
+        warnings: Warnings of the last check.
         message: The same in words.
     """
 
@@ -346,7 +346,7 @@ class ConsistencyMonitor:
         self._report(fault)
 
     def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
-        """How far torques are from what they were, in directions that no wrench makes."""
+        """The next `TorqueChange`: how far torques have changed as no wrench changes them."""
         last, n = self.state.change, len(residual)
         if last is None or dt_s <= 0.0:
             return last or TorqueChange(np.vstack((residual, residual, np.zeros((n, n)))))
@@ -362,11 +362,11 @@ class ConsistencyMonitor:
         return self._wanted > 1.1 * self.state.widening
 
     def widened(self, covariance_Nm2: Array) -> Array:
-        """A covariance that contains what no wrench explains: a push on the arm, a wrong model.
+        """A covariance widened by what no wrench explains: a push on the arm, a wrong model.
 
-        The variance factor of least squares: what is seen in the torques that the wrench does not
-        make is likely to be in those that it does; twice, since four torques show a variance only
-        within a factor of two.
+        This is the variance factor of least squares: errors seen in directions that no wrench
+        explains are likely in the other directions, too. Twice that, since four directions show a
+        variance only within a factor of two.
         """
         self.state = self.state._replace(widening=self._wanted)
         return self.state.widening * covariance_Nm2
@@ -377,10 +377,10 @@ class ConsistencyMonitor:
         self.restore(self.state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate, before: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, with a warning if its sample or its change is not the needle's alone.
+        """The last estimate, with a warning if its torques, or their change, fit no needle force.
 
-        Not for every sample, a knock does it too: for what must not wait. The sample before must
-        show it as well: an arm that brakes hard does it for one.
+        Meant for decisions that must not wait, not for every sample: a knock raises it, too. The
+        sample before must show it as well, since an arm that brakes hard raises it for one sample.
         """
         square = min(self._wrench.mismatch_squared(each.residual) for each in (last, before))
         is_off = self.state.widening * square > MOST_MISMATCH**2
@@ -402,7 +402,7 @@ class ConsistencyMonitor:
 
     @property
     def question(self) -> str:
-        """The same where positions are so far out that they hardly are in radians; else empty."""
+        """The same if positions are so far beyond that they are hardly in radians; else empty."""
         is_far = self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
         return f"{self.limit}: is q in degrees?" if is_far else ""
 

@@ -15,42 +15,42 @@ from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
-EXPECTED_TORQUE_NM = 10.0  # of the full mode: as `SensorConfig`'s ``expected_force_N``
+EXPECTED_TORQUE_NM = 10.0  # mode ``full``: for torques what ``expected_force_N`` is for forces
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
-# What is compiled uses constants of its own file only.
+# Compiled code uses constants of its own file only.
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
-_LEAST_NOISE_N2 = 1e-12  # Distances are divided by it
+_LEAST_NOISE_N2 = 1e-12  # Keeps quotients by the noise finite
 MOST_TURN_RAD = 1e-3
-"""A gain holds until the joints together have moved so far: the force is then off by a thousandth
+"""A gain is used until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
-SMOOTHED_SIGMAS = 2.0  # Distance of the force at which the bandwidth has doubled
-KEPT_SIGMAS = 6.0  # So many deviations of the force are kept of what a lag hid, at most
+SMOOTHED_SIGMAS = 2.0  # Distance, in deviations of the noise, at which the bandwidth has doubled
+KEPT_SIGMAS = 6.0  # Most that is remembered of what a lag hid, in deviations of the force
 
 
 class WrenchGain(NamedTuple):
     """How the joints are weighed at one configuration; arrays are read-only."""
 
-    # That configuration [rad], then what makes force (and torque), in the axes asked for, of joint
-    # torque; shape (4 or 7, n)
+    # That configuration [rad], then the matrix from joint torque to force (and torque) in the axes
+    # asked for; shape (4 or 7, n)
     rows: Array
-    # Insertion direction in the same axes, then the variance of the axial force and of a lateral
-    # one, in the direction known least, and what of both is noise of a sample [N^2]; shape (7,)
+    # Insertion direction in the same axes; variance of the axial force, and of a lateral force in
+    # the direction known least; the part of both that is noise of a sample [N^2]; shape (7,)
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
-    # How much the joints feel of a newton in the direction they feel least, of those that the mode
-    # asks for [m]; in the full mode a newton metre counts as a newton
+    # Joint torque per newton in the least observable of the directions that the mode asks for [m];
+    # in the full mode a newton metre counts as a newton
     weakest_m: float
-    unexplained: Array  # Makes `WrenchEstimator.mismatch_squared` of joint torque, shape (n, n)
+    unexplained: Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)
 
 
 @compiled
 def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Of a symmetric matrix without negative eigenvalues, shape (k, k).
+    """Pseudo-inverse of a symmetric matrix without negative eigenvalues, shape (k, k).
 
-    Directions whose eigenvalue is below ``least`` times the largest stay at zero; which unknowns
-    have a part in such a direction, shape (k,), is returned beside it, shape (k, k).
+    Directions whose eigenvalue is below ``least`` times the largest stay at zero. Also returned:
+    which unknowns have a part in such a direction, shape (k,).
     """
     values, vectors = np.linalg.eigh(symmetric)
     seen = values > values[-1] * least
@@ -77,14 +77,14 @@ def weighted_inverse(
 
     ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this is the best
     linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of equation (13). D is the
-    inverse variance of what x is expected to be: it matters only where the joints cannot see x,
-    there it draws the answer to zero, and the fraction that it removes is reported.
+    inverse of the variance expected of x. It matters only where the joints cannot observe x: there
+    it draws the answer to zero, and the fraction that it removes is reported.
 
     Rows of J, shape (k, n), are directions of x; the covariance is that of the error of the torque
     [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape (k,).
 
-    Returns the matrix that makes x of the torque, shape (k, n); the covariance of x, shape (k, k),
-    with `UNSEEN_STD` squared on the diagonal where x cannot be seen; ``conditioning`` and
+    Returns the matrix from torque to x, shape (k, n); the covariance of x, shape (k, k), with
+    `UNSEEN_STD` squared on the diagonal where x cannot be observed; ``conditioning`` and
     ``damping_fraction`` of `WrenchEstimate`.
     """
     weighted = jacobian.dot(precision)
@@ -116,19 +116,19 @@ def smoothing_step(
 ) -> tuple[float, float]:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
-    While the force stays within its noise it passes a lag, whose bandwidth grows with the fourth
-    power of the distance to it in deviations of that noise: a rupture passes as it is. As of the
-    momentum in `residual.momentum_observer.momentum_step`, the step is the implicit one.
+    While the force stays within its noise it passes a low-pass. Its bandwidth grows with the fourth
+    power of the distance to the smoothed force, in deviations of the noise: a rupture passes as it
+    is. The step is implicit, as in `residual.momentum_observer.momentum_step`.
 
-    `axis` is that of `WrenchGain`; `slow` that lag, `fast` one that stays besides [time steps].
+    `axis` is that of `WrenchGain`; `slow` is the lag that shrinks, `fast` a constant one [steps].
 
-    Returns by how much the force is behind afterwards, as of `split_force`.
+    Returns how far the smoothed force is behind afterwards, as `split_force` does.
     """
-    # Python's own numbers where nothing compiles: those of numpy take twice as long.
+    # Python's own floats where nothing compiles: those of numpy take twice as long.
     x, y = float(wrench[0] - smoothed[0]), float(wrench[1] - smoothed[1])
     z = float(wrench[2] - smoothed[2])
     along, across_squared = split_force(axis, x, y, z)
-    # Of the lateral force two components are noisy.
+    # Two components of the lateral force are noisy.
     ratio = max(along * along / axis[5], 0.5 * across_squared / axis[6]) / SMOOTHED_SIGMAS**2
     lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
     for k in range(len(smoothed)):
@@ -149,10 +149,10 @@ def wrench_step(
 ) -> tuple[float, float, float, float, float]:
     """Force from external joint torque, smoothed, with what its lag may hide.
 
-    What follows the force once more with the same lags, the observer's and the smoothing's, misses
-    about what the estimate has missed. From its square the variance of the noise is subtracted. As
-    it is late itself, where the force swings it misses nothing when most is hidden. So what it
-    missed fades with twice these lags, up to `KEPT_SIGMAS`: a rupture is over at once.
+    A follower filters the force once more with the same lags, the observer's and the smoothing's:
+    it misses about what the estimate has missed. The variance of the noise is subtracted from its
+    squared error. As it is late itself, its error is small when an oscillating force hides most.
+    So this error fades with twice these lags; `KEPT_SIGMAS` limits it, so a rupture is over soon.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -161,12 +161,12 @@ def wrench_step(
         axis: Insertion direction and variances, shape (7,).
         lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
         memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid, along and
-            across [N^2], brought to the end of the tick; shape (3, 3) or (3, 6).
-        found: Where force, and torque if it is asked for, are written [N, Nm], shape (3,) or (6,).
+            across [N^2]; updated to the end of the tick; shape (3, 3) or (3, 6).
+        found: Output: force, and torque if it is asked for [N, Nm], shape (3,) or (6,).
 
     Returns resistance to insertion, its standard deviation, size of the lateral force, the standard
-    deviation of one of its components, and resistance before it is smoothed [N]; NaN, and nothing
-    else has happened, where the arm has turned too far for the gain.
+    deviation of one of its components, and resistance before it is smoothed [N]; NaN, and no change
+    of memory, if the arm has turned too far for the gain.
     """
     turned = q - rows[0]
     if not (turned * turned).sum() <= MOST_TURN_RAD**2:
@@ -182,7 +182,7 @@ def wrench_step(
     variance, variance_across = axis[3], axis[4]
     kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
     square = max(missed * missed - variance, kept * hidden[0])
-    # Of the lateral force two components are noisy.
+    # Two components of the lateral force are noisy.
     square_across = max(missed_across - 2.0 * variance_across, kept * hidden[1])
     hidden[0] = min(square, KEPT_SIGMAS**2 * variance)
     hidden[1] = min(square_across, KEPT_SIGMAS**2 * variance_across)
@@ -192,10 +192,10 @@ def wrench_step(
 
 @compiled
 def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
-    """What of joint torque no wrench explains, whose unknowns make torque by ``rows``, (k, n).
+    """Joint torque that no wrench explains, whose unknowns make torque by ``rows``, (k, n).
 
-    Returns the smallest singular value of the rows, and what makes of a torque the mean square of
-    what is left, in units of its covariance, the inverse of ``precision``; shape (n, n).
+    Returns the smallest singular value of the rows, and the quadratic form of a torque that gives
+    the mean square of this part, in units of its covariance, ``precision`` inverted; shape (n, n).
     """
     count, joints = rows.shape
     gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
@@ -210,9 +210,9 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
 
 @compiled
 def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
-    """Of the axial force, and of the lateral in the direction known least; those of the unseen.
+    """Variances of the axial force, and of the lateral force in the direction known least.
 
-    Force and axis in the same axes; where a component is not seen, neither is.
+    Force and axis in the same axes; if a component is not observed, both are those of the unseen.
     """
     if np.diag(covariance).max() >= _UNSEEN:
         return _UNSEEN, _UNSEEN
@@ -235,9 +235,9 @@ class WrenchEstimator:
 
     Attributes:
         kinematics: Pose and Jacobian of the tool.
-        size: Numbers of force, and torque if the mode has one: 3 or 6.
-        gain: Of the last `weigh`.
-        torque_covariance: What `set_torque_covariance` was given last, or 1 [Nm^2], shape (n, n).
+        size: Number of components, of force and of torque if the mode has one: 3 or 6.
+        gain: Gain of the last `weigh`.
+        torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n, n).
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -250,12 +250,12 @@ class WrenchEstimator:
         self._in_base = config.axes == "base"
         self._joints, size = robot.nv, COMPONENTS[config.mode]
         self.size = max(size, 3)
-        # Which components of force and torque, in the frame's axes, an unknown stands for.
+        # Components of force and torque, in the frame's axes, that each unknown stands for.
         self._directions = np.eye(6)[:size]
         if size == 1:
             self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[None]
         self._weighted = config.weighting == "covariance"
-        # Diagonal of the damping: inverse variance of the wrench that is expected at most.
+        # Diagonal of the damping: inverse square of the largest wrench that is expected.
         self._damping = np.zeros(size)
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
@@ -270,9 +270,9 @@ class WrenchEstimator:
         """Set how far the residual may be trusted, for the next `weigh`.
 
         Args:
-            covariance_Nm2: Of the residual's error [Nm^2], shape (n, n), positive definite.
+            covariance_Nm2: Covariance of the residual's error [Nm^2], (n, n), positive definite.
             noise_Nm2: The part of it that is noise of a sample, of the same shape; None for all.
-            smoothed: What `smoothing_step` takes away of that while nothing changes [Nm^2].
+            smoothed: What `smoothing_step` removes of that while nothing changes [Nm^2].
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -303,7 +303,7 @@ class WrenchEstimator:
         return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0)))
 
     def weigh(self, q: Array) -> None:
-        """Weigh the joints at a configuration [rad], shape (n,); `solve` does so until the next."""
+        """Compute the gain at a configuration [rad], shape (n,); `solve` uses it until the next."""
         tool, directions = self.kinematics, self._directions
         tool.update(q)
         jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
@@ -353,7 +353,7 @@ class WrenchEstimator:
             numbers = wrench_step(q, left, rows, axis, lags, memory, found)
             if not math.isfinite(numbers[0]):
                 raise SampleError("q and residual must be finite; skip this sample")
-        # By name it takes thrice as long, in every tick.
+        # By position: by name this takes thrice as long, in every tick.
         left.setflags(False)  # pyright: ignore[reportCallIssue]
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         force, torque = (found, _NOTHING) if self.size == 3 else (found[:3], found[3:])
@@ -369,8 +369,7 @@ class WrenchEstimator:
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
-        In units of its covariance, where the joints were weighed last: about 1 when the model
-        holds, 0 where the mode has as many unknowns as there are joints. The residual is that
-        without offset.
+        It is in units of the covariance at the last `weigh`: about 1 when the model holds, 0 if the
+        mode has as many unknowns as there are joints. The residual is that after offset removal.
         """
         return max(float(residual.dot(self.gain.unexplained).dot(residual)), 0.0)
