@@ -75,9 +75,9 @@ def force_command(
 ) -> int:
     """Estimate the force on a needle from a robot's recorded joint signals.
 
-    Read a log with time, q, tau and perhaps dq. The estimates are good once the sensor was tared
-    on motion without contact. Without --tare and --no-tare, the first 2 s after the filters have
-    settled are taken for such motion; if contact is seen there, the command stops and says so.
+    Read a log with time, q, tau and perhaps dq. The estimates are valid once the sensor has been
+    tared on motion without contact. Without --tare and --no-tare, that is the first 2 s after the
+    filters have settled; if contact is seen there, the command stops and says so.
 
     needleforce force insertion.csv --tare 0:4 -o forces.csv --figure forces.png
     """
@@ -98,8 +98,8 @@ def identify_command(
     """Identify ruptures, layers, stiffness and friction from depth, speed and axial force.
 
     Read a log with time, depth, force and perhaps speed. Depth grows into the tissue; force is
-    positive when tissue pushes back. Times are on the log's clock. A ? marks what the data do not
-    identify.
+    positive when tissue pushes back. Times are on the log's clock. A ? marks values that the data
+    do not identify.
 
     needleforce identify forces.csv -o layers.csv --figure layers.png
     """
@@ -111,7 +111,7 @@ def identify_command(
 @app.command(name="report")
 def report_command(
     log: cli.Source,
-    folder: Annotated[Path, Parameter(name="DIR", group=cli.LOG, help="Made if it is not there.")],
+    folder: Annotated[Path, Parameter(name="DIR", group=cli.LOG, help="Created if missing.")],
     /,
     *,
     robot: cli.RobotOptions = cli.RobotOptions(),
@@ -121,8 +121,8 @@ def report_command(
 ) -> int:
     """Write a page with charts, results, warnings and settings of a log into a folder.
 
-    A log with joint positions and torques gives the forces, as `needleforce force` does, and the
-    layers that they show, as `needleforce identify` does; one with depth and force the layers.
+    From a log with joint positions and torques: the forces, as by `needleforce force`, and the
+    layers found in them, as by `needleforce identify`. From a log with depth and force: the layers.
     DIR/index.html needs no other file.
 
     needleforce report insertion.csv report

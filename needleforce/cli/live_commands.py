@@ -71,7 +71,7 @@ def live_command(
 ) -> int:
     """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until Ctrl-C.
 
-    Move the needle in free air first: the tare is taken after --tare seconds of that.
+    Move the needle in free air first: the tare is taken after --tare seconds.
 
     needleforce live sim:stack-glove-constant --view
     """
@@ -97,7 +97,7 @@ def demo_command(
             name=("--figure", "--png"),
             metavar="FILE",
             group=OUTPUT,
-            help="Its first picture: .png, .svg or .pdf.",
+            help="First figure of that page: .png, .svg or .pdf.",
         ),
     ] = None,
     data: Annotated[
@@ -105,14 +105,14 @@ def demo_command(
         Parameter(
             metavar="DIR",
             group=LOG,
-            help="Of abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
+            help="For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
         ),
     ] = None,
-    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="Of abdomen.")] = 0,
+    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="For abdomen.")] = 0,
 ) -> int:
     """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
 
-    Prints a table, and writes a page into DIR; --figure writes the first picture alone. Simulation
+    Prints a table and writes a page into DIR; --figure writes its first figure alone. Simulation
     only: not a medical device.
 
     needleforce demo teleop --report demo

@@ -19,9 +19,9 @@ class LiveOptions:
     """How long an arm is listened to."""
 
     seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
-    """Stop after so long; else at Ctrl-C or when the arm stays away."""
+    """Stop after this time [s]; else at Ctrl-C or when the arm stops sending."""
     motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None
-    """Of ur: joint torque per motor current of each joint [Nm/A]; a UR sends no torques
+    """For ur: joint torque per motor current of each joint [Nm/A]; a UR sends no torques
     (docs/panda.md)."""
 
 
@@ -42,12 +42,12 @@ class WatchOptions:
     )
     """Direction of insertion in that sensor's axes (default: 0 0 1)."""
     view: Annotated[bool, Parameter(negative="")] = False
-    """Open the scene in a browser page beside the session."""
+    """Serve the scene as a browser page beside the session."""
     port: Annotated[int, Parameter(metavar="N")] = 8080
-    """Its port (default: 8080); another is taken if it is busy."""
+    """Port of that page (default: 8080); another is used if it is busy."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4), and again after as many
-    where that is refused."""
+    """Tare after so many seconds of motion without contact (default: 4); if it is refused, again
+    after as many."""
 
 
 @Parameter(name="*", group=LOG)
@@ -60,11 +60,11 @@ class ViewOptions:
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     """TOML file that says which columns are which, as `needleforce force --print-config` writes."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4), and again after as many
-    where that is refused."""
+    """Tare after so many seconds of motion without contact (default: 4); if it is refused, again
+    after as many."""
     export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
     """Write the scene as one page (.html) with the insertion as a film, and end."""
     host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"
-    """Where the page is served (default: 127.0.0.1, this machine alone)."""
+    """Address on which the page is served (default: 127.0.0.1, this machine alone)."""
     port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
-    """Its port (default: 8080); another is taken if it is busy."""
+    """Port of that page (default: 8080); another is used if it is busy."""

@@ -90,12 +90,12 @@ Over = Literal["time", "depth"]
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """How long a log is read, and the files to write."""
+    """How long a log is read, and which files are written."""
 
     follow: Annotated[bool, Parameter(group=LOG)] = False
     """Go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle."""
     idle: Annotated[float | None, Parameter(metavar="SECONDS", group=LOG)] = None
-    """Stop when nothing new came for so long, with --follow or a pipe."""
+    """With --follow or a pipe: stop when nothing new has come for so many seconds."""
     output: Annotated[
         str | None, Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True)
     ] = None
@@ -121,7 +121,7 @@ class RobotOptions:
     robot: Annotated[str | None, Parameter(metavar="NAME")] = None
     """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e, xarm7."""
     urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """Any other robot."""
+    """URDF of any other robot."""
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
     """Link that carries the payload and whose z axis is the insertion direction (default: that of
     the known arm; of a URDF the last link, if there is one only)."""
@@ -134,8 +134,8 @@ class RobotOptions:
     ] = ()
     """With --urdf: joints that are not in the log, held at a position in rad or m (default: 0)."""
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
-    """What hangs on the flange: a TOML file; the paper's 304 g force sensor and needle (default of
-    the LWR); or nothing (default of other robots); else what the mapping says."""
+    """What is on the flange: a TOML file; the paper's 304 g force sensor and needle (default of the
+    LWR); or nothing (default of other robots). It overrides the mapping."""
 
 
 @Parameter(name="*", group=SENSOR)
@@ -154,13 +154,13 @@ class SensorOptions:
     insertion_axis: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
     """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
     published: bool = False
-    """The method as published."""
+    """Use the settings of the published method."""
     config: Annotated[str | None, Parameter(metavar="FILE")] = None
     """TOML file of further settings."""
     friction: Annotated[str | None, Parameter(metavar="FILE")] = None
     """TOML file of joint friction and rotor inertia."""
     gravity_compensated: bool = False
-    """The measured torque leaves gravity out already, as some drivers report it."""
+    """Gravity is already subtracted from the measured torque, as some drivers do."""
     external_torque: bool = False
     """Read the external torque that the robot estimates itself (tau_ext) instead of tau."""
     tare: Annotated[
@@ -168,7 +168,7 @@ class SensorOptions:
     ] = None
     """Motion without contact, in seconds of the log's clock, or (+0:+4) from its first stamp."""
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
-    """Leave the offset in the forces."""
+    """Do not tare: the forces keep the errors of model and torque sensors."""
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
     """Tare even where contact is seen."""
 
@@ -184,7 +184,7 @@ class IdentificationOptions:
     method: Method = "multilayer"
     """Ours (multilayer, default), or as published with the multi-layer or Kelvin-Voigt model."""
     ignore_status: bool = False
-    """Use also rows that `needleforce force` has marked as not tared, initializing or doubtful."""
+    """Also use rows that `needleforce force` has marked as not tared, initializing or doubtful."""
 
 
 @Parameter(name="*", group=OUTPUT)
@@ -199,7 +199,7 @@ class SimulationOptions:
     plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
     """Plant model: how good arm and sensors are (default: clean)."""
     seed: Annotated[int, Parameter(metavar="N")] = 0
-    """Of everything that is drawn at random (default: 0)."""
+    """Seed of everything that is drawn at random (default: 0)."""
     list: bool = False
     """Print the scenarios and stop."""
 
