@@ -77,9 +77,11 @@ def _momentum_by_numpy(
 ) -> None:
     """`set_momentum` where nothing compiles."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
-    rows[MOMENTUM + END] = directions.dot(momenta.ravel()) + armature * velocity
-    turned = crossing.dot(twists.ravel()).reshape(len(velocity), 6)
-    rows[CORIOLIS + END] = np.vecdot(turned, momenta)
+    directions.dot(momenta.ravel(), rows[MOMENTUM + END])
+    if armature.size:
+        rows[MOMENTUM + END] += armature * velocity
+    turned = crossing.dot(twists.ravel()).reshape(momenta.shape)
+    np.vecdot(turned, momenta, rows[CORIOLIS + END])
 
 
 @compiled_or(_momentum_by_numpy)
@@ -92,7 +94,7 @@ def set_momentum(
     """Write momentum p and C' dq at the end of a tick; arguments as of `momentum_step`."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
     for j in range(len(velocity)):
-        along, turned = armature[j] * velocity[j], 0.0
+        along, turned = armature[j] * velocity[j] if armature.size else 0.0, 0.0
         for a in range(6):
             along += directions[j, 6 * j + a] * momenta[j, a]
             for b in range(6):
@@ -124,7 +126,8 @@ def momentum_step(
         motion: Twist v of every link at its end, and momentum h of the subtree it carries, in the
             link's axes, shape (n, 6).
         joints: Direction S of every joint, times what is stacked, shape (n, 6 n); the matrix that
-            maps the stacked twists to v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,).
+            maps the stacked twists to v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,),
+            of length 0 where there is none.
         load: g + tau_f there [Nm], shape (n,).
         sample: q [rad], dq [rad/s] and measured torque [Nm] there, shape (3, n).
         weights: See `set_step_weights`.
@@ -333,7 +336,8 @@ def _joint_directions(robot: Robot) -> tuple[Array, Array, Array]:
     directions = np.array([joint_axis(joint) for joint in list(robot.model.joints)[1:]])
     # v x S = -(S x v)
     crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in directions)))
-    return np.asarray(block_diag(*directions)), crossing, np.array(robot.model.armature)
+    armature = np.array(robot.model.armature) if np.any(robot.model.armature) else np.zeros(0)
+    return np.asarray(block_diag(*directions)), crossing, armature
 
 
 def _shared_rows(vectors: Any) -> Array:
