@@ -33,6 +33,7 @@ from needleforce.jit import working_copy
 _MM = 1e3
 _HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
 _RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twice that of presliding
+_TURNED = 0.3  # of that after a mere reversal: friction turns over half of that travel
 _SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
 _GAP_S = 0.25  # A longer block is a gap: what it says is not used
 _USUAL_S, _USUAL_MM = 10.0, 3.0
@@ -211,8 +212,11 @@ class SwitchingMethod:
             self._stage = _BRANCH if is_advancing else _PRUNE
             self._texture = self._texture.with_force(place.force, fresh if is_met else 0.0, v)
         else:
-            self._resumed, self._levels = 1.0, self._levels.restarted()
-            self._texture = self._texture.restarted()
+            # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
+            is_rest = is_gap or own + self._tissue.at(clock_s)[1] < _HALF * usual
+            turned = 1.0 if is_rest or not self._tissue.is_known else _TURNED
+            self._resumed = max(self._resumed, turned)
+            self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
         if not is_met:
             self._force_std_in_air = sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
