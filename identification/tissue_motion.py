@@ -150,7 +150,9 @@ class TissueMotion(NamedTuple):
     def _followed(self, window: Window, time_s: float) -> "TissueMotion":
         """A step of a motion that is likely, until it is clear; the search goes on beside it."""
         fit = window.stepped(turned(self.likely, time_s))
-        held = self.held + 1 if fit.error < _FINE * window.count else 0
+        # Without the second beat, which a course of the needle does not have, the error doubles.
+        least = 0.5 * window.solved(fit.beats[:1], fit.at_s)[2]
+        held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
         likely, unit = fit if fit.error < FAIR * window.count else Fit(), max(self.unit, 0)

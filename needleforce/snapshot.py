@@ -26,7 +26,7 @@ from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 21  # Grows whenever a file of the one before cannot be read, or is misread
+SNAPSHOT_VERSION = 22  # Grows whenever a file of the one before cannot be read, or is misread
 MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
 LARGEST = 1e30  # no number of a snapshot comes near it; its square can still be calculated with
 
