@@ -5,7 +5,7 @@ for known, and given up. A unit of this work is done per block of samples.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,7 @@ _UNITS = _SCANNED + _DONE[-1] + 2
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
 _EMPTY = (0.0,) * 5
+_IDLE: dict[str, Any] = {"unit": -1, "bad": 0, "tried": Fit(), "best": Fit(), "first": Fit()}
 
 
 class TissueMotion(NamedTuple):
@@ -159,8 +160,7 @@ class TissueMotion(NamedTuple):
         return self._replace(likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S)
 
     def _known(self, fit: Fit, time_s: float) -> "TissueMotion":
-        none = {"tried": Fit(), "best": Fit(), "first": Fit(), "likely": Fit(), "held": 0}
-        return self._replace(fit=fit, since_s=time_s, unit=-1, bad=0, **none)
+        return self._replace(fit=fit, since_s=time_s, likely=Fit(), held=0, **_IDLE)
 
     def _searched(self, window: Window, time_s: float) -> "TissueMotion":
         """The next unit of a search: the frequencies one by one, then the fits, then a choice."""
@@ -180,14 +180,8 @@ class TissueMotion(NamedTuple):
             tried = self.tried._replace(beats=self.tried.beats[:1], error=math.inf)
         else:  # of both the best start goes on
             tried = window.stepped(first if unit == _BOTH + 1 - _STEPS else self.tried)
-        best, likely = self.best, self.likely
-        if unit in _DONE:
-            best = self._better(window, tried)
-            is_likely = unit == _BOTH and not self.is_known and len(best.beats) == 0
-            if is_likely and tried.error < min(FAIR * window.count, likely.error):
-                likely = tried
-        known = {"best": best, "likely": likely, "first": first}
-        return self._replace(tried=tried, unit=self.unit + 1, **known)
+        state = self._kept(window, tried) if unit in _DONE else self
+        return state._replace(tried=tried, first=first, unit=self.unit + 1)
 
     def _started(self, window: Window, start: int, step: int, time_s: float) -> Fit:
         """One of the starts of a fit with two beats after a step more."""
@@ -208,14 +202,21 @@ class TissueMotion(NamedTuple):
             found[row] = error, hz[0], hz[-1]
         return self._replace(found=found, unit=unit + 1, best=Fit(), first=Fit())
 
-    def _better(self, window: Window, tried: Fit) -> Fit:
-        """The fit if it is clear and better; of two beats the second must halve the error."""
+    def _kept(self, window: Window, tried: Fit) -> "TissueMotion":
+        """Keep the fit if it is clear and better; of two beats the second must halve the error.
+
+        Two beats that are not clear yet are likely if they explain the force.
+        """
         count = len(self.best.beats)
         most = self.best.error * 2.0 ** (count - len(tried.beats) if count else 0)
-        return tried if tried.error < most and window.is_clear(tried) else self.best
+        if tried.error < most and window.is_clear(tried):
+            return self._replace(best=tried)
+        is_likely = not (self.is_known or count) and len(tried.beats) == 2
+        is_likely &= tried.error < min(FAIR * window.count, self.likely.error)
+        return self._replace(likely=tried) if is_likely else self
 
     def _chosen(self, window: Window, time_s: float) -> "TissueMotion":
-        state, best = self._replace(unit=-1, bad=0, tried=Fit(), best=Fit(), first=Fit()), self.best
+        state, best = self._replace(**_IDLE), self.best
         if self.is_known:
             if best.error < 0.5 * self.fit.error:
                 return state._replace(fit=best)
