@@ -214,11 +214,10 @@ class SwitchingMethod:
         else:
             # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
             is_rest = is_gap or own + self._tissue.at(clock_s)[1] < _HALF * usual
-            turned = 1.0 if is_rest or not self._tissue.is_known else _TURNED
-            self._resumed = max(self._resumed, turned)
+            is_rest |= not self._tissue.is_known
+            self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
             self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
-        if not is_met:
-            self._force_std_in_air = sample[7]
+        self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
         self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
         self._report(sample)
