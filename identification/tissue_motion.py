@@ -31,8 +31,9 @@ _LEAST_S, _MARGIN = 2.5, 7
 _SETTLE_S = 0.25  # after an alarm, until its release is over
 _LOST, _PATIENCE = 1.0, 8
 """Mean square of the errors of a fit to give up, and so many steps in a row that are not good."""
-_FINE, _PROVEN = 0.12, 5
-"""Mean square of the errors of a motion that proves itself, and so many steps for which it must."""
+_FINE, _HEARTLESS, _PROVEN = 0.12, 0.25, 5
+"""Mean square of the errors of a motion that proves itself, the same as part of that without its
+heartbeat (8 to 280 times as large), and so many steps for which it must."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS, _STEPS_EACH = 8, 7  # Gauss-Newton steps of a fit, and of each start of one with two beats
@@ -151,10 +152,10 @@ class TissueMotion(NamedTuple):
     def _followed(self, window: Window, time_s: float) -> "TissueMotion":
         """A step of a motion that is likely, until it is clear; the search goes on beside it."""
         fit = window.stepped(turned(self.likely, time_s))
-        # Without the second beat, which a course of the needle does not have, the error doubles.
-        least = 0.5 * window.solved(fit.beats[:1], fit.at_s)[2]
+        # Without the heart, which a course of the needle does not have, the error is far larger.
+        least = _HEARTLESS * window.solved(fit.beats[:1], fit.at_s)[2]
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
-        if window.is_clear(fit, is_proven=held >= _PROVEN):
+        if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
         likely, unit = fit if fit.error < FAIR * window.count else Fit(), max(self.unit, 0)
         return self._replace(likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S)
