@@ -41,6 +41,9 @@ GOOD, FAIR = 0.05, 0.5  # Mean square of a good fit's errors, and of a fair one'
 _CLEARER, CLEAR = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD)), 10.0
 """The motion must lower the error by this factor, to at most that mean square: a heartbeat,
 breathing (a layer that bends looks like one), and less than two breaths; and by so much."""
+_UNLIKE = 1.5
+"""Breath shows only where the law of tissue at rest is off by more than it admits, a mean square of
+1: a membrane, or a layer of another law, bends the force within that, as a slow breath would."""
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
 _OWN = 7  # unknowns that a layer has of its own
@@ -263,18 +266,19 @@ class Window:
         Of a motion that is proven, which has explained what came later, less than two breaths do.
         """
         still, length_s, (clearer, most) = self.still, self.count * STEP_S, _CLEARER[0]
+        least = 0.0
         for hz in fit.beats[:, 0].tolist():
             grid, periods, least_s = (BREATH, 1.0, _BREATH_S[0])
             if hz > SLOWEST_HEART:
                 grid, periods, least_s = (HEART, 4.0, 0.0)
-            elif is_proven or length_s > max(_BREATH_S[1], 2.0 / hz):
-                clearer, most = _CLEARER[1]
             else:
-                clearer, most = _CLEARER[2]
+                least = _UNLIKE * self.count
+                is_long = is_proven or length_s > max(_BREATH_S[1], 2.0 / hz)
+                clearer, most = _CLEARER[1 if is_long else 2]
             is_known = grid[0] - 0.03 < hz < grid[-1] + 0.03
             if not is_known or length_s < max(periods / hz, least_s):
                 return False
-        is_lower = still > clearer * fit.error and still - fit.error > CLEAR
+        is_lower = still > max(clearer * fit.error, fit.error + CLEAR, least)
         return is_lower and fit.error < most * self.count
 
     def waves(self, hz: Array) -> tuple[Array, float]:
