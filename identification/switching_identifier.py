@@ -33,7 +33,7 @@ from needleforce.jit import working_copy
 _MM = 1e3
 _HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
 _RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twice that of presliding
-_TURNED = 0.3  # of that after a mere reversal: friction turns over half of that travel
+_TURNED = 0.3  # What a reversal leaves instead of 1, as a rest does: it is over in half the travel
 _SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
 _GAP_S = 0.25  # A longer block is a gap: what it says is not used
 _USUAL_S, _USUAL_MM = 10.0, 3.0

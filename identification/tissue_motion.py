@@ -31,9 +31,9 @@ _LEAST_S, _MARGIN = 2.5, 7
 _SETTLE_S = 0.25  # after an alarm, until its release is over
 _LOST, _PATIENCE = 1.0, 8
 """Mean square of the errors of a fit to give up, and so many steps in a row that are not good."""
-_FINE, _HEARTLESS, _PROVEN = 0.12, 0.25, 5
-"""Mean square of the errors of a motion that proves itself, the same as part of that without its
-heartbeat (8 to 280 times as large), and so many steps for which it must."""
+_FINE, _WITHOUT_HEART, _PROVEN = 0.12, 0.25, 5
+"""Of a likely motion: most mean square of its errors, the same as part of that without its
+heartbeat (seen: 1/8 to 1/280), and how many steps in a row both must hold."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS, _STEPS_EACH = 8, 7  # Gauss-Newton steps of a fit, and of each start of one with two beats
@@ -153,7 +153,7 @@ class TissueMotion(NamedTuple):
         """A step of a motion that is likely, until it is clear; the search goes on beside it."""
         fit = window.stepped(turned(self.likely, time_s))
         # Without the heart, which a course of the needle does not have, the error is far larger.
-        least = _HEARTLESS * window.solved(fit.beats[:1], fit.at_s)[2]
+        least = _WITHOUT_HEART * window.solved(fit.beats[:1], fit.at_s)[2]
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
