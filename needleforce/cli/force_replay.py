@@ -3,7 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,16 +11,10 @@ from numpy.typing import NDArray
 from needleforce.cli.options import SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings.log import LogChunk
-from residual import (
-    SensorConfig,
-    SensorWarning,
-    Status,
-    TareError,
-    VirtualForceSensor,
-    WrenchEstimate,
-)
+from residual import SensorConfig, SensorWarning, Status, TareError, VirtualForceSensor
 from residual.bias_model import Tare
 from residual.errors import VelocityError
+from residual.estimate import WrenchEstimate
 from residual.input_validation import ROUNDING_S
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -43,8 +37,7 @@ _AS_OPTIONS = {
 """What a refused tare advises in code, as options."""
 
 
-@dataclass(frozen=True, slots=True)
-class TareWindow:
+class TareWindow(NamedTuple):
     """A stretch of motion without contact, in seconds of the log's clock, and its tare if taken."""
 
     start_s: float
@@ -161,7 +154,7 @@ class Taring:
                 reason = reason.replace(words, option)
             choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
-        self.done = replace(window, tare=tare)
+        self.done = window._replace(tare=tare)
 
 
 # The sensor over the rows of a log, of which any number may come at a time.
@@ -176,9 +169,8 @@ Rows = dict[str, NDArray]
 `t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`, `axial_std_N` and
 `axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of
 the components that the mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`,
-`warnings` (see
-`residual.WrenchEstimate`), `status` (`STATUS_CODES`), `after_gap`: whether the filters restarted
-because of a gap in time before the row; of shape (n,) but where stated.
+`warnings` (see `residual.WrenchEstimate`), `status` (`STATUS_CODES`), `after_gap`: whether the
+filters restarted because of a gap in time before the row; of shape (n,) but where stated.
 """
 
 
@@ -204,7 +196,6 @@ class Replay:
     def __init__(self, robot: Robot, config: SensorConfig, options: SensorOptions) -> None:
         self.sensor = VirtualForceSensor(robot, config)
         self.robot, self.config, self.is_external = robot, config, options.external_torque
-        self._joints = len(robot.joint_names)
         self.frame = config.frame if config.frame is not None else robot.tool_frame
         self._options, self._has_velocity = options, False
         self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
@@ -213,7 +204,7 @@ class Replay:
         self._taring: Taring | None = None
         self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
         # Of the clock of the first rows, which runs on when the log's clock is set back.
-        self._latest_s, self._used_s, self._shift_s = -math.inf, 0.0, 0.0
+        self._latest_s, self._shift_s = -math.inf, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
         self.question = ""  # the last one about signals that may be missing or in degrees
@@ -234,13 +225,11 @@ class Replay:
         """Return the estimates of further rows, at least one."""
         q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        if q_rad.shape[1] != self._joints:
-            require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
+            require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
             self._taring = Taring(self, self._options, t_s[0])
-            self._used_s = t_s[0]
-        sensor, taring, estimates, gaps = self.sensor, self._taring, [], []
+        sensor, taring, estimates, elapsed_s = self.sensor, self._taring, [], []
         update = sensor.update_external_torque if self.is_external else sensor.update
         for k, (stamp_s, dt_s) in enumerate(zip(t_s, chunk.dt_s.tolist(), strict=True)):
             now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
@@ -252,7 +241,7 @@ class Replay:
             found = update(q_rad[k], dq, torque_Nm[k], step_s)
             estimates.append(found)
             is_rejected = found.status is Status.REJECTED
-            gaps.append(not is_rejected and self._has_gap(now_s))
+            elapsed_s.append(0.0 if is_rejected else sensor.elapsed_s)
             if is_rejected:
                 reason = found.message.split(";")[0] if advances else "time does not advance"
                 is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
@@ -264,8 +253,11 @@ class Replay:
                     self.velocity_fault = found.message
                 elif is_settled and found.message:
                     self.question = sensor.question or self.question
+        after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
+        self.gaps += np.count_nonzero(after_gap)
+        self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
         rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
-        return {**rows, "after_gap": np.array(gaps)}
+        return {**rows, "after_gap": after_gap}
 
     def finish(self, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log, which was read to its end or not."""
@@ -297,13 +289,6 @@ class Replay:
                 now_s = self._latest_s + dt_s
             self._latest_s = now_s
         return now_s
-
-    def _has_gap(self, now_s: float) -> bool:
-        gap_s, self._used_s = now_s - self._used_s, now_s
-        if gap_s <= self.config.max_gap_s + ROUNDING_S:
-            return False
-        self.gaps, self.longest_gap_s = self.gaps + 1, max(self.longest_gap_s, gap_s)
-        return True
 
 
 def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
