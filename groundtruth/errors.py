@@ -4,6 +4,7 @@ And the checks of numbers that raise them.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,22 +41,16 @@ def fields_of(owner: object, names: str) -> dict[str, float]:
     return {name: getattr(owner, name) for name in names.split()}
 
 
-def require_positive(error: type[GroundTruthError], **values: float) -> None:
-    """Raise `error`, naming the field, unless every value is finite and above zero."""
-    for name, value in values.items():
-        if not (math.isfinite(value) and value > 0.0):
-            raise error(f"{name} is {value!r}; give a finite number above zero")
+def _requirement(is_met: Callable[[float], bool], wanted: str) -> Callable[..., None]:
+    def require(error: type[GroundTruthError], **values: float) -> None:
+        """Raise `error`, naming the field, unless every value is what is wanted."""
+        for name, value in values.items():
+            if not is_met(value):
+                raise error(f"{name} is {value!r}; give {wanted}")
+
+    return require
 
 
-def require_non_negative(error: type[GroundTruthError], **values: float) -> None:
-    """Raise `error`, naming the field, unless every value is finite and not negative."""
-    for name, value in values.items():
-        if not (math.isfinite(value) and value >= 0.0):
-            raise error(f"{name} is {value!r}; give a finite number, zero or above")
-
-
-def require_fraction(error: type[GroundTruthError], **values: float) -> None:
-    """Raise `error`, naming the field, unless every value is a fraction from 0 to 1."""
-    for name, value in values.items():
-        if not 0.0 <= value <= 1.0:
-            raise error(f"{name} is {value!r}; give a fraction from 0 to 1")
+require_positive = _requirement(lambda x: 0.0 < x < math.inf, "a finite number above zero")
+require_non_negative = _requirement(lambda x: 0.0 <= x < math.inf, "a finite number, zero or above")
+require_fraction = _requirement(lambda x: 0.0 <= x <= 1.0, "a fraction from 0 to 1")
