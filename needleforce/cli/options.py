@@ -50,7 +50,6 @@ class Columns:
     """Print such a file for this log, to be edited, and stop."""
 
 
-@Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True, kw_only=True)
 class JointColumns(Columns):
     """Channels of `force`."""
@@ -65,7 +64,6 @@ class JointColumns(Columns):
     """External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm)."""
 
 
-@Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True, kw_only=True)
 class DepthColumns(Columns):
     """Channels of `identify`."""
@@ -78,7 +76,6 @@ class DepthColumns(Columns):
     """Axial force, positive when tissue pushes back (N, mN, kN, lbf)."""
 
 
-@Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True, kw_only=True)
 class AllColumns(JointColumns, DepthColumns):
     """Channels of `report`."""
