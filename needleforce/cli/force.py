@@ -15,7 +15,6 @@ from needleforce.cli import options as cli
 from needleforce.cli import robot as robots
 from needleforce.cli.force_replay import Replay, Rows, has_status, rejections, tare_window
 from needleforce.cli.identify import IdentificationResult, identify_layers
-from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import CommandError, aligned, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
@@ -51,7 +50,7 @@ def run(
     config = robots.sensor_config(sensor, friction)
     request = ChannelRequest(mapping=known, required=("q", torque), optional=("dq",), joints=joints)
 
-    def estimate(log: LogSession) -> ForceResult:
+    def estimate(log: logs.LogSession) -> ForceResult:
         return estimate_forces(log, Replay(robot, config, sensor), output, layers)
 
     return logs.run_log(source, output, request, estimate)
@@ -64,7 +63,7 @@ _CHANNELS |= {"force_status": "status", "force_warnings": "warnings"}
 
 
 def estimate_forces(
-    log: LogSession,
+    log: logs.LogSession,
     replay: Replay,
     output: cli.Output,
     layers: cli.IdentificationOptions | None = None,

@@ -14,7 +14,6 @@ from identification.log_replay import ReplayStream
 from needleforce import plots
 from needleforce.cli import log as logs
 from needleforce.cli import options as cli
-from needleforce.cli.log import LogSession
 from needleforce.cli.terminal import say, write_out
 from needleforce.plots import Chart, Curve, Panel, palette
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
@@ -44,7 +43,7 @@ def run(
         return 0
     request = ChannelRequest(mapping=known, required=REQUIRED, optional=optional)
 
-    def estimate(log: LogSession) -> IdentificationResult:
+    def estimate(log: logs.LogSession) -> IdentificationResult:
         with logs.open_output(output, log, Labels(prefix="/needleforce/identification")) as table:
             return identify_layers(log, log.name, options, table)
 

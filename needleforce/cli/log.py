@@ -10,15 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from needleforce import plots, recordings
+from needleforce.cli import terminal
 from needleforce.cli.options import Columns, Output, Over
-from needleforce.cli.terminal import (
-    INTERRUPTED,
-    CommandError,
-    progress_bar,
-    say,
-    stop_request,
-    write_out,
-)
+from needleforce.cli.terminal import CommandError, say
 from needleforce.plots.page import PAGE
 from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
 from needleforce.recordings import output as output_files
@@ -84,11 +78,11 @@ class LogSession:
     @property
     def exit_code(self) -> int:
         """Exit code of a command that has done its work: Ctrl-C is how following ends."""
-        return INTERRUPTED if self.is_stopped() and not self._output.follow else 0
+        return terminal.INTERRUPTED if self.is_stopped() and not self._output.follow else 0
 
     def __iter__(self) -> Iterator[LogChunk]:
         is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
-        with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
+        with terminal.progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
             request = self._request
             options = FollowOptions(
                 follow=self._output.follow,
@@ -147,7 +141,7 @@ def run_log(
     ``estimate`` reads the log to its end and writes the table, see `open_output`.
     """
     check_outputs(source, output)
-    with plots.folder_if_filled(output.report) as folder, stop_request() as is_stopped:
+    with plots.folder_if_filled(output.report) as folder, terminal.stop_request() as is_stopped:
         log = LogSession(source, output, request, is_stopped)
         result = estimate(log)
         if output.figure is not None:
@@ -162,7 +156,7 @@ def run_log(
             sections = (replace(first, notices=notices), *others)
             title = f"{first.heading} from {log.name}"
             plots.write_page(folder / PAGE, plots.Page(title=title, sections=sections))
-    write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
+    terminal.write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
 
 

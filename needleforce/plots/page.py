@@ -9,16 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from needleforce.plots.chart import (
-    WIDE_IN,
-    Chart,
-    ChartError,
-    WriteError,
-    printable,
-    require_matplotlib,
-    save_figure,
-    write_file,
-)
+from needleforce.plots import chart as charts
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 PAGE = "index.html"  # in the folder of a report
@@ -47,7 +38,7 @@ class PageTable:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.head):
-                raise ChartError(
+                raise charts.ChartError(
                     f"table {self.caption!r} has a row of {len(row)} cells under {len(self.head)} "
                     "heads; give one cell per head"
                 )
@@ -86,7 +77,7 @@ class Page:
         environment = Environment(autoescape=True)
         environment.filters |= {"inline": inline, "data_uri": _data_uri}
         source = files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
-        return printable(environment.from_string(source).render(page=self))
+        return charts.printable(environment.from_string(source).render(page=self))
 
 
 def _data_uri(path: Path) -> str:
@@ -94,23 +85,24 @@ def _data_uri(path: Path) -> str:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise WriteError(f"cannot read {path}: {error.strerror or error}") from error
+        raise charts.WriteError(f"cannot read {path}: {error.strerror or error}") from error
     return f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(content).decode()}"
 
 
 def write_page(path: str | Path, page: Page) -> Path:
     """Write a page as HTML file, whole or not at all (`WriteError`), and return its path."""
-    return write_file(path, page.html().encode())
+    return charts.write_file(path, page.html().encode())
 
 
 def save_page_figure(
-    chart: Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
+    chart: charts.Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
 ) -> PageFigure:
     """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``."""
     wide = None
     if is_alone:
-        wide = save_figure(replace(chart, width_in=WIDE_IN), path.with_stem(f"{path.stem}-wide"))
-    return PageFigure(path=save_figure(chart, path), alt=alt, caption=caption, wide=wide)
+        place = path.with_stem(f"{path.stem}-wide")
+        wide = charts.save_figure(replace(chart, width_in=charts.WIDE_IN), place)
+    return PageFigure(path=charts.save_figure(chart, path), alt=alt, caption=caption, wide=wide)
 
 
 def settings_table(settings: Any, caption: str) -> PageTable:
@@ -135,13 +127,13 @@ def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
     if path is None:
         yield None
         return
-    require_matplotlib("--report")
+    charts.require_matplotlib("--report")
     folder = Path(path)
     made = [each for each in (folder, *folder.parents) if not each.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise charts.WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
     try:
         yield folder
     finally:
