@@ -4,7 +4,7 @@ Simulation only; nothing here is a medical device or claimed of one.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,36 +13,18 @@ import numpy as np
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Trocar
 from groundtruth.tissue import Rupture
-from needleforce import InsertionSession
-from needleforce.cli.demo_runs import (
-    STANDOFF_M,
-    HandPlan,
-    Teleinsertion,
-    ruptures_felt,
-    teleoperate,
-)
+from needleforce import InsertionSession, control, plots
+from needleforce.cli import demo_runs
+from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, Teleinsertion
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
-from needleforce.control import (
-    AxialSpeed,
-    Controller,
-    Fixture,
-    Guidance,
-    InsertionPlan,
-    InsertionProfile,
-    Limits,
-    Manager,
-    Posture,
-    RemoteCentre,
-    SafetyLimits,
-    TipVelocity,
-)
-from needleforce.plots import palette
-from needleforce.plots.chart import Chart, Curve, Panel, Shading, require_matplotlib, save_figure
-from needleforce.plots.page import PAGE, Page, PageTable, Section, save_page_figure, write_page
+from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture
+from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel, Shading, palette
+from needleforce.plots.page import PAGE
 from residual import SensorConfig, Status, VirtualForceSensor
 
 Rows = tuple[tuple[str, str], ...]
 Progress = Callable[[float], None]
+Drawn = Callable[[Path], list[PageFigure]]  # into a folder
 NEVER = "Simulation only: not a medical device."
 
 
@@ -53,40 +35,49 @@ class Shown(NamedTuple):
     rows: Rows
     charts: tuple[tuple[str, Chart, str], ...]  # name of the file, the chart, its caption
 
+    def write(self, kind: str, folder: Path | None, first: Drawn = lambda _: []) -> None:
+        """Print the table, and write it with the figures as a page, if there is a folder for it."""
+        write_out(f"{self.title}\n{aligned(self.rows)}{NEVER}\n")
+        if folder is None:
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        figures = first(folder)
+        for name, chart, caption in self.charts:
+            place = folder / f"{name}.svg"
+            figures.append(plots.save_page_figure(chart, place, alt=caption, caption=caption))
+        table = plots.PageTable(caption="Result", head=("what", "value"), rows=self.rows)
+        content = {"figures": tuple(figures), "tables": (table,)}
+        section = plots.Section(heading=self.title, anchor=kind, **content)
+        page = plots.Page(title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,))
+        write_out(f"{plots.write_page(folder / PAGE, page)}\n")
+
 
 def run(kind: str, folder: Path | None, picture: Path | None) -> int:
     """Run a demonstration, print its table, and write what was asked for."""
     if folder is not None or picture is not None:
-        require_matplotlib("demo")
+        plots.require_matplotlib("demo")
     if kind not in DEMOS:
         raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
     with progress_bar(f"demonstrating {kind}") as progress:
         shown = DEMOS[kind](progress)
-    write_out(f"{shown.title}\n{aligned(shown.rows)}{NEVER}\n")
+    shown.write(kind, folder)
     if picture is not None:
-        save_figure(shown.charts[0][1], picture)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        figures = tuple(
-            save_page_figure(chart, folder / f"{name}.svg", alt=caption, caption=caption)
-            for name, chart, caption in shown.charts
-        )
-        table = PageTable(caption="Result", head=("what", "value"), rows=shown.rows)
-        section = Section(heading=shown.title, anchor=kind, figures=figures, tables=(table,))
-        write_page(
-            folder / PAGE,
-            Page(title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,)),
-        )
-        write_out(f"{folder / PAGE}\n")
+        plots.save_figure(shown.charts[0][1], picture)
     return 0
+
+
+def _panels(t_s: np.ndarray, *rows: tuple[str, LineStyle, np.ndarray]) -> tuple[Panel, ...]:
+    """One panel for each label of the y axis, style and values over time."""
+    curves = ((label, Curve(style=style, x=t_s, y=y)) for label, style, y in rows)
+    return tuple(Panel(y_label=label, curves=(curve,)) for label, curve in curves)
 
 
 def _teleop(progress: Progress) -> Shown:
     """A hand drives the needle through three gels and feels the force at its tip."""
     arm = SimulatedArm("stack-glove-constant", "clean", 1, standoff_m=STANDOFF_M)
     hand = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=108e-3, scale=0.4)
-    made = teleoperate(arm, hand, seed=1, delay_s=0.01, progress=progress)
-    felt = ruptures_felt(made)
+    made = demo_runs.teleoperate(arm, hand, seed=1, delay_s=0.01, progress=progress)
+    felt = demo_runs.ruptures_felt(made)
     rows = tuple(
         (
             f"rupture {k}: contrast with, without compensation",
@@ -106,9 +97,9 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
     t_s, step = made.rows("t_s"), 20
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
-    def curve(name: str, label: str, style: object, scale: float = 1.0) -> Curve:
+    def curve(name: str, label: str, style: LineStyle, scale: float = 1.0) -> Curve:
         smooth = np.convolve(made.rows(name), np.full(step, 1.0 / step), "same")[::step]
-        return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)  # type: ignore[arg-type]
+        return Curve(style=style, x=t_s[::step], y=scale * smooth, label=label)
 
     ends = tuple((item.onset_s, item.end_s) for item in made.ruptures if item.layer)
     turns = np.flatnonzero(np.diff(made.rows("is_open"), prepend=False, append=False))
@@ -151,11 +142,11 @@ def _rcm(progress: Progress) -> Shown:
     """The tip draws a circle while the needle turns about its entry point."""
     trocar = Trocar(behind_tip_m=ENTRY_M)
     arm = SimulatedArm(contacts=[trocar], duration_s=CIRCLE_S + 0.5)
-    control = Controller(arm.robot, Limits(arm.robot))
-    control.tool.update(arm.home_rad)
-    start_m, axis = control.tool.tip_m.copy(), control.tool.axis.copy()
-    tip = TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=20.0)
-    stack = [RemoteCentre(start_m - ENTRY_M * axis), tip, Posture(arm.home_rad)]
+    controller = Controller(arm.robot, Limits(arm.robot))
+    controller.tool.update(arm.home_rad)
+    start_m, axis = controller.tool.tip_m.copy(), controller.tool.axis.copy()
+    tip = control.TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=20.0)
+    stack = [control.RemoteCentre(start_m - ENTRY_M * axis), tip, Posture(arm.home_rad)]
     rows = []
     for sample in arm:
         part = min(arm.time_s / CIRCLE_S, 1.0)
@@ -164,19 +155,16 @@ def _rcm(progress: Progress) -> Shown:
         rate = 2.0 * math.pi / CIRCLE_S * (1.0 - math.cos(2.0 * math.pi * part))
         along = np.array((math.sin(angle), math.cos(angle), 0.0))
         tip.goal_m, tip.rate = start_m + offset, CIRCLE_M * rate * along
-        arm.send(control.update(sample, stack).dq_rad_s)
+        arm.send(controller.update(sample, stack).dq_rad_s)
         entry_m = arm.distance_to_axis_m(trocar.point_m)
         rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))
         progress(arm.time_s / (CIRCLE_S + 0.5))
     t_s, entry, error = np.array(rows)[::10].T
-    panels = (
-        Panel(y_label="entry [µm]", curves=(Curve(style=palette.OURS, x=t_s, y=1e6 * entry),)),
-        Panel(y_label="tip [mm]", curves=(Curve(style=palette.TIP, x=t_s, y=1e3 * error),)),
-    )
+    errors = ("entry [µm]", palette.OURS, 1e6 * entry), ("tip [mm]", palette.TIP, 1e3 * error)
     chart = Chart(
         title="Remote centre of motion\nerror at the entry and of the tip, circle of 40 mm in 8 s",
         x_label=palette.TIME,
-        panels=panels,
+        panels=_panels(t_s, *errors),
     )
     table = (
         ("entry, largest error", f"{1e3 * entry.max():.4f} mm"),
@@ -189,11 +177,11 @@ def _rcm(progress: Progress) -> Shown:
 def _autonomous(progress: Progress) -> Shown:
     """The needle goes in by itself until it has left the first layer."""
     arm = SimulatedArm("stack-glove-constant", standoff_m=5e-3, duration_s=40.0)
-    manager = Manager(InsertionSession(arm.robot), SafetyLimits(axial_N=20.0))
-    profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.12, layer=1))
-    control = Controller(arm.robot, Limits(arm.robot))
-    control.tool.update(arm.home_rad)
-    line, posture, rows = Fixture.here(control.tool, 20.0), Posture(arm.home_rad), []
+    manager = control.Manager(InsertionSession(arm.robot), control.SafetyLimits(axial_N=20.0))
+    profile = control.InsertionProfile(control.InsertionPlan(speed_m_s=5e-3, depth_m=0.12, layer=1))
+    controller = Controller(arm.robot, Limits(arm.robot))
+    controller.tool.update(arm.home_rad)
+    line, posture, rows = Fixture.here(controller.tool, 20.0), Posture(arm.home_rad), []
     inserted_s = stopped_s = math.inf
     for sample in arm:
         manager.heartbeat()
@@ -201,7 +189,7 @@ def _autonomous(progress: Progress) -> Shown:
         step = profile.update(now)
         if step.event:
             manager.request(step.event)
-        arm.send(control.update(sample, [line, AxialSpeed(step.speed_m_s), posture]).dq_rad_s)
+        arm.send(controller.update(sample, [line, AxialSpeed(step.speed_m_s), posture]).dq_rad_s)
         rows.append((arm.time_s, 1e3 * arm.truth.depth_m, now.estimate.wrench.axial))
         if now.state == "insertion":
             inserted_s = min(inserted_s, arm.time_s)
@@ -210,11 +198,11 @@ def _autonomous(progress: Progress) -> Shown:
         progress(arm.time_s / 40.0)
         if arm.time_s > stopped_s + 0.5:
             break
-    t_s, depth, force = np.array(rows)[::10].T
+    drawn = np.array(rows)[::10].T
     ruptures = [item for item in arm.tissue_truth().ruptures if item.layer]
-    past_mm = float(depth.max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
+    past_mm = float(drawn[1].max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
     begin_s = inserted_s if math.isfinite(inserted_s) else 0.0
-    chart = _stop_chart(t_s, depth, force, ruptures, begin_s)
+    chart = _stop_chart(drawn, ruptures, begin_s)
     table = (
         ("ruptures passed", f"{len(ruptures)} (asked: 1)"),
         ("overshoot past the rupture", f"{past_mm:.2f} mm"),
@@ -222,21 +210,14 @@ def _autonomous(progress: Progress) -> Shown:
     return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
 
 
-def _stop_chart(
-    t_s: np.ndarray,
-    depth: np.ndarray,
-    force: np.ndarray,
-    ruptures: Sequence[Rupture],
-    begin_s: float,
-) -> Chart:
+def _stop_chart(rows: np.ndarray, ruptures: list[Rupture], begin_s: float) -> Chart:
+    t_s, depth, force = rows
     marks = tuple((item.onset_s, min(item.end_s, float(t_s[-1]))) for item in ruptures)
+    drawn = ("depth [mm]", palette.OURS, depth), ("force [N]", palette.READING, force)
     return Chart(
         title="Autonomous insertion\nstops after the first rupture, 5 mm/s",
         x_label=palette.TIME,
-        panels=(
-            Panel(y_label="depth [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=depth),)),
-            Panel(y_label="force [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
-        ),
+        panels=_panels(t_s, *drawn),
         shadings=(Shading("the layer ruptures", palette.TRUE_RUPTURE, marks, 1.5),),
         x_limits=(begin_s, float(t_s[-1])),
     )
@@ -254,9 +235,9 @@ def _guidance(progress: Progress) -> Shown:
 
     arm = SimulatedArm(contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S)
     sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
-    control = Controller(arm.robot, Limits(arm.robot))
-    control.tool.update(arm.home_rad)
-    guidance, shaft, rows = Guidance(arm.robot), Fixture.here(control.tool, 20.0), []
+    controller = Controller(arm.robot, Limits(arm.robot))
+    controller.tool.update(arm.home_rad)
+    guidance, shaft, rows = control.Guidance(arm.robot), Fixture.here(controller.tool, 20.0), []
     for sample in arm:
         wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
         if not sensor.tared:
@@ -268,7 +249,7 @@ def _guidance(progress: Progress) -> Shown:
             valid = wrench.status is Status.OK
             sigma_Nm = sensor.residual_std_Nm
             stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
-        arm.send(control.update(sample, stack).dq_rad_s)
+        arm.send(controller.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)
     t_s, force, *tip_m = np.array(rows)[round(1e3 * PUSH_S) - 500 :].T
@@ -284,15 +265,9 @@ def _guidance(progress: Progress) -> Shown:
 
 
 def _guidance_chart(t_s: np.ndarray, force: np.ndarray, moved: np.ndarray) -> Chart:
-    panels = (
-        Panel(y_label="push [N]", curves=(Curve(style=palette.READING, x=t_s, y=force),)),
-        Panel(y_label="tip moved [mm]", curves=(Curve(style=palette.OURS, x=t_s, y=moved),)),
-    )
-    return Chart(
-        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
-        x_label=palette.TIME,
-        panels=panels,
-    )
+    drawn = ("push [N]", palette.READING, force), ("tip moved [mm]", palette.OURS, moved)
+    title = "Manual guidance\na push at the hub grows by 1 N/s, then lets go"
+    return Chart(title=title, x_label=palette.TIME, panels=_panels(t_s, *drawn))
 
 
 DEMOS: dict[str, Callable[[Progress], Shown]] = {

@@ -20,20 +20,8 @@ from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import ABDOMEN
 from groundtruth.motion import constant_motion
 from groundtruth.torso import analytic_torso
-from needleforce.anatomy import (
-    Grid,
-    Labels,
-    Layer,
-    PlanMatch,
-    PlanState,
-    Registration,
-    RegistrationError,
-    Structure,
-    fit_landmarks,
-    fit_surface,
-    read_labels,
-    read_volume,
-)
+from needleforce import anatomy
+from needleforce.anatomy import Grid, Labels, Layer, PlanMatch, PlanState, Registration, Structure
 from needleforce.anatomy.volume import UNLABELLED
 from needleforce.cli.terminal import CommandError
 from needleforce.scene.state_ring import FIELDS, view_row
@@ -115,7 +103,7 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
     if not files or not scans:
         what = "expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, there or one folder down"
         raise CommandError(f"{folder}: {what}")
-    return read_labels(files[0]).with_body(read_volume(scans[0]), fat=True)
+    return anatomy.read_labels(files[0]).with_body(anatomy.read_volume(scans[0]), fat=True)
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:
@@ -193,14 +181,14 @@ def register(
     front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
     marks = front[_spread(front, LANDMARKS, rng)]
     robot = marks @ truth[0].T + truth[1] + 1e-3 * rng.normal(size=marks.shape)
-    rough = fit_landmarks(marks, robot, std_m=1.5e-3, is_std_known=True)
+    rough = anatomy.fit_landmarks(marks, robot, std_m=1.5e-3, is_std_known=True)
     near = front[np.linalg.norm(front - entry_m, axis=1) < 0.25]
     touched = near[rng.choice(len(near), TOUCHES)] + TOUCH_STD_m * rng.normal(size=(TOUCHES, 3))
     slipped = rng.random(TOUCHES) < 0.1
     touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
     try:
-        return rough, fit_surface(skin, touched @ truth[0].T + truth[1], rough)
-    except RegistrationError:
+        return rough, anatomy.fit_surface(skin, touched @ truth[0].T + truth[1], rough)
+    except anatomy.RegistrationError:
         return rough, rough
 
 
@@ -261,18 +249,13 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     scenario = Scenario(id="abdomen", title="the plan's tissues", layers=layers, motion=motion)
     run = simulate(scenario, "clean", seed, lambda part: progress(0.2 + 0.6 * part))
     std = float(np.hypot(fine.std_along_m(axis, target), SHIFT_STD_m))
-    none = np.empty(0)
-    made = Insertion(
-        *(labels, entry, target, plan, rough, fine, truth, shift, none, none, none, [], 0.0),
-        *(run.robot, none, none, none),
-    )
-    return _followed(run, made, std)
+    followed = _followed(run, PlanMatch(plan, std), shift, length)
+    return Insertion(labels, entry, target, plan, rough, fine, truth, shift, **followed)
 
 
-def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
-    """The session over the run's signals, its ruptures matched with the plan."""
-    signals, true = run.signals, run.truth
-    session, match = InsertionSession(run.robot), PlanMatch(made.plan, offset_std_m)
+def _followed(run: Run, match: PlanMatch, shift_m: float, length_m: float) -> dict[str, Any]:
+    """The session over the run's signals, its ruptures matched with the plan: the other fields."""
+    signals, true, session = run.signals, run.truth, InsertionSession(run.robot)
     velocity = signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
     rows, states, last_s, stop = [], [], signals.t_s[0], None
     entry_m, start_m, axis = 0.0, np.zeros(3), np.zeros(3)
@@ -285,7 +268,7 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
             session.tare()
             # The robot knows where its tip is, and where the planned entry; the tissue lies deeper
             # by what nobody knows.
-            entry_m = -float(true.depth_m[k]) - made.shift_m
+            entry_m = -float(true.depth_m[k]) - shift_m
             start_m, axis = session.snapshot().zero
             session.follow(match, start_m + entry_m * axis)
             continue
@@ -294,20 +277,21 @@ def _followed(run: Run, made: Insertion, offset_std_m: float) -> Insertion:
         is_event = _took_event(now, entry_m, states)
         if k % 20 == 0 or is_event:
             rows.append(view_row(now, q))
-        if stop is None and now.depth_m - entry_m >= made.length_m + now.plan.offset_m:
+        if stop is None and now.depth_m - entry_m >= length_m + now.plan.offset_m:
             stop = now.depth_m - entry_m
     table = np.array(rows)
     depth = table[:, FIELDS.index("depth_m")] - entry_m
-    return made._replace(
-        depth_m=depth,
-        force_N=table[:, FIELDS.index("force_N")],
-        tip_N=table[:, FIELDS.index("tip_N")],
-        states=states,
-        stop_m=depth[-1] if stop is None else stop,
-        rows=table,
-        entry_in_base_m=start_m + entry_m * axis,
-        axis=axis,
-    )
+    return {
+        "depth_m": depth,
+        "force_N": table[:, FIELDS.index("force_N")],
+        "tip_N": table[:, FIELDS.index("tip_N")],
+        "states": states,
+        "stop_m": depth[-1] if stop is None else stop,
+        "robot": run.robot,
+        "rows": table,
+        "entry_in_base_m": start_m + entry_m * axis,
+        "axis": axis,
+    }
 
 
 def _took_event(

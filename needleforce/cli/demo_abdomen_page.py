@@ -8,23 +8,13 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
+from needleforce.cli.demo import Shown
 from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
 from needleforce.cli.live_view import LEAST_VOXELS, description
 from needleforce.cli.options import RobotOptions
-from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
-from needleforce.plots import palette
-from needleforce.plots.chart import Chart, Curve, Instants, Panel, require_matplotlib
-from needleforce.plots.page import (
-    PAGE,
-    Page,
-    PageFigure,
-    PageTable,
-    Section,
-    save_page_figure,
-    write_page,
-)
+from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.plots import Chart, Curve, Instants, PageFigure, Panel, palette, require_matplotlib
 
-NEVER = "Simulation only: not a medical device."
 NEEDED = {"SimpleITK": "SimpleITK", "skimage": "scikit-image"}
 NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
 """Modules, all of extras, and the packages that bring them."""
@@ -39,25 +29,17 @@ def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int)
             raise CommandError(f"demo abdomen needs {package}; pip install {package}")
     with progress_bar("demonstrating abdomen") as progress:
         made = insert(data, seed, progress)
-    rows = _rows(made)
+
+    def drawn(folder: Path) -> list[PageFigure]:
+        plane = draw_slice(made, folder / "slice.png")
+        return [PageFigure(path=plane, alt=SLICE, caption=SLICE)]
+
     title = "From a CT to a needle whose ruptures correct the plan"
-    write_out(f"{title}\n{aligned(rows)}{NEVER}\n")
+    Shown(title, _rows(made), _charts(made)).write("abdomen", folder, drawn)
     if picture is not None:
         draw_slice(made, picture)
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        figures = [
-            PageFigure(path=draw_slice(made, folder / "slice.png"), alt=SLICE, caption=SLICE)
-        ]
-        for name, chart, caption in _charts(made):
-            place = folder / f"{name}.svg"
-            figures.append(save_page_figure(chart, place, alt=caption, caption=caption))
-        table = PageTable(caption="Result", head=("what", "value"), rows=rows)
-        section = Section(heading=title, anchor="abdomen", figures=tuple(figures), tables=(table,))
-        page = Page(title="needleforce demo abdomen", lead=(NEVER,), sections=(section,))
-        write_out(f"{write_page(folder / PAGE, page)}\n")
-        if find_spec("viser") is not None:
-            write_out(f"{write_scene(made, folder / 'scene.html')}\n")
+    if folder is not None and find_spec("viser") is not None:
+        write_out(f"{write_scene(made, folder / 'scene.html')}\n")
     return 0
 
 

@@ -63,7 +63,6 @@ class Teleinsertion:
     tip_N: list[float] = field(default_factory=list)  # true
     raw_N: list[float] = field(default_factory=list)  # as the virtual sensor measures it
     shown_N: list[float] = field(default_factory=list)  # what is sent to be felt
-    hand_N: list[float] = field(default_factory=list)  # what the device renders
     energy_J: list[float] = field(default_factory=list)  # true, at the hand's port
     is_open: list[bool] = field(default_factory=list)  # the clutch: the hand goes back
     alarms_s: list[float] = field(default_factory=list)
@@ -123,7 +122,7 @@ def teleoperate(
             wanted_m += hand.scale * (master.position_m[2] - before_m) * master.clutch
             master.render(move.force_N)
             speed_m_s = move.speed_m_s
-            _note(found, arm, estimate, -float(move.force_N[2]), tele, master)
+            _note(found, arm, estimate, tele.shown_N, master)
             progress(1.0 - (end_s - arm.time_s) / (hand.duration_s + SETTLE_S))
         arm.send(control.update(sample, [shaft, AxialSpeed(speed_m_s or 0.0), posture]).dq_rad_s)
         if arm.time_s > end_s:
@@ -138,8 +137,7 @@ def _note(
     found: Teleinsertion,
     arm: SimulatedArm,
     estimate: SessionEstimate,
-    hand_N: float,
-    tele: Teleoperation,
+    shown_N: float,
     master: HapticMaster,
 ) -> None:
     truth = arm.truth
@@ -147,8 +145,7 @@ def _note(
     found.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
     found.tip_N.append(truth.tissue.tip_N)
     found.raw_N.append(estimate.wrench.axial)
-    found.shown_N.append(tele.shown_N)
-    found.hand_N.append(hand_N)
+    found.shown_N.append(shown_N)
     found.energy_J.append(master.port_energy_J)
     found.is_open.append(not master.clutch)
     if estimate.used_for_identification and estimate.identification.rupture is not None:
