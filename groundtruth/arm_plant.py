@@ -14,7 +14,7 @@ import pinocchio as pin
 from groundtruth.errors import Array, PlantError, PlantModelError, require_fraction
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from groundtruth.rig_contacts import Contact, TouchedPoint
-from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion
+from groundtruth.scenarios import ElbowPush, LateralForce, Scenario, TissueMotion
 from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
 
@@ -226,6 +226,19 @@ class TissueContact:
     motion: TissueMotion | None = None  # of the surface along that direction
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
+
+
+def tissue_before(needle: pin.SE3, distance_m: float, scenario: Scenario) -> TissueContact:
+    """Lay a scenario's tissue so far in front of the tip of a needle, along its z axis."""
+    axis = needle.rotation[:, 2].copy()
+    return TissueContact(
+        law=scenario.new_tissue(),
+        surface_in_base_m=needle.translation + distance_m * axis,
+        axis_in_base=axis,
+        motion=scenario.tissue_motion,
+        lateral=scenario.lateral,
+        elbow=scenario.elbow,
+    )
 
 
 class ArmPlant:

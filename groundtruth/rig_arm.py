@@ -18,22 +18,15 @@ import pinocchio as pin
 import scipy.linalg
 from numpy.typing import ArrayLike
 
+from groundtruth import sensors
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
-from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
+from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies, tissue_before
 from groundtruth.errors import Array, PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.sensors import (
-    TorqueSensor,
-    measured_position,
-    measured_velocity,
-    measured_wrench,
-    received_samples,
-    time_stamps,
-)
 from groundtruth.tissue import Tissue, TissueForce, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
@@ -162,12 +155,13 @@ class _OnlineSensors:
     ) -> None:
         clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
         self._plant_model, self._position, self._velocity = plant_model, position, velocity
-        self._torque = TorqueSensor((ticks, len(limit_Nm)), limit_Nm, plant_model, torque)
+        self._torque = sensors.TorqueSensor((ticks, len(limit_Nm)), limit_Nm, plant_model, torque)
         self._lagging_Nm: Array | None = None
-        self._wrench_error = measured_wrench(np.zeros((ticks, 6)), plant_model, wrench)
-        self._stamp_s = time_stamps(np.arange(ticks, dtype=np.float64) * TICK_s, plant_model, clock)
+        self._wrench_error = sensors.measured_wrench(np.zeros((ticks, 6)), plant_model, wrench)
+        time_s = np.arange(ticks, dtype=np.float64) * TICK_s
+        self._stamp_s = sensors.time_stamps(time_s, plant_model, clock)
         self._is_received = np.zeros(ticks, dtype=bool)
-        self._is_received[received_samples(ticks, plant_model, loss)] = True
+        self._is_received[sensors.received_samples(ticks, plant_model, loss)] = True
         self._last_stamp_s = -TICK_s
 
     def read(self, k: int, q_rad: Array, dq_rad_s: Array, tau_Nm: Array) -> ArmSample | None:
@@ -175,8 +169,8 @@ class _OnlineSensors:
         width = self._torque.backlash_Nm
         lagging = tau_Nm if self._lagging_Nm is None else self._lagging_Nm
         self._lagging_Nm = lagging = np.minimum(np.maximum(lagging, tau_Nm - width), tau_Nm + width)
-        q = measured_position(q_rad, self._plant_model, self._position)
-        dq = measured_velocity(dq_rad_s, self._plant_model, self._velocity)
+        q = sensors.measured_position(q_rad, self._plant_model, self._position)
+        dq = sensors.measured_velocity(dq_rad_s, self._plant_model, self._velocity)
         tau = self._torque.reading(tau_Nm, lagging, q_rad, k)
         if not self._is_received[k]:
             return None
@@ -413,16 +407,9 @@ def _tissue_below(
     data = arm.create_data()
     pin.framesForwardKinematics(arm.model, data, home_rad)
     tip = data.oMf[arm.frame_id("needle_tip")]
-    axis = tip.rotation[:, 2].copy()
     if scenario is None:
-        return TissueContact(
-            law=Tissue(()), surface_in_base_m=tip.translation.copy(), axis_in_base=axis
-        )
-    height = -scenario.motion.start_m if standoff_m is None else standoff_m
-    return TissueContact(
-        law=scenario.new_tissue(),
-        surface_in_base_m=tip.translation + height * axis,
-        axis_in_base=axis,
-        motion=scenario.tissue_motion,
-        lateral=scenario.lateral,
-    )
+        place, axis = tip.translation.copy(), tip.rotation[:, 2].copy()
+        return TissueContact(law=Tissue(()), surface_in_base_m=place, axis_in_base=axis)
+    height_m = -scenario.motion.start_m if standoff_m is None else standoff_m
+    # A push on the elbow is one of the arm's contacts.
+    return replace(tissue_before(tip, height_m, scenario), elbow=None)

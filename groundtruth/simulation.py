@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
-from groundtruth.arm_motion import InsertionPath, scenario_motion, scenario_path
-from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies
+from groundtruth.arm_motion import scenario_motion, scenario_path
+from groundtruth.arm_plant import ArmPlant, bearings, lwr_bodies, tissue_before
 from groundtruth.errors import Array, MotionError, require_positive
 from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
@@ -100,7 +100,8 @@ def simulate(
     mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
     path = scenario_path(bodies.robot, chosen)
-    contact = _contact(path, chosen)
+    # The zero of the scenario's motion is the surface.
+    contact = tissue_before(path[1], -chosen.motion.start_m, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
     friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))
@@ -121,20 +122,6 @@ def simulate(
         signals=signals,
         truth=Truth(**found),
         tare_end_s=chosen.motion.tare_end_s,
-    )
-
-
-def _contact(path: InsertionPath, scenario: Scenario) -> TissueContact:
-    """Lay the tissue so that the zero of the scenario's motion is its surface."""
-    _, start = path
-    axis = start.rotation[:, 2].copy()
-    return TissueContact(
-        law=scenario.new_tissue(),
-        surface_in_base_m=start.translation - scenario.motion.start_m * axis,
-        axis_in_base=axis,
-        motion=scenario.tissue_motion,
-        lateral=scenario.lateral,
-        elbow=scenario.elbow,
     )
 
 

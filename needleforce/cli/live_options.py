@@ -11,6 +11,7 @@ from needleforce.cli.options import LOG, TARE
 OUTPUT = Group("Output", sort_key=2)
 
 Constants = tuple[float, float, float, float, float, float]
+Vector = tuple[float, float, float]
 
 
 @Parameter(name="*", group=LOG)
@@ -35,11 +36,7 @@ class WatchOptions:
     reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
     """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
     are shown next to the estimate."""
-    reference_axis: Annotated[tuple[float, float, float], Parameter(metavar="X Y Z", group=LOG)] = (
-        0.0,
-        0.0,
-        1.0,
-    )
+    reference_axis: Annotated[Vector, Parameter(metavar="X Y Z", group=LOG)] = (0.0, 0.0, 1.0)
     """Direction of insertion in that sensor's axes (default: 0 0 1)."""
     view: Annotated[bool, Parameter(negative="")] = False
     """Serve the scene as a browser page beside the session."""
