@@ -3,11 +3,10 @@
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from needleforce.cli.live_recorder import Recorder
 from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.terminal import CommandError, handled, progress_bar, say, write_out
+from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
 from needleforce.devices import ArmSample, FrankaArm, FriArm, NetFT, ReplayArm, UrArm, paced
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
@@ -75,34 +74,14 @@ def arm_named(
         yield arm, robot
 
 
-@contextmanager
-def _stop_request(arm: Any) -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C, SIGTERM or SIGHUP came; the first ends the samples, two interrupt.
-
-    It ends them also while nothing comes.
-    """
-    is_asked = False
-
-    def hear(_number: int, _frame: FrameType | None) -> None:
-        nonlocal is_asked
-        if is_asked:
-            raise KeyboardInterrupt
-        is_asked = True
-        arm.end()
-
-    with ExitStack() as handlers:
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # nohup
-                handlers.enter_context(handled(number, hear))
-        yield lambda: is_asked
-
-
 def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
     """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or SIGHUP."""
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
+    # What nohup has the process ignore does not end it; else a signal does while nothing comes.
+    others = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN]
     passed_s = 0.0
-    with _stop_request(arm) as is_asked:
+    with stop_request(*others, then=arm.end) as is_asked:
         for sample in paced(arm) if isinstance(arm, ReplayArm) else arm:
             passed_s += sample.dt_s
             yield sample
@@ -198,12 +177,9 @@ def _plan_words(plan: Any) -> str:
 
 
 @contextmanager
-def _reference(watched: WatchOptions) -> Iterator[ReferenceForce | None]:
-    """The force sensor beside the session, if one is named."""
-    if watched.reference is None:
-        yield None
-        return
-    with NetFT(watched.reference) as sensor:
+def _reference(address: str, watched: WatchOptions) -> Iterator[ReferenceForce]:
+    """The force sensor beside the session."""
+    with NetFT(address) as sensor:
         yield ReferenceForce(sensor, watched.reference_axis)
         say(f"reference: {sensor.report}")
 
@@ -212,10 +188,7 @@ def _reference(watched: WatchOptions) -> Iterator[ReferenceForce | None]:
 def _page(
     kind: str, watched: WatchOptions, model: Robot, plan: Any, robot: RobotOptions
 ) -> Iterator[Any]:
-    """The scene beside the session; None if it is not wanted."""
-    if not watched.view:
-        yield None
-        return
+    """The scene beside the session."""
     from needleforce.scene import SceneError, open_viewer
     from needleforce.scene.nodes import EMPTY
 
@@ -235,18 +208,18 @@ def watch_arm(
     arm_name: str, options: LiveOptions, watched: WatchOptions, robot: RobotOptions
 ) -> int:
     """Watch force and layers of an arm; return the exit code."""
-    tare, kind = SessionTare(watched.tare), arm_name.partition(":")[0]
+    tare, kind, address = SessionTare(watched.tare), arm_name.partition(":")[0], watched.reference
     plan = None if watched.plan is None else read_plan(watched.plan)
     with (
         arm_named(arm_name, robot, options.motor_constants) as (arm, model),
-        _reference(watched) as reference,
-        _page(kind, watched, model, plan, robot) as page,
+        _reference(address, watched) if address is not None else nullcontext() as reference,
+        _page(kind, watched, model, plan, robot) if watched.view else nullcontext() as page,
     ):
         session = InsertionSession(model)
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m)
         view = _Watch(arm, reference)
-        with _panel() as panel:
+        with _panel() if sys.stdout.isatty() else nullcontext() as panel:
             for sample in _until(arm, options):
                 if sample.tau_Nm is None:
                     raise CommandError(f"{arm_name}: {NO_TORQUES}")
@@ -267,10 +240,7 @@ def watch_arm(
 
 @contextmanager
 def _panel() -> Iterator[Any]:
-    """A place on the terminal that is written over; None where there is no terminal."""
-    if not sys.stdout.isatty():
-        yield None
-        return
+    """A place on the terminal that is written over."""
     from rich.live import Live
 
     with Live("", refresh_per_second=1.0 / PANEL_s) as panel:

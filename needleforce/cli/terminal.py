@@ -35,7 +35,7 @@ def run_command(work: Callable[[], int]) -> int:
         raise _Terminated
 
     try:
-        with handled(signal.SIGTERM, end):
+        with handled(end, signal.SIGTERM):
             code = work()
             write_out("")
         return code
@@ -70,31 +70,35 @@ def _explained(error: BaseException) -> str:
 
 
 @contextmanager
-def handled(number: int, handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Let a handler have a signal while the block runs; only a process's first thread may."""
+def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
+    """Let a handler have signals while the block runs; only a process's first thread may."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(number, handler)
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(number, before)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 @contextmanager
-def stop_request() -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C was pressed; while the block runs, only the second one interrupts."""
-    is_pressed = False
+def stop_request(
+    *others: int, then: Callable[[], None] = lambda: None
+) -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C or another of these signals came; the first calls, two interrupt."""
+    is_asked = False
 
     def hear(_number: int, _frame: FrameType | None) -> None:
-        nonlocal is_pressed
-        if is_pressed:
+        nonlocal is_asked
+        if is_asked:
             raise KeyboardInterrupt
-        is_pressed = True
+        is_asked = True
+        then()
 
-    with handled(signal.SIGINT, hear):
-        yield lambda: is_pressed
+    with handled(hear, signal.SIGINT, *others):
+        yield lambda: is_asked
 
 
 @contextmanager
