@@ -232,7 +232,7 @@ def tissue_before(needle: pin.SE3, distance_m: float, scenario: Scenario) -> Tis
     """Lay a scenario's tissue so far in front of the tip of a needle, along its z axis."""
     axis = needle.rotation[:, 2].copy()
     return TissueContact(
-        law=scenario.new_tissue(),
+        law=Tissue(scenario.layers),
         surface_in_base_m=needle.translation + distance_m * axis,
         axis_in_base=axis,
         motion=scenario.tissue_motion,

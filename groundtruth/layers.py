@@ -60,7 +60,6 @@ class Membrane:
     release_m: float  # travel of the tip over which the force is released after the puncture
 
     def __post_init__(self) -> None:
-        """Raise `TissueError` naming the value that no membrane can have."""
         require_positive(TissueError, **fields_of(self, "puncture_N indentation_m release_m"))
         require_fraction(TissueError, hardening=self.hardening)
 
@@ -89,7 +88,6 @@ class ShaftFriction:
     length_exponent: float = 1.0  # friction grows with length^n, alike on the whole layer
 
     def __post_init__(self) -> None:
-        """Raise `TissueError` naming the value that no friction can have."""
         positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
         require_positive(TissueError, **fields_of(self, positive))
         require_non_negative(TissueError, **fields_of(self, "coulomb_N_per_m viscous_Ns_per_m2"))
@@ -165,11 +163,6 @@ class Layer:
     texture: Texture | None = None  # of the tip force, faded over a cutting onset at both ends
 
     def __post_init__(self) -> None:
-        """Raise `TissueError` naming the value that no layer can have.
-
-        A layer must be thicker than its membrane's indentation, its cutting onset and the releases
-        at both its ends.
-        """
         positive = "thickness_m exit_force_N release_m tip_exponent"
         fractions = "kept_fraction cutting_fraction relaxed_fraction"
         require_positive(TissueError, **fields_of(self, positive))

@@ -39,7 +39,6 @@ class Stroke:
     ramp_fraction: float = 0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
 
     def __post_init__(self) -> None:
-        """Raise `MotionError` if the duration or the ramp fraction is out of range."""
         require_positive(MotionError, **fields_of(self, "duration_s ramp_fraction"))
         if self.ramp_fraction > RAMP_FRACTION_MAX:
             raise MotionError(
@@ -89,7 +88,6 @@ class Motion:
     withdrawal_end_s: float  # it is back above the surface
 
     def __post_init__(self) -> None:
-        """Raise `MotionError` unless each stroke begins where and when the one before ended."""
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
         for last, following in pairwise(self.strokes):

@@ -37,7 +37,6 @@ class ForceNoise:
     correlation_s: float = 0.0  # time constant of the noise if it is not white
 
     def __post_init__(self) -> None:
-        """Raise `PlantModelError` naming the value that is negative or not finite."""
         require_non_negative(PlantModelError, **asdict(self))
 
     def reading_N(

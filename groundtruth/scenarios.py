@@ -16,7 +16,6 @@ from groundtruth.errors import Array, ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 from groundtruth.materials import ABDOMEN, BOVINE_LIVER, GLOVE, TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
-from groundtruth.tissue import Tissue
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 # What reaches arm and tissue from outside; no estimator learns of it but through the signals.
@@ -85,10 +84,6 @@ class Scenario:
         """The same scenario with every layer changed; the generator draws the texture."""
         return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))
 
-    def new_tissue(self) -> Tissue:
-        """Fresh, uncut tissue."""
-        return Tissue(self.layers)
-
 
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
@@ -152,13 +147,9 @@ DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 def scenario(name: str, seed: int = 0) -> Scenario:
     """A catalogued scenario, or one drawn from the seed.
 
-    Args:
-        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+`` and one of
-            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
-        seed: Of what is drawn.
-
-    Raises:
-        ScenarioError: There is none of that name; the message lists the names.
+    Names are those of the catalogue, ``random-stack`` and ``random-tissue``; followed by ``+`` and
+    one of `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``. `ScenarioError` if there
+    is none of that name; the message lists the names.
     """
     base, plus, change = name.partition("+")
     if base in DRAWN:

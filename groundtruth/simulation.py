@@ -19,7 +19,7 @@ from groundtruth.errors import Array, MotionError, require_positive
 from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named
-from groundtruth.tissue import ReadOnlyArrays, TissueTruth, collect_truth
+from groundtruth.tissue import ReadOnlyArrays, Tissue, TissueTruth, collect_truth
 from urdf import NeedleTool, Robot
 
 
@@ -80,17 +80,12 @@ def simulate(
 ) -> Run:
     """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
 
-    A scenario without layers moves all joints in free air instead.
-
-    Args:
-        scenario: A scenario or its name, see `groundtruth.scenario`.
-        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
-        seed: Seed of everything drawn; equal arguments give equal runs.
-        progress: Called now and then with the fraction done, 0 to 1.
+    A scenario without layers moves all joints in free air instead. Names are those of
+    `groundtruth.scenario` and `PLANT_MODELS`; the seed is that of everything drawn, so that equal
+    arguments give equal runs; `progress` gets the fraction done, 0 to 1.
 
     Raises:
-        ScenarioError: There is no scenario of that name.
-        PlantModelError: There is no plant model of that name.
+        ScenarioError, PlantModelError: There is none of that name.
         MotionError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
@@ -165,15 +160,9 @@ def insert_needle(
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
-    Args:
-        scenario: A scenario or its name, see `groundtruth.scenario`.
-        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
-        rate_hz: Samples per second.
-        noise: What the force sensor adds, see `groundtruth.force_noise`.
-
-    Raises:
-        ScenarioError: There is no scenario of that name.
-        MotionError: The rate is unusable.
+    Names are those of `groundtruth.scenario`; the seed is that of the sensor's noise and of a drawn
+    scenario: the same seed gives the same run. `ScenarioError` if there is no scenario of that
+    name, `MotionError` if the rate is unusable.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     require_positive(MotionError, rate_hz=rate_hz)
@@ -184,7 +173,7 @@ def insert_needle(
     if chosen.tissue_motion is not None:
         surface_m, surface_m_s = chosen.tissue_motion.at(t_s)
         inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
-    law = chosen.new_tissue()
+    law = Tissue(chosen.layers)
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
     truth = collect_truth(law, t_s, inside_m, [law.step(z, v, 1.0 / rate_hz) for z, v in samples])
     rng = np.random.default_rng(seed)

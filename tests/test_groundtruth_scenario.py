@@ -5,7 +5,7 @@ from itertools import pairwise, product
 import numpy as np
 import pytest
 
-from groundtruth import SCENARIOS, insert_needle, random_stack, scenario
+from groundtruth import SCENARIOS, Tissue, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, PlantModelError, ScenarioError
 from groundtruth.materials import TABLE_I_SPEED_M_S
 from groundtruth.motion import TARE_STROKE_M, Motion, Stroke, constant_motion, sinusoidal_motion
@@ -101,7 +101,7 @@ def test_names_are_permanent_and_choose_motion_and_seed():
         scenario("gel-80")
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
-        assert case.motion.deepest_m - case.new_tissue().interfaces[-1].depth_m >= 10e-3
+        assert case.motion.deepest_m - Tissue(case.layers).interfaces[-1].depth_m >= 10e-3
         assert case.motion.deepest_m < NEEDLE_M
 
 
@@ -127,7 +127,7 @@ def test_ruptures_are_the_papers_in_order_and_drop_the_tip_force(runs, name, cou
     found = run.truth.ruptures
     assert len(found) == count
     assert (np.diff([item.onset_s for item in found]) > 1.0).all()
-    boundaries = [b for b in run.scenario.new_tissue().interfaces if b.drop_N > 0.0]
+    boundaries = [b for b in Tissue(run.scenario.layers).interfaces if b.drop_N > 0.0]
     for rupture, boundary in zip(found, boundaries, strict=True):
         assert rupture.end_s > rupture.onset_s
         around = np.abs(run.t_s - rupture.onset_s) < 0.02
@@ -203,7 +203,7 @@ def test_drawn_stacks_vary_are_physical_rupture_at_every_boundary_and_end_outsid
     assert 1.0 < min(friction) < max(friction) < 60.0
     for stack in DRAWN[:6]:
         run = insert_needle(stack, rate_hz=200.0)
-        boundaries = [b for b in stack.new_tissue().interfaces if b.drop_N > 0.0]
+        boundaries = [b for b in Tissue(stack.layers).interfaces if b.drop_N > 0.0]
         assert np.isfinite(run.force_N).all()
         assert len(run.truth.ruptures) == len(boundaries)
         assert run.truth.axial_N[-1] == 0.0

@@ -30,10 +30,10 @@ def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(
     run = insert_needle(scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
     assert run.scenario.id == f"stack-glove-constant+{name}"
     assert run.scenario.motion == plain.motion
-    onsets = [boundary.onset_m for boundary in plain.new_tissue().interfaces[1:]]
+    onsets = [boundary.onset_m for boundary in Tissue(plain.layers).interfaces[1:]]
     assert [rupture.onset_m for rupture in run.truth.ruptures] == pytest.approx(onsets)
     assert run.truth.tip_N.min() >= 0.0
-    beyond = run.depth_m > plain.new_tissue().interfaces[-1].depth_m + 2.1e-3
+    beyond = run.depth_m > Tissue(plain.layers).interfaces[-1].depth_m + 2.1e-3
     assert not run.truth.tip_N[beyond].any()
     np.testing.assert_allclose(
         run.truth.axial_N, run.truth.tip_N + run.truth.friction_N, atol=1e-12
@@ -105,7 +105,7 @@ def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     assert 0.5 < min(exponents) < 0.8 < 1.5 < max(exponents) < 2.0
     for item in tissues[:3]:
         run = insert_needle(item, rate_hz=200.0)
-        boundaries = [b for b in item.new_tissue().interfaces if b.drop_N > 0.0]
+        boundaries = [b for b in Tissue(item.layers).interfaces if b.drop_N > 0.0]
         assert len(run.truth.ruptures) == len(boundaries)
         assert run.truth.tip_N.min() >= 0.0
         assert run.truth.axial_N[-1] == 0.0
