@@ -59,7 +59,7 @@ def run(
 # From a log to its result.
 
 _CHANNELS = {"depth_m": "travel_m", "force_N": "axial_unsmoothed_N", "force_std_N": "axial_std_N"}
-_CHANNELS |= {"force_status": "status", "force_warnings": "warnings"}
+_CHANNELS |= {name: name for name in ("force_status", "force_warnings")}
 
 
 def estimate_forces(
@@ -70,7 +70,7 @@ def estimate_forces(
 ) -> "ForceResult":
     """Run the sensor over a log and write its forces; with options, find the layers in them."""
     config = replay.config
-    tracked = ["axial_N", "axial_std_N", "status", "after_gap"]
+    tracked = ["axial_N", "axial_std_N", "force_status", "after_gap"]
     tracked += ["force_N", "std"] if config.mode != "axial" else []
     tracked += ["torque_Nm"] if config.mode == "full" else []
     result, overview, forces = ForceResult(log.name, replay), logs.RowOverview(tracked), []
@@ -101,10 +101,8 @@ def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
         for column, numbers in ((name, values), (f"{name}_std", std)):
             columns = zip("xyz", () if numbers is None else numbers.T, strict=False)
             table |= {f"{column}_{xyz}_in_{config.axes}_{unit}": each for xyz, each in columns}
-    table |= {name: rows[name] for name in ("axial_unsmoothed_N", "model_mismatch")}
-    table["force_warnings"] = rows["warnings"]
-    table["force_status"] = rows["status"]
-    return table
+    last = ("axial_unsmoothed_N", "model_mismatch", "force_warnings", "force_status")
+    return table | {name: rows[name] for name in last}
 
 
 def _vectors(rows: Rows, config: SensorConfig) -> list[tuple[str, str, NDArray, Any]]:
@@ -136,7 +134,7 @@ class ForceResult:
             self._rate_hz = 1.0 / float(np.median(steps[steps > 0.0]))
         self._first_s, self._last_s = min(self._first_s, t_s.min()), max(self._last_s, t_s.max())
         for warning in SensorWarning:
-            self.warnings[warning] += int(np.count_nonzero(rows["warnings"] & warning))
+            self.warnings[warning] += int(np.count_nonzero(rows["force_warnings"] & warning))
         for status, (low_N, high_N, total_N) in self._axial_N.items():
             chosen = has_status(rows, status)
             axial_N, std_N = rows["axial_N"][chosen], rows["axial_std_N"][chosen]

@@ -169,14 +169,14 @@ Rows = dict[str, NDArray]
 `t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`, `axial_std_N` and
 `axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of
 the components that the mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`,
-`warnings` (see `residual.WrenchEstimate`), `status` (`STATUS_CODES`), `after_gap`: whether the
-filters restarted because of a gap in time before the row; of shape (n,) but where stated.
+`force_warnings` (see `residual.WrenchEstimate`), `force_status` (`STATUS_CODES`) and `after_gap`,
+whether the filters restarted after a gap in time; of shape (n,) but where stated.
 """
 
 
 def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
     """Return which rows have a status, shape (n,)."""
-    return rows["status"] == STATUS_CODES[status]
+    return rows["force_status"] == STATUS_CODES[status]
 
 
 def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
@@ -292,8 +292,7 @@ class Replay:
 
 
 def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
-    fields = {"axial_N": "axial", "axial_std_N": "axial_std", "force_N": "force"}
-    fields |= {"axial_unsmoothed_N": "axial_unsmoothed"}
+    fields = {f"{field}_N": field for field in ("axial", "axial_std", "axial_unsmoothed", "force")}
     fields |= {"torque_Nm": "torque", "model_mismatch": "model_mismatch"}
     numbers = {
         name: np.array([getattr(found, field) for found in estimates])
@@ -305,4 +304,4 @@ def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
     for values in numbers.values():
         values[status == STATUS_CODES[Status.REJECTED]] = np.nan
     warnings = np.array([int(found.warnings) for found in estimates])
-    return {**numbers, "warnings": warnings, "status": status}
+    return {**numbers, "force_warnings": warnings, "force_status": status}
