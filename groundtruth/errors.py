@@ -36,15 +36,12 @@ class PlantError(GroundTruthError, RuntimeError):
     """The simulated arm cannot run, or has left its commanded motion."""
 
 
-def fields_of(owner: object, names: str) -> dict[str, float]:
-    """Numbers of an object by name, as the checks below take them."""
-    return {name: getattr(owner, name) for name in names.split()}
-
-
 def _requirement(is_met: Callable[[float], bool], wanted: str) -> Callable[..., None]:
-    def require(error: type[GroundTruthError], **values: float) -> None:
-        """Raise `error`, naming the field, unless every value is what is wanted."""
-        for name, value in values.items():
+    def require(
+        error: type[GroundTruthError], owner: object = None, names: str = "", **values: float
+    ) -> None:
+        """Raise `error` unless these fields of the owner, and these values, are what is wanted."""
+        for name, value in ({n: getattr(owner, n) for n in names.split()} | values).items():
             if not is_met(value):
                 raise error(f"{name} is {value!r}; give {wanted}")
 

@@ -7,13 +7,7 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri
 
-from groundtruth.errors import (
-    TissueError,
-    fields_of,
-    require_fraction,
-    require_non_negative,
-    require_positive,
-)
+from groundtruth.errors import TissueError, require_fraction, require_non_negative, require_positive
 
 CUTTING_ONSET_M = 1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
 KEPT_FADE_M = 5e-3
@@ -60,8 +54,8 @@ class Membrane:
     release_m: float  # travel of the tip over which the force is released after the puncture
 
     def __post_init__(self) -> None:
-        require_positive(TissueError, **fields_of(self, "puncture_N indentation_m release_m"))
-        require_fraction(TissueError, hardening=self.hardening)
+        require_positive(TissueError, self, "puncture_N indentation_m release_m")
+        require_fraction(TissueError, self, "hardening")
 
     def force_N(self, indentation_m: float) -> float:
         """Force of the intact membrane, pushed in from its place at rest; zero if untouched."""
@@ -89,8 +83,8 @@ class ShaftFriction:
 
     def __post_init__(self) -> None:
         positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
-        require_positive(TissueError, **fields_of(self, positive))
-        require_non_negative(TissueError, **fields_of(self, "coulomb_N_per_m viscous_Ns_per_m2"))
+        require_positive(TissueError, self, positive)
+        require_non_negative(TissueError, self, "coulomb_N_per_m viscous_Ns_per_m2")
 
     @classmethod
     def calibrated(
@@ -163,11 +157,9 @@ class Layer:
     texture: Texture | None = None  # of the tip force, faded over a cutting onset at both ends
 
     def __post_init__(self) -> None:
-        positive = "thickness_m exit_force_N release_m tip_exponent"
-        fractions = "kept_fraction cutting_fraction relaxed_fraction"
-        require_positive(TissueError, **fields_of(self, positive))
-        require_non_negative(TissueError, stiffening=self.stiffening)
-        require_fraction(TissueError, **fields_of(self, fractions))
+        require_positive(TissueError, self, "thickness_m exit_force_N release_m tip_exponent")
+        require_non_negative(TissueError, self, "stiffening")
+        require_fraction(TissueError, self, "kept_fraction cutting_fraction relaxed_fraction")
         taken = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:
             taken += self.membrane.release_m

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundtruth.errors import Array, MotionError, fields_of, require_positive
+from groundtruth.errors import Array, MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
@@ -39,7 +39,7 @@ class Stroke:
     ramp_fraction: float = 0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
 
     def __post_init__(self) -> None:
-        require_positive(MotionError, **fields_of(self, "duration_s ramp_fraction"))
+        require_positive(MotionError, self, "duration_s ramp_fraction")
         if self.ramp_fraction > RAMP_FRACTION_MAX:
             raise MotionError(
                 f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 each"

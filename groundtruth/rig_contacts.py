@@ -110,12 +110,7 @@ class Trocar:
 
     def __post_init__(self) -> None:
         """Raise `PlantError` for a value that is negative or not finite."""
-        require_non_negative(
-            PlantError,
-            behind_tip_m=self.behind_tip_m,
-            stiffness_N_per_m=self.stiffness_N_per_m,
-            damping_Ns_per_m=self.damping_Ns_per_m,
-        )
+        require_non_negative(PlantError, self, "behind_tip_m stiffness_N_per_m damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Lie where the needle is now."""
@@ -154,11 +149,7 @@ class Wall:
 
     def __post_init__(self) -> None:
         """Raise `PlantError` for a stiffness or damping that is negative or not finite."""
-        require_non_negative(
-            PlantError,
-            stiffness_N_per_m=self.stiffness_N_per_m,
-            damping_Ns_per_m=self.damping_Ns_per_m,
-        )
+        require_non_negative(PlantError, self, "stiffness_N_per_m damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Stand across the needle's present direction."""
@@ -204,8 +195,8 @@ class HandOnArm:
         """Raise `PlantError` for an unknown place or an unusable spring."""
         if self.at not in GRIPS:
             raise PlantError(f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}")
-        require_positive(PlantError, stiffness_N_per_m=self.stiffness_N_per_m)
-        require_non_negative(PlantError, damping_Ns_per_m=self.damping_Ns_per_m)
+        require_positive(PlantError, self, "stiffness_N_per_m")
+        require_non_negative(PlantError, self, "damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
         """Take hold."""

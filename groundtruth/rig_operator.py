@@ -48,8 +48,8 @@ class Operator:
 
     def __post_init__(self) -> None:
         """Raise `PlantError` for a value that no hand has."""
-        require_positive(PlantError, stiffness_N_per_m=self.stiffness_N_per_m, mass_kg=self.mass_kg)
-        require_non_negative(PlantError, damping_Ns_per_m=self.damping_Ns_per_m)
+        require_positive(PlantError, self, "stiffness_N_per_m mass_kg")
+        require_non_negative(PlantError, self, "damping_Ns_per_m")
 
 
 def random_operator(
