@@ -27,7 +27,7 @@ def check_files() -> None:
     assert any(path.endswith("licenses/LICENSE") for path in shipped), "no LICENSE in the wheel"
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
-    assert "needleforce/plots/page.html" in shipped
+    assert {f"needleforce/plots/{n}" for n in ("page.html", "chart.mplstyle")} <= set(shipped)
     for room in (
         "urdf",
         "residual",

@@ -18,7 +18,7 @@ from needleforce.plots import (
     require_matplotlib,
     save_figure,
 )
-from needleforce.plots.chart import SETTINGS, ChartError, WriteError, draw, limits_of
+from needleforce.plots.chart import STYLE, ChartError, WriteError, draw, limits_of
 
 pytest.importorskip("matplotlib")
 
@@ -49,7 +49,7 @@ def places(path, color):
 def drawn_axes(chart):
     from matplotlib import rc_context
 
-    with rc_context(SETTINGS):
+    with rc_context(fname=STYLE):
         return draw(chart).axes
 
 

@@ -163,30 +163,8 @@ def _inside(x: Array, x_limits: Span | None) -> NDArray[np.bool_]:
     return (x >= low) & (x <= high) & np.isfinite(x)
 
 
-SETTINGS: dict[Any, Any] = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: the same everywhere
-    "font.size": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.linewidth": 0.7,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#e3e3e3",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "legend.handlelength": 2.2,
-    "legend.columnspacing": 1.2,
-    "legend.labelspacing": 0.3,
-    "lines.solid_capstyle": "round",
-    "axes.formatter.useoffset": False,
-    "path.simplify_threshold": 0.8,  # thins a million points to those that are seen, with peaks
-    "text.parse_math": False,  # titles hold file names, and `$\frac{$.csv` is one
-    "svg.fonttype": "path",
-    "svg.hashsalt": "needleforce",  # equal charts give equal bytes
-    "pdf.fonttype": 42,  # journals refuse type 3
-}
-"""Of matplotlib; must hold while a chart is drawn and while it is saved."""
+STYLE = Path(__file__).with_name("chart.mplstyle")
+"""Must hold while a chart is drawn and while it is saved."""
 BAND_OPACITY, AREA_POINTS = 0.2, 1000
 LETTERS = 54  # of a title's line at the usual width
 LEGEND_ROW_IN = 0.17
@@ -217,9 +195,7 @@ def draw(chart: Chart) -> "Figure":
         for edge, side in zip(limits, (-1.0, 1.0), strict=True):
             _mark_what_is_cut(axes, panel.curves, edge, side, chart.x_limits)
     figure.align_ylabels(places)
-    places[-1].set_xlabel(chart.x_label)
-    if chart.x_limits is not None:
-        places[-1].set_xlim(*chart.x_limits)
+    places[-1].set(xlabel=chart.x_label, xlim=chart.x_limits)
     if chart.x_ticks:
         places[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
     room = chart.width_in / WIDTH_IN * LETTERS
@@ -348,7 +324,7 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
     from matplotlib import rc_context
 
     suffix, content = Path(path).suffix.lower(), BytesIO()
-    with rc_context(SETTINGS), warnings.catch_warnings():
+    with rc_context(fname=STYLE), warnings.catch_warnings():
         # A file name in a script that the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
         draw(chart).savefig(content, format=suffix[1:], **FORMATS[suffix])
