@@ -1,6 +1,9 @@
 """Drive the simulated arm along a motion and record what is true at each tick.
 
-The inner position loop is torque feed-forward and a stiff, mass-weighted PD.
+The inner position loop is torque feed-forward and a stiff, mass-weighted PD, held over each tick:
+tau = tau_ff + M (w^2 e + 2 w de). The mass matrix makes all directions of the arm equally fast,
+whatever its posture. The loop reads the true joint state: it runs inside the robot on the fine
+motor encoders, while the noise of a plant model belongs to what the robot's interface reports.
 """
 
 from collections.abc import Callable
@@ -76,8 +79,9 @@ def drive(
     q_rad, dq_rad_s = motion
     plant.place(q_rad[0], dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
-        error = q_rad[k] - plant.q_rad
-        torque = _joint_torque(error, dq_rad_s[k] - plant.dq_rad_s, mass[k // MASS_TICKS], ahead)
+        error, slip = q_rad[k] - plant.q_rad, dq_rad_s[k] - plant.dq_rad_s
+        acceleration = BANDWIDTH_rad_s**2 * error + 2.0 * BANDWIDTH_rad_s * slip
+        torque = ahead + mass[k // MASS_TICKS] @ acceleration
         if k % _REPORT_TICKS == 0:
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
                 raise PlantError(
@@ -111,15 +115,3 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
         np.array([pin.rnea(model, data, *middle) for middle in middles]),
         np.array([pin.crba(model, data, row).copy() for row in q[:-1:MASS_TICKS]]),
     )
-
-
-def _joint_torque(error_rad: Array, error_rad_s: Array, mass: Array, ahead_Nm: Array) -> Array:
-    """Torque to hold over the next tick: tau = tau_ff + M (w^2 e + 2 w de).
-
-    The mass matrix makes all directions of the arm equally fast, whatever its posture. The loop
-    reads the true joint state: it runs inside the robot on the fine motor encoders, while the
-    noise of a plant model belongs to what the robot's interface reports.
-    """
-    acceleration = (BANDWIDTH_rad_s * BANDWIDTH_rad_s) * error_rad
-    acceleration += (2.0 * BANDWIDTH_rad_s) * error_rad_s
-    return ahead_Nm + mass @ acceleration
