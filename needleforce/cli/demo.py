@@ -78,19 +78,15 @@ def _teleop(progress: Progress) -> Shown:
     hand = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=108e-3, scale=0.4)
     made = demo_runs.teleoperate(arm, hand, seed=1, delay_s=0.01, progress=progress)
     felt = demo_runs.ruptures_felt(made)
-    rows = tuple(
-        (
-            f"rupture {k}: contrast with, without compensation",
-            f"{100 * item.shown_drop:.0f} %, {100 * item.raw_drop:.0f} %",
-        )
-        for k, item in enumerate(felt, 1)
-    )
-    rows += (
-        ("alarms for ruptures", f"{len(made.alarms_s)} for {len(felt)}"),
-        ("least energy at the hand's port", f"{1e3 * made.least_energy_J:.3f} mJ"),
-        ("drift between hand and needle", f"{1e3 * abs(made.drift_m):.2f} mm"),
-    )
-    return Shown("Teleoperation, 10 ms of delay each way", rows, _teleop_charts(made))
+    rows = {}
+    for k, item in enumerate(felt, 1):
+        text = f"{100 * item.shown_drop:.0f} %, {100 * item.raw_drop:.0f} %"
+        rows[f"rupture {k}: contrast with, without compensation"] = text
+    rows["alarms for ruptures"] = f"{len(made.alarms_s)} for {len(felt)}"
+    rows["least energy at the hand's port"] = f"{1e3 * made.least_energy_J:.3f} mJ"
+    rows["drift between hand and needle"] = f"{1e3 * abs(made.drift_m):.2f} mm"
+    title = "Teleoperation, 10 ms of delay each way"
+    return Shown(title, tuple(rows.items()), _teleop_charts(made))
 
 
 def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:

@@ -74,39 +74,25 @@ SLICE = (
 def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
     by_plan, corrected = (f"{1e3 * error:.1f} mm" for error in made.errors_m)
     true = made.truth[0] @ made.target_m + made.truth[1]
-    errors = [
-        1e3 * np.linalg.norm(r.to_robot(made.target_m) - true) for r in (made.rough, made.fine)
-    ]
-    stated = [1e3 * r.tre_m(made.target_m) for r in (made.rough, made.fine)]
     path = ", ".join(f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan)
-    rows = [
-        ("planned path", path),
-        (
-            f"registration by {LANDMARKS} landmarks",
-            f"{errors[0]:.1f} mm at the target, {stated[0]:.1f} stated",
-        ),
-        (
-            f"and {TOUCHES} touches of the skin",
-            "refused: the skin slides or spins on itself"
-            if made.fine is made.rough
-            else f"{errors[1]:.1f} mm at the target, {stated[1]:.1f} stated",
-        ),
-    ]
+    ways = []
+    for each in (made.rough, made.fine):
+        error, std = np.linalg.norm(each.to_robot(made.target_m) - true), each.tre_m(made.target_m)
+        ways.append(f"{1e3 * error:.1f} mm at the target, {1e3 * std:.1f} stated")
+    if made.fine is made.rough:
+        ways[1] = "refused: the skin slides or spins on itself"
+    rows = {"planned path": path, f"registration by {LANDMARKS} landmarks": ways[0]}
+    rows[f"and {TOUCHES} touches of the skin"] = ways[1]
     for k, (depth, state) in enumerate(made.states, 1):
         where = f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
-        rows.append(
-            (
-                f"rupture {k} at {1e3 * depth:.1f} mm",
-                f"{where} ({100 * state.matched_probability:.0f} %); all lies "
-                f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper",
-            )
+        rows[f"rupture {k} at {1e3 * depth:.1f} mm"] = (
+            f"{where} ({100 * state.matched_probability:.0f} %); all lies "
+            f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper"
         )
-    rows += [
-        ("true shift along the needle", f"{1e3 * made.shift_m:+.1f} mm"),
-        ("tip from the target, by the plan alone", by_plan),
-        ("tip from the target, corrected by force", corrected),
-    ]
-    return tuple(rows)
+    rows["true shift along the needle"] = f"{1e3 * made.shift_m:+.1f} mm"
+    rows["tip from the target, by the plan alone"] = by_plan
+    rows["tip from the target, corrected by force"] = corrected
+    return tuple(rows.items())
 
 
 def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
