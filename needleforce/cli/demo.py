@@ -16,6 +16,7 @@ from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, control, plots
 from needleforce.cli import demo_runs
 from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, Teleinsertion
+from needleforce.cli.live_options import DemoOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture
 from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel, Shading, palette
@@ -52,17 +53,17 @@ class Shown(NamedTuple):
         write_out(f"{plots.write_page(folder / PAGE, page)}\n")
 
 
-def run(kind: str, folder: Path | None, picture: Path | None) -> int:
+def run(kind: str, options: DemoOptions) -> int:
     """Run a demonstration, print its table, and write what was asked for."""
-    if folder is not None or picture is not None:
+    if options.report is not None or options.figure is not None:
         plots.require_matplotlib("demo")
     if kind not in DEMOS:
         raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
     with progress_bar(f"demonstrating {kind}") as progress:
         shown = DEMOS[kind](progress)
-    shown.write(kind, folder)
-    if picture is not None:
-        plots.save_figure(shown.charts[0][1], picture)
+    shown.write(kind, options.report)
+    if options.figure is not None:
+        plots.save_figure(shown.charts[0][1], options.figure)
     return 0
 
 

@@ -115,10 +115,7 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
     """Entry on the skin and a target inside an organ: the way through the most tissues.
 
     Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`, and of
-    `LENGTHS_m`; of as many tissues the shortest.
-
-    Raises:
-        CommandError: There is none from the front.
+    `LENGTHS_m`; of as many tissues the shortest. `CommandError` if there is none from the front.
     """
     organ_mask, corner = labels.mask(organ), [part.start for part in labels[organ].box]
     core = ndimage.binary_erosion(organ_mask, iterations=3)

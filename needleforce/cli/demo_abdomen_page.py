@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from needleforce.cli.demo import Shown
 from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
+from needleforce.cli.live_options import DemoOptions
 from needleforce.cli.live_view import LEAST_VOXELS, description
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
@@ -20,15 +21,16 @@ NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
 """Modules, all of extras, and the packages that bring them."""
 
 
-def run(folder: Path | None, picture: Path | None, data: Path | None, seed: int) -> int:
+def run(options: DemoOptions) -> int:
     """Do it, print a table, and write a page or its first picture; return the exit code."""
+    folder, picture = options.report, options.figure
     if folder is not None or picture is not None:
         require_matplotlib("demo")
     for name, package in NEEDED.items():
         if find_spec(name) is None:
             raise CommandError(f"demo abdomen needs {package}; pip install {package}")
     with progress_bar("demonstrating abdomen") as progress:
-        made = insert(data, seed, progress)
+        made = insert(options.data, options.seed, progress)
 
     def drawn(folder: Path) -> list[PageFigure]:
         plane = draw_slice(made, folder / "slice.png")

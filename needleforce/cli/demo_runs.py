@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth.rig_arm import ArmTruth, SimulatedArm
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue import Rupture
@@ -74,6 +74,20 @@ class Teleinsertion:
         """One column as an array."""
         return np.array(getattr(self, name))
 
+    def note(
+        self, truth: ArmTruth, estimate: SessionEstimate, shown_N: float, master: HapticMaster
+    ) -> None:
+        """Take a row."""
+        self.t_s.append(truth.t_s)
+        self.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
+        self.tip_N.append(truth.tissue.tip_N)
+        self.raw_N.append(estimate.wrench.axial)
+        self.shown_N.append(shown_N)
+        self.energy_J.append(master.port_energy_J)
+        self.is_open.append(not master.clutch)
+        if estimate.used_for_identification and estimate.identification.rupture is not None:
+            self.alarms_s.append(truth.t_s)
+
 
 class _Approach:
     """Tares over a free stroke; speed until it is done."""
@@ -122,7 +136,7 @@ def teleoperate(
             wanted_m += hand.scale * (master.position_m[2] - before_m) * master.clutch
             master.render(move.force_N)
             speed_m_s = move.speed_m_s
-            _note(found, arm, estimate, tele.shown_N, master)
+            found.note(arm.truth, estimate, tele.shown_N, master)
             progress(1.0 - (end_s - arm.time_s) / (hand.duration_s + SETTLE_S))
         arm.send(control.update(sample, [shaft, AxialSpeed(speed_m_s or 0.0), posture]).dq_rad_s)
         if arm.time_s > end_s:
@@ -131,25 +145,6 @@ def teleoperate(
     found.drift_m = found.depth_m[-1] - found.depth_m[0] - wanted_m
     found.ruptures = arm.tissue_truth().ruptures
     return found
-
-
-def _note(
-    found: Teleinsertion,
-    arm: SimulatedArm,
-    estimate: SessionEstimate,
-    shown_N: float,
-    master: HapticMaster,
-) -> None:
-    truth = arm.truth
-    found.t_s.append(truth.t_s)
-    found.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
-    found.tip_N.append(truth.tissue.tip_N)
-    found.raw_N.append(estimate.wrench.axial)
-    found.shown_N.append(shown_N)
-    found.energy_J.append(master.port_energy_J)
-    found.is_open.append(not master.clutch)
-    if estimate.used_for_identification and estimate.identification.rupture is not None:
-        found.alarms_s.append(truth.t_s)
 
 
 class RuptureFelt(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.live_options import OUTPUT, LiveOptions, ViewOptions, WatchOptions
+from needleforce.cli.live_options import OUTPUT, DemoOptions, LiveOptions, ViewOptions, WatchOptions
 from needleforce.cli.options import LOG, RobotOptions, app
 
 LWR = RobotOptions()  # The arm unless another is named
@@ -88,27 +88,7 @@ def demo_command(
     ],
     /,
     *,
-    report: Annotated[
-        Path | None, Parameter(metavar="DIR", group=OUTPUT, help="Folder for a page.")
-    ] = None,
-    figure: Annotated[
-        Path | None,
-        Parameter(
-            name=("--figure", "--png"),
-            metavar="FILE",
-            group=OUTPUT,
-            help="First figure of that page: .png, .svg or .pdf.",
-        ),
-    ] = None,
-    data: Annotated[
-        Path | None,
-        Parameter(
-            metavar="DIR",
-            group=LOG,
-            help="For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso.",
-        ),
-    ] = None,
-    seed: Annotated[int, Parameter(metavar="N", group=LOG, help="For abdomen.")] = 0,
+    options: DemoOptions = DemoOptions(),
 ) -> int:
     """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
 
@@ -120,7 +100,7 @@ def demo_command(
     if kind == "abdomen":
         from needleforce.cli import demo_abdomen_page
 
-        return demo_abdomen_page.run(report, figure, data, seed)
+        return demo_abdomen_page.run(options)
     from needleforce.cli.demo import run
 
-    return run(kind, report, figure)
+    return run(kind, options)

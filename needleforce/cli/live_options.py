@@ -1,4 +1,4 @@
-"""Options of `record`, `live` and `view`; the text below a field is its help."""
+"""Options of `record`, `live`, `view` and `demo`; the text below a field is its help."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,3 +65,18 @@ class ViewOptions:
     """Address on which the page is served (default: 127.0.0.1, this machine alone)."""
     port: Annotated[int, Parameter(metavar="N", group=OUTPUT)] = 8080
     """Port of that page (default: 8080); another is used if it is busy."""
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """Where a demonstration goes, and what that of the abdomen begins with."""
+
+    report: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    """Folder for a page."""
+    figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
+    """First figure of that page: .png, .svg or .pdf."""
+    data: Annotated[Path | None, Parameter(metavar="DIR", group=LOG)] = None
+    """For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso."""
+    seed: Annotated[int, Parameter(metavar="N", group=LOG)] = 0
+    """For abdomen."""
