@@ -20,10 +20,8 @@ from needleforce.cli.live_options import DemoOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture
 from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel, Shading, palette
-from needleforce.plots.page import PAGE
 from residual import SensorConfig, Status, VirtualForceSensor
 
-Rows = tuple[tuple[str, str], ...]
 Progress = Callable[[float], None]
 Drawn = Callable[[Path], list[PageFigure]]  # into a folder
 NEVER = "Simulation only: not a medical device."
@@ -33,7 +31,7 @@ class Shown(NamedTuple):
     """What a demonstration has to show."""
 
     title: str
-    rows: Rows
+    rows: tuple[tuple[str, str], ...]
     charts: tuple[tuple[str, Chart, str], ...]  # name of the file, the chart, its caption
 
     def write(self, kind: str, folder: Path | None, first: Drawn = lambda _: []) -> None:
@@ -50,7 +48,7 @@ class Shown(NamedTuple):
         content = {"figures": tuple(figures), "tables": (table,)}
         section = plots.Section(heading=self.title, anchor=kind, **content)
         page = plots.Page(title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,))
-        write_out(f"{plots.write_page(folder / PAGE, page)}\n")
+        write_out(f"{plots.write_page(folder / plots.PAGE, page)}\n")
 
 
 def run(kind: str, options: DemoOptions) -> int:

@@ -227,17 +227,12 @@ class ForceResult:
         """Save the charts of a report in a folder and return the sections of its page."""
         travel_m = self.rows["travel_m"][has_status(self.rows, Status.OK)]
         is_moving = len(travel_m) and np.ptp(travel_m) >= _LEAST_TRAVEL_M
-        figures = tuple(
-            plots.save_page_figure(
-                self.chart(over),
-                folder / f"forces-over-{over}.svg",
-                alt=f"Estimated forces of {self.log} over {over}",
-                caption=caption,
-                is_alone=True,
-            )
-            for over, caption in _CAPTIONS.items()
-            if over == "time" or is_moving
-        )
+        figures: tuple[plots.PageFigure, ...] = ()
+        for over, caption in _CAPTIONS.items():
+            if over == "time" or is_moving:
+                words = {"alt": f"Estimated forces of {self.log} over {over}", "caption": caption}
+                chart, place = self.chart(over), folder / f"forces-over-{over}.svg"
+                figures += (plots.save_page_figure(chart, place, is_alone=True, **words),)
         made = f"Made by `needleforce force`: {self.replay.description}."
         caption, lines = "What was used, done and found", tuple(self.summary())
         summary = plots.PageTable(caption=caption, head=("", ""), rows=lines)

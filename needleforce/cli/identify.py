@@ -184,12 +184,10 @@ class IdentificationResult:
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the chart of a report in a folder and return the sections of its page."""
+        place = folder / "layers.svg"
+        alt = f"Forces and identified parameters of {self.log} over time"
         figure = plots.save_page_figure(
-            self.chart(),
-            folder / "layers.svg",
-            alt=f"Forces and identified parameters of {self.log} over time",
-            caption=_CAPTION,
-            is_alone=True,
+            self.chart(), place, alt=alt, caption=_CAPTION, is_alone=True
         )
         table = plots.PageTable(
             caption="Layers traversed" if self.layers else "No rupture detected.",

@@ -13,7 +13,6 @@ from needleforce import plots, recordings
 from needleforce.cli import terminal
 from needleforce.cli.options import Columns, Output, Over
 from needleforce.cli.terminal import CommandError, say
-from needleforce.plots.page import PAGE
 from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
 from needleforce.recordings import output as output_files
 from needleforce.recordings.errors import readable_path
@@ -155,7 +154,7 @@ def run_log(
             notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
             sections = (replace(first, notices=notices), *others)
             title = f"{first.heading} from {log.name}"
-            plots.write_page(folder / PAGE, plots.Page(title=title, sections=sections))
+            plots.write_page(folder / plots.PAGE, plots.Page(title=title, sections=sections))
     terminal.write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
 
@@ -166,7 +165,7 @@ def check_outputs(source: str, output: Output) -> None:
     if start is not None and end is not None and not start < end:
         raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
     named: dict[str, Any] = {"-o": None if output.output == STANDARD_STREAM else output.output}
-    named |= {"--figure": output.figure, "--report": output.report and output.report / PAGE}
+    named |= {"--figure": output.figure, "--report": output.report and output.report / plots.PAGE}
     paths = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)

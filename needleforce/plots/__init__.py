@@ -19,6 +19,7 @@ from needleforce.plots.chart import (
     save_figure as save_figure,
 )
 from needleforce.plots.page import (
+    PAGE as PAGE,
     Page as Page,
     PageFigure as PageFigure,
     PageTable as PageTable,
