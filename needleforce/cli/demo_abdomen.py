@@ -92,9 +92,8 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
         torso = analytic_torso(rng)
         skin = torso["fat"]
         half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4
-        grid = Grid(
-            tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half, VOXEL_m * np.eye(3)
-        )
+        shape, corner_m = tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half
+        grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
         structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
         return Labels.of([torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures)
     scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
@@ -216,13 +215,12 @@ def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     """Layers of the simulation as thick as those of the plan, and one behind the target."""
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "fat": fat, "cavity": fat}
-    layers = [
-        replace(
-            kinds.get(layer.name, muscle), name=layer.name, thickness_m=layer.exit_m - layer.entry_m
-        )
-        for layer in plan
-    ]
-    return (*layers[:-1], replace(layers[-1], thickness_m=layers[-1].thickness_m + 2.0 * BEYOND_m))
+    thick_m = np.array([layer.exit_m - layer.entry_m for layer in plan])
+    thick_m[-1] += 2.0 * BEYOND_m
+    return tuple(
+        replace(kinds.get(layer.name, muscle), name=layer.name, thickness_m=each_m)
+        for layer, each_m in zip(plan, thick_m.tolist(), strict=True)
+    )
 
 
 def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction: None) -> Insertion:
@@ -231,10 +229,8 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     labels = read_torso(folder, rng)
     entry, target = plan_path(labels, "liver", rng)
     plan = thick_layers(labels.layers_along(entry, target))
-    truth = (
-        Rotation.from_euler("x", 90.0 + 5.0 * rng.normal(), degrees=True).as_matrix(),
-        (np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)),
-    )
+    turn = Rotation.from_euler("x", 90.0 + 5.0 * rng.normal(), degrees=True).as_matrix()
+    truth = turn, np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)
     rough, fine = register(labels, entry, truth, rng)
     axis = truth[0] @ ((target - entry) / np.linalg.norm(target - entry))
     wrong = float((truth[0] @ target + truth[1] - fine.to_robot(target)) @ axis)

@@ -115,9 +115,8 @@ def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
         panels=(Panel(y_label=palette.FORCE, curves=forces),),
         instants=marks,
     )
-    return (
-        ("force", chart, "Force over depth: where the plan expected boundaries, where they were."),
-    )
+    caption = "Force over depth: where the plan expected boundaries, where they were."
+    return (("force", chart, caption),)
 
 
 def draw_slice(made: Insertion, path: Path) -> Path:

@@ -254,8 +254,6 @@ _CAPTIONS: dict[cli.Over, str] = {
 }
 _LEAST_TRAVEL_M = 1e-3  # a chart over travel has nothing to show where the tool hardly moves
 
-# Charts.
-
 _PANEL_IN = 2.2
 _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 
