@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache
 from operator import attrgetter
 from typing import Any, BinaryIO, NamedTuple
@@ -11,7 +11,14 @@ import numpy as np
 
 from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, LogError, optional_library
-from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns, to_nanoseconds
+from needleforce.recordings.table import (
+    NS_PER_S,
+    Append,
+    Columns,
+    Labels,
+    flat_columns,
+    to_nanoseconds,
+)
 
 STANDARD = "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
 CDR = "cdr"
@@ -179,7 +186,7 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
     """
     types = standard_types().types
     left = {name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()}
-    del left["t_s"]
+    left.pop("t_s", None)
     signals = {name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2}
     width = next(iter(signals.values())).shape[1] if signals else 0
     signals = {name: left.pop(name) for name, v in signals.items() if v.shape[1] == width}
@@ -230,43 +237,36 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
     return name, kind, (types[kind](header, content) for header, content in rows)
 
 
-class McapWriter:
-    """Writes one MCAP file, compressed, with checksums: of each row a message on each topic."""
+@contextmanager
+def mcap_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
+    """Write one MCAP file, compressed, with checksums: of each row a message on each topic.
 
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        self._types, self._labels, self._stream = standard_types(), labels, stream
-        self._channels: dict[str, int] = {}
-        library = optional_library("mcap.writer", "MCAP files")
-        self._bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
-        self._bag.start(profile="ros2", library="needleforce")
+    `LogError` if there is no time stamp `t_s`, or one that no message can carry.
+    """
+    types, places = standard_types(), list[tuple[int, str]]()
+    library = optional_library("mcap.writer", "MCAP files")
+    bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
+    bag.start(profile="ros2", library="needleforce")
+    for name, kind, _ in bag_topics(first, labels, ()):
+        text, _ = types.generate_msgdef(kind, ros_version=2)
+        schema = bag.register_schema(kind, "ros2msg", text.encode())
+        places.append((bag.register_channel(name, CDR, schema), kind))
 
-    def append(self, columns: Columns) -> None:
-        """Write rows of checked columns, the same in every call.
-
-        `LogError` if there is no time stamp `t_s`, or one that no message can carry.
-        """
+    def append(columns: Columns) -> None:
         t_s = columns.get("t_s")
         if t_s is None or t_s.ndim != 1:
             raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
         if not np.isfinite(t_s).all():
             raise LogError("a bag needs a time stamp in every row; one is not finite")
-        stamps_ns = to_nanoseconds(t_s, self._labels.start_ns).tolist()
+        stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
         if min(stamps_ns, default=0) < 0:
             raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
-        topics = list(bag_topics(columns, self._labels, stamps_ns))
-        for name, kind, _ in topics:
-            if name not in self._channels:
-                text, _ = self._types.generate_msgdef(kind, ros_version=2)
-                schema = self._bag.register_schema(kind, "ros2msg", text.encode())
-                self._channels[name] = self._bag.register_channel(name, CDR, schema)
-        serialize = self._types.serialize_cdr
-        places = [(self._channels[name], kind) for name, kind, _ in topics]
-        rows = zip(*(messages for *_, messages in topics), strict=True)
-        for stamp_ns, messages in zip(stamps_ns, rows, strict=bool(topics)):
-            for (channel, kind), message in zip(places, messages, strict=True):
-                self._bag.add_message(channel, stamp_ns, serialize(message, kind), stamp_ns)
-        self._stream.flush()  # for readers of a file that grows
+        rows = (messages for *_, messages in bag_topics(columns, labels, stamps_ns))
+        for stamp_ns, *row in zip(stamps_ns, *rows, strict=True):
+            for (channel, kind), message in zip(places, row, strict=True):
+                data = types.serialize_cdr(message, kind)
+                bag.add_message(channel, stamp_ns, data, stamp_ns)
+        stream.flush()  # for readers of a file that grows
 
-    def finish(self) -> None:
-        """Write the index."""
-        self._bag.finish()
+    yield append
+    bag.finish()  # writes the index

@@ -4,6 +4,8 @@ Both are held in memory as a whole; pickled objects are never loaded.
 """
 
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import IO, Any, BinaryIO
@@ -13,6 +15,7 @@ import numpy as np
 from needleforce.recordings.errors import FormatError, file_errors, optional_library, require_size
 from needleforce.recordings.table import (
     START_KEY,
+    Append,
     Columns,
     Labels,
     Table,
@@ -80,28 +83,24 @@ def _npy_size(stream: IO[bytes]) -> int:
     return prod(shape) * max(dtype.itemsize, 8)
 
 
-class NpzWriter:
-    """Collects rows in memory, since an archive cannot be appended to; writes it at the end."""
+@contextmanager
+def npz_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
+    """Collect rows in memory, since an archive cannot be appended to; write it at the end."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in first}
 
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        self._stream, self._start_ns = stream, labels.start_ns
-        self._parts: dict[str, list[np.ndarray]] = {}
-
-    def append(self, columns: Columns) -> None:
-        """Take rows of checked columns, the same in every call."""
+    def append(columns: Columns) -> None:
         for name, values in columns.items():
-            self._parts.setdefault(name, []).append(np.array(values))
+            parts[name].append(np.array(values))
 
-    def finish(self) -> None:
-        """Write the archive."""
-        arrays = {name: np.concatenate(parts) for name, parts in self._parts.items()}
-        if self._start_ns:
-            arrays[START_KEY] = np.array(self._start_ns, dtype=np.int64)
-        # numpy.savez could not write a column called "file".
-        with zipfile.ZipFile(self._stream, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name, values in arrays.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, values)
+    yield append
+    arrays = {name: np.concatenate(found) for name, found in parts.items()}
+    if labels.start_ns:
+        arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
+    # numpy.savez could not write a column called "file".
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values)
 
 
 def read_parquet(path: Path, max_bytes: int) -> Table:
@@ -160,27 +159,18 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds)
 
 
-class ParquetWriter:
-    """Writes each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
+@contextmanager
+def parquet_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
+    """Write each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
+    arrow = optional_library("pyarrow", "Parquet files")
+    parquet = optional_library("pyarrow.parquet", "Parquet files")
+    metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
+    schema = arrow.table(flat_columns(first), metadata=metadata).schema
+    writer = parquet.ParquetWriter(stream, schema, write_page_checksum=True)
 
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        self._arrow = optional_library("pyarrow", "Parquet files")
-        self._parquet = optional_library("pyarrow.parquet", "Parquet files")
-        self._stream = stream
-        self._metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
-        self._writer: Any = None
+    def append(columns: Columns) -> None:
+        if (table := arrow.table(flat_columns(columns))).num_rows:
+            writer.write_table(table)
 
-    def append(self, columns: Columns) -> None:
-        """Write rows of checked columns, the same in every call."""
-        table = self._arrow.table(flat_columns(columns), metadata=self._metadata)
-        if self._writer is None:
-            self._writer = self._parquet.ParquetWriter(
-                self._stream, table.schema, write_page_checksum=True
-            )
-        if table.num_rows:
-            self._writer.write_table(table)
-
-    def finish(self) -> None:
-        """Write the table of contents, without which the file cannot be read."""
-        if self._writer is not None:
-            self._writer.close()
+    yield append
+    writer.close()  # writes the table of contents, without which the file cannot be read

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from math import nan
 from typing import BinaryIO
 
@@ -15,6 +15,7 @@ from needleforce.recordings.follow import FollowOptions, TextLines
 from needleforce.recordings.table import (
     HEAD_ROWS,
     START_KEY,
+    Append,
     Columns,
     Faults,
     FloatArray,
@@ -261,27 +262,20 @@ def csv_tables(
     yield Table(columns=dict.fromkeys(kept, np.empty(0)), warnings=warnings)
 
 
-class CsvWriter:
-    """Writes a header and rows that read back bit for bit; the start of the clock as a comment."""
+@contextmanager
+def csv_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
+    """Write a header and rows that read back bit for bit; the start of the clock as a comment."""
+    header = io.StringIO()
+    header.write(f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else "")
+    csv.writer(header, lineterminator="\n").writerow(flat_columns(first))
+    stream.write(header.getvalue().encode())
 
-    def __init__(self, stream: BinaryIO, labels: Labels) -> None:
-        self._comment = f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else ""
-        self._stream, self._has_header = stream, False
-
-    def append(self, columns: Columns) -> None:
-        """Write rows of checked columns, the same in every call."""
-        flat = flat_columns(columns)
-        if not self._has_header:
-            header = io.StringIO()
-            csv.writer(header, lineterminator="\n").writerow(flat)
-            self._stream.write((self._comment + header.getvalue()).encode())
-            self._has_header = True
+    def append(columns: Columns) -> None:
         # repr is the shortest text that reads back to the same float.
-        cells = (v.astype(int) if v.dtype.kind == "b" else v for v in flat.values())
-        texts = (map(repr, column.tolist()) for column in cells)
+        flat = flat_columns(columns).values()
+        texts = (map(repr, (v.astype(int) if v.dtype.kind == "b" else v).tolist()) for v in flat)
         if rows := [",".join(row) for row in zip(*texts, strict=True)]:
-            self._stream.write(("\n".join(rows) + "\n").encode())
-        self._stream.flush()  # for readers of a file that grows
+            stream.write(("\n".join(rows) + "\n").encode())
+        stream.flush()  # for readers of a file that grows
 
-    def finish(self) -> None:
-        """Do nothing: all is written."""
+    yield append

@@ -2,38 +2,41 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from itertools import combinations
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from numpy.typing import ArrayLike
 
 from needleforce.files import whole_file
 from needleforce.recordings.bag_messages import METADATA, is_bag
-from needleforce.recordings.bag_types import McapWriter
-from needleforce.recordings.columnar import NpzWriter, ParquetWriter
-from needleforce.recordings.csv_file import CsvWriter
+from needleforce.recordings.bag_types import mcap_writer
+from needleforce.recordings.columnar import npz_writer, parquet_writer
+from needleforce.recordings.csv_file import csv_writer
 from needleforce.recordings.errors import FileAccessError, LogError, file_errors
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
-from needleforce.recordings.table import Labels, checked_columns
+from needleforce.recordings.table import Append, Columns, Labels, checked_columns
 
-WRITERS: Mapping[str, Callable[[BinaryIO, Labels], Any]] = {
-    ".csv": CsvWriter,
-    ".npz": NpzWriter,
-    ".parquet": ParquetWriter,
-    ".mcap": McapWriter,
+Writer = Callable[[BinaryIO, Labels, Columns], AbstractContextManager[Append]]
+"""Begins a table of checked columns, gives what writes its rows, and finishes it at the end."""
+
+WRITERS: Mapping[str, Writer] = {
+    ".csv": csv_writer,
+    ".npz": npz_writer,
+    ".parquet": parquet_writer,
+    ".mcap": mcap_writer,
 }
-"""By suffix, what appends checked columns to a stream and finishes it."""
+"""By the suffix of a file."""
 
 
 class OpenTable:
-    """A table of `open_table`; `begin` opens its file with the first rows and returns a writer."""
+    """A table of `open_table`; `begin` opens its file when the first rows are there."""
 
-    def __init__(self, begin: Callable[[], Any], name: str) -> None:
+    def __init__(self, begin: Callable[[Columns], Append], name: str) -> None:
         self._begin, self._name = begin, name
-        self.writer: Any = None  # once there are rows
+        self._write: Append | None = None
         self._kinds: list[str] = []
 
     def append(self, columns: Mapping[str, ArrayLike]) -> None:
@@ -44,13 +47,13 @@ class OpenTable:
         arrays = checked_columns(columns)
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
         with file_errors(self._name, "write"):
-            if self.writer is None:
-                self.writer, self._kinds = self._begin(), kinds
+            if self._write is None:
+                self._write, self._kinds = self._begin(arrays), kinds
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
                 )
-            self.writer.append(arrays)
+            self._write(arrays)
 
 
 @contextmanager
@@ -68,20 +71,21 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, writer, file = "standard output", CsvWriter, nullcontext(sys.stdout.buffer)
+        name, writer, file = "standard output", csv_writer, nullcontext(sys.stdout.buffer)
     else:
         name, writer = str(path), _find_writer(Path(path))
         file = whole_file(path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap")))
     with ExitStack() as files:
-        table = OpenTable(lambda: writer(files.enter_context(file), labels()), name)
-        yield table
+
+        def begin(first: Columns) -> Append:
+            return files.enter_context(writer(files.enter_context(file), labels(), first))
+
+        yield OpenTable(begin, name)
         with file_errors(name, "write"):
-            if table.writer is not None:
-                table.writer.finish()
             files.close()
 
 
-def _find_writer(path: Path) -> Callable[[BinaryIO, Labels], Any]:
+def _find_writer(path: Path) -> Writer:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer

@@ -1,7 +1,7 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -12,6 +12,7 @@ from needleforce.recordings.errors import FormatError, LogError
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
+Append = Callable[[Columns], None]  # writes rows of checked columns, the same in every call
 
 HEAD_ROWS = 200  # So many rows decide which columns a stream has, however they arrive
 START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
