@@ -7,10 +7,7 @@ snapshot is of, and the SHA-256 of its bytes; see docs/loop.md.
 """
 
 import hashlib
-import math
 import os
-from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_type_hints
 
@@ -23,12 +20,12 @@ from identification.published_identifier import PublishedState
 from identification.switching_identifier import SwitchingState
 from needleforce.files import whole_file
 from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
+from residual.snapshot import arrays
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
 SNAPSHOT_VERSION = 22  # Grows whenever a file of the one before cannot be read, or is misread
 MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
-LARGEST = 1e30  # no number of a snapshot comes near it; its square can still be calculated with
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 
@@ -38,8 +35,6 @@ _METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
 }
-_NOT_FINITE = {"limit_s": math.inf}
-"""The only field in which a number may be other than finite, and which it then is."""
 
 
 class _Envelope(msgspec.Struct, forbid_unknown_fields=True):
@@ -108,17 +103,9 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     _check_envelope(envelope, path)
     try:
         snapshot = _decoded(envelope)
+        list(arrays(snapshot))  # refuses numbers that no state can have
     except (msgspec.MsgspecError, RecursionError, ValueError, TypeError) as error:
         raise SnapshotFileError(f"{path} is damaged: {error}") from error
-    for place, number in _numbers(snapshot, "snapshot"):
-        if isinstance(number, float) and abs(number) <= LARGEST:  # almost every one
-            continue
-        odd = np.extract(~(np.abs(number) <= LARGEST), number)
-        allowed = np.full(odd.shape, _NOT_FINITE.get(place, 0.0))
-        if not np.array_equal(odd, allowed, equal_nan=True):
-            raise SnapshotFileError(
-                f"the snapshot is damaged: {place} cannot be {str(number)[:80]}"
-            )
     return snapshot
 
 
@@ -197,16 +184,3 @@ def _array(kind: Any, plain: Any) -> Any:
     array = np.array(flat.reshape(shape, order=order), order=order)
     array.setflags(write=False)
     return array
-
-
-def _numbers(value: Any, place: str) -> Iterator[tuple[str, Any]]:
-    """Every float and array of a state tree, with the name of its field."""
-    if isinstance(value, float | np.ndarray):
-        yield place, value
-    elif is_dataclass(value):
-        for field in fields(value):
-            yield from _numbers(getattr(value, field.name), field.name)
-    elif isinstance(value, tuple):
-        names = getattr(value, "_fields", None) or (place,) * len(value)
-        for name, item in zip(names, value, strict=True):
-            yield from _numbers(item, name)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
 from types import UnionType
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ LIKE = {
     "stream.guard.swept": "stream.guard.velocity",
 }
 """Places of arrays that a new sensor has not got yet, and others of the same shape."""
+LARGEST = 1e30  # No number of a state is larger; its square can still be calculated with
 _SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
 
 
@@ -32,24 +33,29 @@ def _names(node: object) -> tuple[str, ...]:
     return getattr(type(node), "_fields", ())
 
 
-def _arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """Every array of a tree, and where it stands: names of fields with dots between.
 
-    Refuses a part that is of another kind than its field, or a number that is not finite.
+    Refuses a part that is of another kind than its field, or a number that no state can have.
     """
     if isinstance(node, np.ndarray):
         yield place, node
-    # A limit may be infinite.
-    is_number = isinstance(node, np.ndarray | float) and not place.endswith("alone.limit_s")
-    if is_number and not np.isfinite(node).all():
-        raise SnapshotError(f"{place} is not finite")
+    if isinstance(node, np.ndarray | float):
+        # A limit may be infinite.
+        allowed = (np.abs(node) <= LARGEST) | (place.endswith("alone.limit_s") & (node == np.inf))
+        if not np.all(allowed):
+            raise SnapshotError(f"{place} cannot be {str(node)[:80]}")
     hints = get_type_hints(type(node)) if _names(node) else {}
     for name in _names(node):
-        part, where = getattr(node, name), f"{place}.{name}" if place else name
-        kinds = get_args(hints[name]) if isinstance(hints[name], UnionType) else (hints[name],)
-        if not isinstance(part, tuple(get_origin(kind) or kind for kind in kinds)):
-            raise SnapshotError(f"{where} is a {type(part).__name__}, expected {hints[name]}")
-        yield from _arrays(part, where)
+        part, hint, where = getattr(node, name), hints[name], f"{place}.{name}" if place else name
+        given = get_args(hint) if isinstance(hint, UnionType) else (hint,)
+        kinds = tuple(get_origin(kind) or kind for kind in given)
+        if Literal not in kinds and not isinstance(part, kinds):
+            raise SnapshotError(f"{where} is a {type(part).__name__}, expected {hint}")
+        yield from arrays(part, where)
+    if isinstance(node, tuple) and not hints:
+        for k, part in enumerate(node):
+            yield from arrays(part, f"{place}.{k}")
 
 
 def check_form(state: object, model: object) -> None:
@@ -57,8 +63,8 @@ def check_form(state: object, model: object) -> None:
 
     `SnapshotError` with the array that differs, or what is missing.
     """
-    expected = {place: array.shape for place, array in _arrays(model)}
-    for place, array in _arrays(state):
+    expected = {place: array.shape for place, array in arrays(model)}
+    for place, array in arrays(state):
         first = 1 if place.endswith(GROWING) else 0
         wanted = expected.get(LIKE.get(place, place), array.shape)
         if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
