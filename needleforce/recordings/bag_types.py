@@ -2,23 +2,16 @@
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import cache, lru_cache
 from operator import attrgetter
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from needleforce.recordings.bag_messages import BagTopic
-from needleforce.recordings.errors import FormatError, LogError, optional_library
-from needleforce.recordings.table import (
-    NS_PER_S,
-    Append,
-    Columns,
-    Labels,
-    flat_columns,
-    to_nanoseconds,
-)
+from needleforce.recordings.errors import FormatError, optional_library
+from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns
 
 STANDARD = "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
 CDR = "cdr"
@@ -34,7 +27,6 @@ _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
-_CHUNK_BYTES = 1 << 16  # of a bag that is written: who follows it sees rows so many at a time
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -235,38 +227,3 @@ def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> O
     force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
     rows = zip(headers, map(wrench, force, torque), strict=True)
     return name, kind, (types[kind](header, content) for header, content in rows)
-
-
-@contextmanager
-def mcap_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
-    """Write one MCAP file, compressed, with checksums: of each row a message on each topic.
-
-    `LogError` if there is no time stamp `t_s`, or one that no message can carry.
-    """
-    types, places = standard_types(), list[tuple[int, str]]()
-    library = optional_library("mcap.writer", "MCAP files")
-    bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
-    bag.start(profile="ros2", library="needleforce")
-    for name, kind, _ in bag_topics(first, labels, ()):
-        text, _ = types.generate_msgdef(kind, ros_version=2)
-        schema = bag.register_schema(kind, "ros2msg", text.encode())
-        places.append((bag.register_channel(name, CDR, schema), kind))
-
-    def append(columns: Columns) -> None:
-        t_s = columns.get("t_s")
-        if t_s is None or t_s.ndim != 1:
-            raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
-        if not np.isfinite(t_s).all():
-            raise LogError("a bag needs a time stamp in every row; one is not finite")
-        stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
-        if min(stamps_ns, default=0) < 0:
-            raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
-        rows = (messages for *_, messages in bag_topics(columns, labels, stamps_ns))
-        for stamp_ns, *row in zip(stamps_ns, *rows, strict=True):
-            for (channel, kind), message in zip(places, row, strict=True):
-                data = types.serialize_cdr(message, kind)
-                bag.add_message(channel, stamp_ns, data, stamp_ns)
-        stream.flush()  # for readers of a file that grows
-
-    yield append
-    bag.finish()  # writes the index

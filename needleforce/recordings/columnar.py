@@ -1,28 +1,17 @@
-"""npz and Parquet: files that hold one column after the other, read and written.
+"""npz and Parquet: files that hold one column after the other.
 
 Both are held in memory as a whole; pickled objects are never loaded.
 """
 
 import zipfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from math import prod
 from pathlib import Path
-from typing import IO, Any, BinaryIO
+from typing import IO, Any
 
 import numpy as np
 
 from needleforce.recordings.errors import FormatError, file_errors, optional_library, require_size
-from needleforce.recordings.table import (
-    START_KEY,
-    Append,
-    Columns,
-    Labels,
-    Table,
-    flat_columns,
-    start_of_clock,
-    to_seconds,
-)
+from needleforce.recordings.table import START_KEY, Table, start_of_clock, to_seconds
 
 _CUT = "so that nothing can be read without its end"
 
@@ -83,26 +72,6 @@ def _npy_size(stream: IO[bytes]) -> int:
     return prod(shape) * max(dtype.itemsize, 8)
 
 
-@contextmanager
-def npz_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
-    """Collect rows in memory, since an archive cannot be appended to; write it at the end."""
-    parts: dict[str, list[np.ndarray]] = {name: [] for name in first}
-
-    def append(columns: Columns) -> None:
-        for name, values in columns.items():
-            parts[name].append(np.array(values))
-
-    yield append
-    arrays = {name: np.concatenate(found) for name, found in parts.items()}
-    if labels.start_ns:
-        arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
-    # numpy.savez could not write a column called "file".
-    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, values in arrays.items():
-            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                np.lib.format.write_array(member, values)
-
-
 def read_parquet(path: Path, max_bytes: int) -> Table:
     """Read columns of numbers, empty cells as NaN, and time stamps, as seconds, without loss.
 
@@ -157,20 +126,3 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
         left_out = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
     return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds)
-
-
-@contextmanager
-def parquet_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
-    """Write each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
-    arrow = optional_library("pyarrow", "Parquet files")
-    parquet = optional_library("pyarrow.parquet", "Parquet files")
-    metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
-    schema = arrow.table(flat_columns(first), metadata=metadata).schema
-    writer = parquet.ParquetWriter(stream, schema, write_page_checksum=True)
-
-    def append(columns: Columns) -> None:
-        if (table := arrow.table(flat_columns(columns))).num_rows:
-            writer.write_table(table)
-
-    yield append
-    writer.close()  # writes the table of contents, without which the file cannot be read

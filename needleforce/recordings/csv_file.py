@@ -1,29 +1,16 @@
-"""CSV and its kin, plain or compressed with gzip: read whole or as it comes, and written."""
+"""CSV and its kin, plain or compressed with gzip: read whole or as it comes."""
 
 import csv
-import io
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from math import nan
-from typing import BinaryIO
 
 import numpy as np
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
 from needleforce.recordings.follow import FollowOptions, TextLines
-from needleforce.recordings.table import (
-    HEAD_ROWS,
-    START_KEY,
-    Append,
-    Columns,
-    Faults,
-    FloatArray,
-    Labels,
-    Table,
-    exceed_float64,
-    flat_columns,
-)
+from needleforce.recordings.table import HEAD_ROWS, START_KEY, Faults, Table, exceed_float64
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
@@ -159,7 +146,7 @@ class _CsvRows:
                     self.faults.note(what, f"line {n} with {len(cells)}")
             values = np.array(found, dtype=np.float64).reshape(-1, width)
             if not self._is_chosen:
-                self._choose(values)
+                self._choose(len(values))
         warnings = () if self._is_chosen else tuple(self.omitted.values())
         self._is_chosen = True
         kept = (i for i in range(width) if i not in self.omitted)
@@ -198,10 +185,10 @@ class _CsvRows:
     def _not_numbers(self, column: int) -> str:
         return f"column {self.names[column]!r}: cells that are not numbers, read as NaN"
 
-    def _choose(self, values: FloatArray) -> None:
+    def _choose(self, rows: int) -> None:
         """Decide from the first rows which columns are left out."""
         width = len(self.names)
-        if not len(values):
+        if not rows:
             _, first = next(iter(self.faults.values()))
             raise FormatError(
                 f"no row has the header's {width} cells (first: {first}); "
@@ -260,22 +247,3 @@ def csv_tables(
     kept = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
     warnings = (*lines.warnings, *rows.faults.lines())
     yield Table(columns=dict.fromkeys(kept, np.empty(0)), warnings=warnings)
-
-
-@contextmanager
-def csv_writer(stream: BinaryIO, labels: Labels, first: Columns) -> Iterator[Append]:
-    """Write a header and rows that read back bit for bit; the start of the clock as a comment."""
-    header = io.StringIO()
-    header.write(f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else "")
-    csv.writer(header, lineterminator="\n").writerow(flat_columns(first))
-    stream.write(header.getvalue().encode())
-
-    def append(columns: Columns) -> None:
-        # repr is the shortest text that reads back to the same float.
-        flat = flat_columns(columns).values()
-        texts = (map(repr, (v.astype(int) if v.dtype.kind == "b" else v).tolist()) for v in flat)
-        if rows := [",".join(row) for row in zip(*texts, strict=True)]:
-            stream.write(("\n".join(rows) + "\n").encode())
-        stream.flush()  # for readers of a file that grows
-
-    yield append

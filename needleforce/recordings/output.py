@@ -1,26 +1,123 @@
 """Tables that are written: whole or not at all, or row by row for others to follow."""
 
+import csv
+import io
 import sys
+import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from itertools import combinations
 from pathlib import Path
 from typing import BinaryIO
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.files import whole_file
 from needleforce.recordings.bag_messages import METADATA, is_bag
-from needleforce.recordings.bag_types import mcap_writer
-from needleforce.recordings.columnar import npz_writer, parquet_writer
-from needleforce.recordings.csv_file import csv_writer
-from needleforce.recordings.errors import FileAccessError, LogError, file_errors
+from needleforce.recordings.bag_types import CDR, bag_topics, standard_types
+from needleforce.recordings.errors import FileAccessError, LogError, file_errors, optional_library
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
-from needleforce.recordings.table import Append, Columns, Labels, checked_columns
+from needleforce.recordings.table import START_KEY, Columns, Labels, flat_columns, to_nanoseconds
+
+Append = Callable[[Columns], None]  # writes rows of checked columns, the same in every call
+_CHUNK_BYTES = 1 << 16  # of a bag that is written: who follows it sees rows so many at a time
+
+
+@contextmanager
+def csv_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
+    """Write a header and rows that read back bit for bit; the start of the clock as a comment."""
+    header = io.StringIO()
+    header.write(f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else "")
+    csv.writer(header, lineterminator="\n").writerow(flat_columns(empty))
+    stream.write(header.getvalue().encode())
+
+    def append(columns: Columns) -> None:
+        # repr is the shortest text that reads back to the same float.
+        flat = flat_columns(columns).values()
+        texts = (map(repr, (v.astype(int) if v.dtype.kind == "b" else v).tolist()) for v in flat)
+        if rows := [",".join(row) for row in zip(*texts, strict=True)]:
+            stream.write(("\n".join(rows) + "\n").encode())
+        stream.flush()  # for readers of a file that grows
+
+    yield append
+
+
+@contextmanager
+def npz_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
+    """Collect rows in memory, since an archive cannot be appended to; write it at the end."""
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in empty}
+
+    def append(columns: Columns) -> None:
+        for name, values in columns.items():
+            parts[name].append(np.array(values))
+
+    yield append
+    arrays = {name: np.concatenate(found) for name, found in parts.items()}
+    if labels.start_ns:
+        arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
+    # numpy.savez could not write a column called "file".
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values)
+
+
+@contextmanager
+def parquet_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
+    """Write each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
+    arrow = optional_library("pyarrow", "Parquet files")
+    parquet = optional_library("pyarrow.parquet", "Parquet files")
+    metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
+    schema = arrow.table(flat_columns(empty), metadata=metadata).schema
+    writer = parquet.ParquetWriter(stream, schema, write_page_checksum=True)
+
+    def append(columns: Columns) -> None:
+        if (table := arrow.table(flat_columns(columns))).num_rows:
+            writer.write_table(table)
+
+    yield append
+    writer.close()  # writes the table of contents, without which the file cannot be read
+
+
+@contextmanager
+def mcap_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
+    """Write one MCAP file, compressed, with checksums: of each row a message on each topic.
+
+    `LogError` if there is no time stamp `t_s`, or one that no message can carry.
+    """
+    types, places = standard_types(), list[tuple[int, str]]()
+    library = optional_library("mcap.writer", "MCAP files")
+    bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
+    bag.start(profile="ros2", library="needleforce")
+    for name, kind, _ in bag_topics(empty, labels, ()):
+        text, _ = types.generate_msgdef(kind, ros_version=2)
+        schema = bag.register_schema(kind, "ros2msg", text.encode())
+        places.append((bag.register_channel(name, CDR, schema), kind))
+
+    def append(columns: Columns) -> None:
+        t_s = columns.get("t_s")
+        if t_s is None or t_s.ndim != 1:
+            raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
+        if not np.isfinite(t_s).all():
+            raise LogError("a bag needs a time stamp in every row; one is not finite")
+        stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
+        if min(stamps_ns, default=0) < 0:
+            raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
+        rows = (messages for *_, messages in bag_topics(columns, labels, stamps_ns))
+        for stamp_ns, *row in zip(stamps_ns, *rows, strict=True):
+            for (channel, kind), message in zip(places, row, strict=True):
+                data = types.serialize_cdr(message, kind)
+                bag.add_message(channel, stamp_ns, data, stamp_ns)
+        stream.flush()  # for readers of a file that grows
+
+    yield append
+    bag.finish()  # writes the index
+
 
 Writer = Callable[[BinaryIO, Labels, Columns], AbstractContextManager[Append]]
-"""Begins a table of checked columns, gives what writes its rows, and finishes it at the end."""
+"""Begins a table of these columns, here without rows, gives what writes rows, and finishes it."""
 
 WRITERS: Mapping[str, Writer] = {
     ".csv": csv_writer,
@@ -29,6 +126,29 @@ WRITERS: Mapping[str, Writer] = {
     ".mcap": mcap_writer,
 }
 """By the suffix of a file."""
+
+
+def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
+    """Return columns as arrays; `LogError` if `write_table` cannot write them."""
+    arrays: dict[str, np.ndarray] = {}
+    for name, values in columns.items():
+        try:
+            arrays[name] = np.asarray(values)
+        except ValueError as error:
+            raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
+    if not arrays:
+        raise LogError("no columns to write")
+    first = next(iter(arrays.values()))
+    rows = len(first) if first.ndim else 0
+    for name, values in arrays.items():
+        if not name.strip() or name.startswith("#"):
+            raise LogError(f"column name {name!r} is empty or starts with '#'")
+        if values.dtype.kind not in "fiub" or values.ndim not in (1, 2) or len(values) != rows:
+            raise LogError(
+                f"column {name!r} has shape {values.shape} and type {values.dtype}; expected "
+                f"numbers of shape ({rows},) or ({rows}, k)"
+            )
+    return arrays
 
 
 class OpenTable:
@@ -48,7 +168,7 @@ class OpenTable:
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
         with file_errors(self._name, "write"):
             if self._write is None:
-                self._write, self._kinds = self._begin(arrays), kinds
+                self._write, self._kinds = self._begin({n: v[:0] for n, v in arrays.items()}), kinds
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
@@ -77,8 +197,8 @@ def open_table(
         file = whole_file(path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap")))
     with ExitStack() as files:
 
-        def begin(first: Columns) -> Append:
-            return files.enter_context(writer(files.enter_context(file), labels(), first))
+        def begin(empty: Columns) -> Append:
+            return files.enter_context(writer(files.enter_context(file), labels(), empty))
 
         yield OpenTable(begin, name)
         with file_errors(name, "write"):

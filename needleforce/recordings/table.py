@@ -1,7 +1,7 @@
 """Named columns of numbers before anyone has said what they mean, and the time of their rows."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
@@ -12,7 +12,6 @@ from needleforce.recordings.errors import FormatError, LogError
 
 FloatArray = NDArray[np.float64]
 Columns = Mapping[str, np.ndarray]
-Append = Callable[[Columns], None]  # writes rows of checked columns, the same in every call
 
 HEAD_ROWS = 200  # So many rows decide which columns a stream has, however they arrive
 START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
@@ -92,29 +91,6 @@ class Labels:
     joint_names: tuple[str, ...] = ()  # in the order of the columns of joint signals
     frame: str = ""  # in which forces are given
     prefix: str = "/needleforce"  # how the topics of a bag begin that hold estimates
-
-
-def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
-    """Return columns as arrays; `LogError` if `write_table` cannot write them."""
-    arrays: dict[str, np.ndarray] = {}
-    for name, values in columns.items():
-        try:
-            arrays[name] = np.asarray(values)
-        except ValueError as error:
-            raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
-    if not arrays:
-        raise LogError("no columns to write")
-    first = next(iter(arrays.values()))
-    rows = len(first) if first.ndim else 0
-    for name, values in arrays.items():
-        if not name.strip() or name.startswith("#"):
-            raise LogError(f"column name {name!r} is empty or starts with '#'")
-        if values.dtype.kind not in "fiub" or values.ndim not in (1, 2) or len(values) != rows:
-            raise LogError(
-                f"column {name!r} has shape {values.shape} and type {values.dtype}; expected "
-                f"numbers of shape ({rows},) or ({rows}, k)"
-            )
-    return arrays
 
 
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
