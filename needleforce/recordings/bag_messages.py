@@ -194,8 +194,7 @@ class _McapReader:
     def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""
         if opcode == _MESSAGE:
-            if (message := self._message(data)) is not None:
-                yield message
+            yield from self._message(data)
             return
         if opcode not in _PARSED:
             return
@@ -214,16 +213,16 @@ class _McapReader:
             kind, text = self._schemas.get(record.schema_id, ("", ""))
             self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
 
-    def _message(self, data: bytes) -> RawMessage | None:
+    def _message(self, data: bytes) -> Iterator[RawMessage]:
         # By hand, since the parser of the library takes ten times as long.
         if len(data) >= _MESSAGE_HEAD.size:
             channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data)
             topic = self._channels.get(channel)
             if topic is not None and log_ns <= _LATEST_NS:
-                return RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+                yield RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+                return
         if "has damaged messages" not in self._faults:
             self._faults.append("has damaged messages")
-        return None
 
     def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
         data, size = chunk.data, chunk.uncompressed_size

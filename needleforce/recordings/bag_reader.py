@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -62,9 +63,9 @@ class Topic:
         """How far apart messages may be for interpolation between them."""
         return NS_PER_S * max(_SHORTEST_LIMIT_S, _PERIODS / max(self.rate_hz, 1e-9))
 
-    def _decoded(self, message: RawMessage) -> Content:
-        self._decoder = self._decoder or TopicDecoder(self.topic)
-        return self._decoder.decode(message.data)
+    @cached_property
+    def _decoder(self) -> TopicDecoder:
+        return TopicDecoder(self.topic)
 
     def learn(self, message: RawMessage) -> None:
         """Count a message, and look at what the first ones hold."""
@@ -73,7 +74,7 @@ class Topic:
         if self.count > _LEARNED:
             return
         try:
-            content = self._decoded(message)
+            content = self._decoder.decode(message.data)
         except FormatError as error:
             # One damaged message, the first even, is no reason to lose the topic.
             self.fault = "" if self.columns else str(error)
@@ -94,7 +95,6 @@ class Topic:
 
     def choose(self, columns: Collection[str], joints: Collection[str]) -> None:
         """Begin to collect rows of some columns, with the joints in this order."""
-        self._decoder: TopicDecoder | None = None
         self.joints = tuple(joints)
         self.widths = {
             name: len(self.joints) if name in self.named else self.columns[name] or 1
@@ -107,7 +107,7 @@ class Topic:
     def add(self, message: RawMessage) -> None:
         """Take a message in."""
         try:
-            content = self._decoded(message)
+            content = self._decoder.decode(message.data)
         except FormatError:
             self._faults["messages that do not fit their type, left out"] += 1
             return
@@ -244,8 +244,7 @@ class JoinedRows:
                 f"rows are the messages of {chosen} ({rows.rate_hz:.4g} Hz); "
                 f"interpolated to their stamps: {rates}"
             )
-        self._start_ns: int | None = None
-        self._is_new = True
+        self._start_ns, self._is_new = 0, True  # before the first table
 
     def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
         """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at `NONE_YET`."""
@@ -282,8 +281,8 @@ class JoinedRows:
     def _table(self, rows: int) -> Table:
         reference = self.reference
         at_ns = reference.stamps_ns()[:rows]
-        if self._start_ns is None:
-            self._start_ns = start_of_clock(int(at_ns[0])) if at_ns.size else 0
+        if self._is_new and at_ns.size:
+            self._start_ns = start_of_clock(int(at_ns[0]))
         columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
         joints: dict[str, tuple[str, ...]] = {}
         for topic in self.topics.values():

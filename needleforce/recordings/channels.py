@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
-from itertools import pairwise
+from itertools import islice
 from math import pi
 from typing import NamedTuple
 
@@ -152,11 +152,6 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
 Found = list[tuple[str, np.ndarray]]  # names and values, in the file's unit, (n,) or (n, k)
 
 
-def width_of(values: np.ndarray) -> int:
-    """Return how many values a column has per row."""
-    return 1 if values.ndim == 1 else values.shape[1]
-
-
 def find_columns(table: Table, pattern: str) -> Found:
     """Return the columns that a name or pattern stands for.
 
@@ -194,12 +189,9 @@ def find_columns(table: Table, pattern: str) -> Found:
 def _find_numbered(table: Table, pattern: str, expression: str) -> Found:
     numbered: dict[int, str] = {}
     for name in table.columns:
-        if not (match := re.fullmatch(expression, name)):
-            continue
-        number = int(match[1])
-        if number in numbered:
-            raise ColumnError(f"{pattern!r} fits both {numbered[number]!r} and {name!r}; name one")
-        numbered[number] = name
+        match = re.fullmatch(expression, name)
+        if match and (other := numbered.setdefault(int(match[1]), name)) != name:
+            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}; name one")
     if not numbered:
         raise _not_found(table, pattern)
     return _in_order(table, numbered, pattern)
@@ -208,13 +200,11 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> Found:
 def _in_order(table: Table, numbered: Mapping[int, str], pattern: str) -> Found:
     """Return a family of columns in the order of their numbers, which must follow each other."""
     ordered = sorted(numbered)
-    missing: list[int] = []
-    for before, after in pairwise(ordered):
-        missing += range(before + 1, min(after, before + 6))
-    if missing:
+    numbers = range(ordered[0], ordered[-1])
+    if missing := list(islice((n for n in numbers if n not in numbered), 5)):
         raise ColumnError(
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
-            f"{', '.join(map(str, missing[:5]))}; list the columns to use"
+            f"{', '.join(map(str, missing))}; list the columns to use"
         )
     return [(numbered[number], table.columns[numbered[number]]) for number in ordered]
 
@@ -247,7 +237,7 @@ def detect_columns(table: Table, channel: Channel) -> Found:
         values = table.columns[name]
         if channel.per_joint and parts.number is not None and values.ndim == 1:
             families.setdefault(parts.family, {})[parts.number] = name
-        elif channel.per_joint or width_of(values) == 1:
+        elif channel.per_joint or values.shape[1:] in ((), (1,)):
             candidates[name] = [(name, values)]
     for family, numbered in families.items():
         candidates[family] = _in_order(table, numbered, family)

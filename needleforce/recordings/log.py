@@ -3,17 +3,12 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from itertools import chain
+from math import prod
 from types import MappingProxyType
 
 import numpy as np
 
-from needleforce.recordings.channels import (
-    CHANNELS,
-    Channel,
-    find_columns,
-    parse_column_name,
-    width_of,
-)
+from needleforce.recordings.channels import CHANNELS, Channel, find_columns, parse_column_name
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -51,11 +46,7 @@ class Log:
     start_ns: int = 0  # the instant of t_s = 0, see `Table`
 
     def __post_init__(self) -> None:
-        """Copy, freeze and check the data.
-
-        `LogError` if there is no channel, something is no array of numbers of the right shape, or
-        time is not finite.
-        """
+        """Copy and freeze the data; `LogError` for wrong shapes, no channel or time not finite."""
         t_s = read_only("t_s", self.t_s)
         channels = {name: read_only(name, values) for name, values in self.channels.items()}
         if not channels:
@@ -165,7 +156,7 @@ def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Si
     spec = spec or ColumnSpec(columns=channel.name)
     if not found:
         return None
-    columns, widths = tuple(name for name, _ in found), [width_of(values) for _, values in found]
+    columns, widths = tuple(name for name, _ in found), [prod(v.shape[1:]) for _, v in found]
     width, names = sum(widths), ", ".join(columns)
     if width != 1 and not channel.per_joint:
         raise ColumnError(f"{channel.name} is one column, but {names} gives {width}; choose one")
@@ -228,10 +219,7 @@ class LogStream:
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows; the first chunk has 200, if there are so many.
-
-        Raises as `read_log`; what only the end shows is reported there.
-        """
+        """Yield the rows, in the first chunk 200 if there are so many; raises as `read_log`."""
         head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
@@ -311,10 +299,7 @@ class LogStream:
             yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
     def _time_s(self, table: Table, values: Mapping[str, FloatArray], rows: int) -> FloatArray:
-        """Return stamps in s: of the mapping's rate, or those of a column.
-
-        Whole nanoseconds too large for float64 are counted from the first, so that none is lost.
-        """
+        """Return stamps in s: of the mapping's rate, or those of a column."""
         rate_hz = self._mapping.rate_hz
         if rate_hz is not None:
             return np.arange(self._rows, self._rows + rows) / rate_hz
@@ -322,6 +307,7 @@ class LogStream:
         if table.start_ns or signal.factors[0] * NS_PER_S != 1.0:
             return found_s
         raw = table.columns.get(signal.columns[0], found_s)
+        # Whole nanoseconds too large for float64 are counted from the first, so that none is lost.
         if not self._rows and raw.dtype.kind == "i":
             self._clock_ns = self.start_ns = start_of_clock(int(raw[0]))
         if raw.dtype.kind == "i" and self._clock_ns:

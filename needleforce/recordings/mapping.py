@@ -244,10 +244,7 @@ def channel_columns(table: Table, channel: Channel, spec: ColumnSpec | None) -> 
 
 
 def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
-    """Return the lines of a mapping of a table as TOML, and as comments what else there is.
-
-    Only what the known mapping does not say is looked for.
-    """
+    """Return a table's mapping as lines of TOML; the known one stays, unused columns are named."""
     lines: list[str] = []
     used: set[str] = set()
     for name in channels:

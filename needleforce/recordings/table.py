@@ -97,10 +97,8 @@ def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
     """Return columns of one value a row, `q_rad_1`, ... of `q_rad`; `LogError` for a name twice."""
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
-        parts = {name: values}
-        if values.ndim == 2:
-            parts = {f"{name}_{i + 1}": column for i, column in enumerate(values.T)}
-        for part, column in parts.items():
+        for i, column in enumerate(np.atleast_2d(values.T), 1):
+            part = f"{name}_{i}" if values.ndim == 2 else name
             if part in flat:
                 raise LogError(f"column name {part!r} would stand twice in the header")
             flat[part] = column
