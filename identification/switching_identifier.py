@@ -1,8 +1,8 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it uses its force and reports ruptures;
-the next reports a layer, where one is due; in the next hypotheses of new events begin and the least
-likely go; one more may look for moving tissue.
+A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
+the next reports ruptures; the next a layer, where one is due; in the next hypotheses of new events
+begin and the least likely go; one more may look for moving tissue.
 """
 
 import math
@@ -51,7 +51,7 @@ _MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the bea
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
-_LAYERS = 4  # besides: first of all the layer that the last rupture ended
+_LAYERS, _RUPTURES = 4, 8  # besides, before: the layer that the last rupture ended; first ruptures
 
 
 class SwitchingState(NamedTuple):
@@ -74,6 +74,12 @@ class SwitchingState(NamedTuple):
     alarm: Rupture | None = None  # the last one raised and not taken back
     layers: tuple[LayerEstimate, ...] = ()
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
+
+    @property
+    def damage(self) -> str:
+        """What is wrong with a restored one, if anything."""
+        is_stage = self.stage in range(2 * _RUPTURES)
+        return "" if is_stage else f"there is no stage {self.stage!r:.80}"
 
 
 class SwitchingMethod:
@@ -149,6 +155,10 @@ class SwitchingMethod:
 
     def _work(self, sample: Sample) -> None:
         """Do the next part of what is left to do for a block."""
+        if self._stage >= _RUPTURES:
+            self._stage -= _RUPTURES
+            self._report(sample)
+            return
         if self._stage >= _LAYERS:
             self._stage -= _LAYERS
             if self._report_layer(sample[7]):
@@ -220,7 +230,7 @@ class SwitchingMethod:
         self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
         self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
-        self._report(sample)
+        self._stage += _RUPTURES
         if not is_gap:
             self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
 

@@ -78,11 +78,13 @@ def _derivatives(beats: Matrix, time_s: Vector) -> tuple[Matrix, Matrix]:
     """Derivatives of place and speed at n times by the five numbers of each beat, (5 beats, n)."""
     places, speeds = np.zeros((beats.size, len(time_s))), np.zeros((beats.size, len(time_s)))
     for k in range(len(beats)):
-        row = 5 * k
+        row, phase = 5 * k, 2.0 * math.pi * beats[k, 0] * time_s
+        cosine, sine = np.cos(phase), np.sin(phase)
         for h in range(1, 3):
             hertz = 2.0 * math.pi * h
             rate, a, b = hertz * beats[k, 0], beats[k, 2 * h - 1], beats[k, 2 * h]
-            cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
+            if h == 2:
+                cosine, sine = cosine * cosine - sine * sine, 2.0 * cosine * sine
             ahead = b * cosine - a * sine
             places[row] += hertz * time_s * ahead
             speeds[row] += hertz * (ahead - rate * time_s * (a * cosine + b * sine))
@@ -136,22 +138,37 @@ def _rows(
     """
     (w, g), layers = contact, 2 if begin else 1
     rows = np.zeros((len(speed), 3 + _OWN * layers))
-    end, deepest, weight = depth[0], depth[0], np.ones(3)
+    end, deepest = depth[0], depth[0]
     for k in range(len(speed)):
         deepest = max(deepest, depth[k])
         end = deepest if k <= begin else end
-        weight[0], weight[1], weight[2] = one[k], w[k] * one[k], speed[k] * one[k]
-        rows[k, :3] = weight
+        rows[k, 0], rows[k, 1], rows[k, 2] = one[k], w[k] * one[k], speed[k] * one[k]
         for layer in range(layers):
             shaft = deepest - end if layer else (end if begin else deepest) - depth[0]
             at = 3 + _OWN * layer
-            rows[k, at : at + 2] = weight[1:] * shaft
+            rows[k, at], rows[k, at + 1] = rows[k, 1] * shaft, rows[k, 2] * shaft
             if (begin > 0 and k >= begin) == (layer == 1):
-                back = shaft - deepest + depth[k]
-                for power in range(3):
-                    rows[k, at + 2 + power] = g[k] * one[k] * shaft**power
-                rows[k, at + 5], rows[k, at + 6] = back * one[k], back * back * one[k]
+                tip, back = g[k] * one[k], shaft - deepest + depth[k]
+                rows[k, at + 2], rows[k, at + 3], rows[k, at + 4] = tip, tip * shaft, tip * shaft**2
+                rows[k, at + 5], rows[k, at + 6] = back * one[k], back**2 * one[k]
     return rows
+
+
+@compiled
+def _changes(
+    contact: tuple[Matrix, Matrix],
+    courses: tuple[Matrix, Matrix],
+    one: Vector,
+    begin: int,
+    linear: Vector,
+) -> Matrix:
+    """What m courses of depth and speed change of the force of the first, shape (n, m - 1)."""
+    (w, g), (depths, speeds) = contact, courses
+    forces = np.zeros((len(depths), len(one)))
+    for k in range(len(depths)):
+        rows = _rows((w[k], g[k]), depths[k], speeds[k], one, begin)
+        forces[k] = np.dot(rows, linear)
+    return (forces[1:] - forces[0]).T
 
 
 @compiled
@@ -250,10 +267,9 @@ class Window:
         steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
         depths = self.depth - np.vstack((place, place + steps * places))
         speeds = self.speed - np.vstack((speed, speed + steps * speeds))
-        w, g = contact_along(depths)
-        courses = zip(zip(w, g, strict=True), depths, speeds, strict=True)
-        forces = np.array([_rows(*each, self.one, self.begin) @ linear for each in courses])
-        return np.ascontiguousarray(((forces[1:] - forces[0]) / steps).T)
+        contact, courses = contact_along(depths), (depths, speeds)
+        changes = _changes(contact, courses, self.one, self.begin, linear)
+        return np.ascontiguousarray(changes / steps.T)
 
     @property
     def still(self) -> float:

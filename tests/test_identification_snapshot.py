@@ -87,6 +87,7 @@ def in_tissue():
         (MULTILAYER, "levels", lambda _: None),
         (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
         (MULTILAYER, "tissue.unit", lambda _: 10**6),
+        (MULTILAYER, "stage", lambda _: 10**9),
         (PUBLISHED, "memory", lambda memory: np.append(memory[:4], -memory[4:])),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
