@@ -79,6 +79,11 @@ class TissueMotion(NamedTuple):
         return len(self.fit.beats) > 0
 
     @property
+    def may_move(self) -> bool:
+        """Whether it cannot be said yet that the tissue moves, or that it does not."""
+        return not self.is_known and (self.unit >= 0 or not self._is_long)
+
+    @property
     def _is_long(self) -> bool:
         """Whether the window is long enough to be fitted."""
         return len(self.window) >= _MARGIN + _LEAST_S / STEP_S
