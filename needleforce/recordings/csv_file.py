@@ -39,25 +39,28 @@ class _CsvRows:
         """Rows that wait to be read, each with the number of its line."""
         self.omitted: dict[int, str] = {}  # which columns are left out, and why
         self._delimiter, self._comment, self._header = ",", "", ""
-        self._lines = self._latest = self._total = self._start_ns = 0
+        self._lines = self._latest = self._start_ns = 0
         self._is_chosen = False
         self._has_number: set[int] = set()
         self.faults = Faults()
 
     def add(self, lines: list[str]) -> None:
         """Take whole lines; `FormatError` if the header is none, or names a column twice."""
-        if not self.names:
-            lines = self._find_header(lines)
-        rows = [(n, line) for n, line in enumerate(lines, self._lines + 1) if _is_row(line)]
+        for number, line in enumerate(lines, self._lines + 1):
+            if _is_row(line):
+                if self.names or self._is_below_header(line, number):
+                    self.rows.append((number, line))
+            elif not self.names and line.strip():
+                self._comment = line
+                if match := _START.match(line):
+                    self._start_ns = int(match[1])
         self._lines += len(lines)
-        self._total += len(rows)
-        self._latest = rows[-1][0] if rows else self._latest
+        self._latest = self.rows[-1][0] if self.rows else self._latest
         if self._lines - self._latest > _MOST_WITHOUT_ROW:
             raise FormatError(
                 f"{_MOST_WITHOUT_ROW} lines after line {self._latest} are blank or comments; it is "
                 "damaged, or no table: cut it there"
             )
-        self.rows += rows
 
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Take what stands behind the last line end; `FormatError` if there was no row.
@@ -65,7 +68,7 @@ class _CsvRows:
         It is a row if it has the header's cells: whether its last number is cut cannot be known,
         unless the file was still being written.
         """
-        if self._total and _is_row(tail):
+        if self._latest and _is_row(tail):
             cells, names = tail.count(self._delimiter) + 1, len(self.names)
             if cells < names or is_growing:
                 what = f"({cells} of {names} cells) and was left out"
@@ -74,26 +77,12 @@ class _CsvRows:
         self.add([tail])
         if not self.names:
             raise FormatError("only comments; expected a header row and rows of numbers")
-        if not self._total:
+        if not self._latest:
             header = self._header.strip()[:200]
             raise FormatError(f"a header but no rows; the header is: {header}")
 
-    def _find_header(self, lines: list[str]) -> list[str]:
-        """Return the lines after the header, or none if it was not among them."""
-        for i, line in enumerate(lines):
-            if _is_row(line):
-                past = i + self._read_header(line, self._lines + i + 1)
-                self._lines += past
-                return lines[past:]
-            if line.strip():
-                self._comment = line
-            if match := _START.match(line):
-                self._start_ns = int(match[1])
-        self._lines += len(lines)
-        return []
-
-    def _read_header(self, line: str, line_number: int) -> int:
-        """Read the first line that is no comment; return 0 if it already is a row.
+    def _is_below_header(self, line: str, line_number: int) -> bool:
+        """Read the header from the first line that is no comment; return whether that is a row.
 
         A comment just before it counts as the header if that line holds numbers and the comment
         has as many cells (`numpy.savetxt` writes its header so).
@@ -117,7 +106,7 @@ class _CsvRows:
                     f"the header names {name!r} twice, in columns {places[name]} and {i}"
                 )
         self.names = tuple(places)
-        return 0 if is_row else 1
+        return is_row
 
     def _split(self, line: str) -> list[str]:
         """Split a line into cells; a quoted cell ends with its line, whatever quotes stray."""
