@@ -135,10 +135,7 @@ def _records(data: bytes | bytearray, at: int = 0) -> Iterator[tuple[int, int, i
 
 
 class _McapReader:
-    """Reads the messages of one MCAP file from its start as far as it goes; its end may miss.
-
-    A record, and what a chunk holds when unpacked, may have `limit` bytes.
-    """
+    """Reads one MCAP file as far as it goes; a record or unpacked chunk may have `limit` bytes."""
 
     def __init__(self, path: Path, faults: list[str], limit: int) -> None:
         self._library = optional_library("mcap.records", "MCAP files")

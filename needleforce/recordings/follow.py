@@ -37,8 +37,7 @@ class FollowOptions:
 def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
     """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    `FileAccessError` if the file cannot be read, or was shortened or rewritten while it was
-    followed.
+    `FileAccessError` if it cannot be read, or was shortened or rewritten while it was followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:

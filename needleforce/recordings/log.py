@@ -148,10 +148,7 @@ class _Signal:
 
 
 def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Signal | None:
-    """Find a channel in a table; None if no name looks like it.
-
-    The unit is the specification's, else that in each column's name, else SI; see `Table.seconds`.
-    """
+    """Find a channel in a table; None if no name looks like it."""
     found = channel_columns(table, channel, spec)
     spec = spec or ColumnSpec(columns=channel.name)
     if not found:
@@ -167,6 +164,7 @@ def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Si
         raise MappingError(
             f"{channel.name}: {scales.size} scale factors for {width} columns; give one or {width}"
         )
+    # The unit is the specification's, else that in each column's name, else SI.
     named = (spec.unit or parse_column_name(name, channel.units).unit for name in columns)
     units = ["s" if c in table.seconds else unit for c, unit in zip(columns, named, strict=True)]
     si = np.array([channel.units[unit or channel.si_unit] for unit in units])
@@ -186,11 +184,8 @@ class LogStream:
     """Iterates over the rows of a recording in SI units, a chunk at a time.
 
     Which columns are which channels is decided from the first rows. Rows and numbers are those of
-    `read_log`, and what is wrong with them is reported as there.
-
-    Args:
-        tables: from `stream_tables`.
-        mapping, required, optional: see `read_log`.
+    `read_log`, and what is wrong with them is reported as there. Tables come from `stream_tables`;
+    for mapping, required and optional see `read_log`.
     """
 
     def __init__(

@@ -218,10 +218,7 @@ class ChannelRequest:
         return frozenset(needed)
 
     def _detected(self, table: Table, name: str, chosen: set[str]) -> Found:
-        """Find a channel by its usual names.
-
-        Of several that would fit, one beside chosen columns, else one that has the robot's joints.
-        """
+        """Find a channel by usual names: of several one beside chosen columns, else by joints."""
         try:
             return detect_columns(table, CHANNELS[name])
         except ColumnError:

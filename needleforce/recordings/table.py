@@ -231,10 +231,7 @@ class RowClock:
         return dt_s
 
     def warnings(self) -> tuple[str, ...]:
-        """Report stamps that do not advance, a line for each kind of fault; rows count from 1.
-
-        `LogError` if fewer than two stamps advance, so that no time step can be formed.
-        """
+        """Report stamps that do not advance, by kind; `LogError` if fewer than two advance."""
         # The first of all counts as one that advances.
         if self._advanced < 2:
             raise LogError(
