@@ -135,12 +135,9 @@ def in_pieces(data, count):
 
 def followed(path, patience=None, mapping=None, **asked):
     """The chunks of a log that is followed, and its warnings."""
-    tables = stream_tables(
-        path,
-        patience or FollowOptions(follow=True, idle_s=LONGEST_S),
-        ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED)),
-    )
-    stream = LogStream(tables, mapping, **(asked or ASKED))
+    request = ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED))
+    patience = patience or FollowOptions(follow=True, idle_s=LONGEST_S)
+    stream = LogStream(stream_tables(path, patience, request), request)
     return list(stream), stream.take_warnings()
 
 

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from needleforce.recordings import (
+    ChannelRequest,
     ColumnError,
     ColumnSpec,
     Log,
@@ -144,7 +145,7 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
 
 def log_of(mapping=None, required=(), optional=(), **columns):
     table = Table(columns=columns)
-    return LogStream([table], mapping, required=required, optional=optional).joined()
+    return LogStream([table], ChannelRequest(mapping or mapped(), required, optional)).joined()
 
 
 T = np.arange(3.0) / 100

@@ -15,9 +15,11 @@ from needleforce.recordings import FileAccessError, FormatError, read_log, write
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
 from needleforce.recordings.follow import FollowOptions, byte_blocks
 from needleforce.recordings.log import LogStream
+from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import stream_tables
 
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
+REQUEST = ChannelRequest(**ASKED)
 
 
 def text_of(rows):
@@ -55,7 +57,7 @@ def test_text_in_pieces_of_any_size_is_the_whole_text(tmp_path_factory, size, ro
     path.write_bytes(text)
     data = gzip.compress(text, mtime=0) if packed else text
     pieces = [data[start : start + size] for start in range(0, len(data), size)]
-    assert_same(LogStream(csv_tables(pieces, "log"), **ASKED).joined(), read_log(path, **ASKED))
+    assert_same(LogStream(csv_tables(pieces, "log"), REQUEST).joined(), read_log(path, **ASKED))
 
 
 def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
@@ -63,7 +65,7 @@ def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
     depth = np.where(np.arange(rows) < 2 * HEAD_ROWS, 0.0, 85.0)
     lines = [f"{k / 1000},{z},0.1\n" for k, z in enumerate(depth)]
     tables = csv_tables([b"t,depth,f\n", *(line.encode() for line in lines)], "log")
-    stream = LogStream(tables, required=("depth", "force"))
+    stream = LogStream(tables, ChannelRequest(required=("depth", "force")))
     seen = [warning for _ in stream for warning in stream.take_warnings()]
     assert seen == []
     assert stream.take_warnings() == (
@@ -83,7 +85,7 @@ def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path)
     whole.write_bytes(text)
     cuts = [10, 5000, 17_777, 33_333, len(text)]
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
-    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)), **ASKED).joined()
+    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)), REQUEST).joined()
     writer.join()
     assert_same(found, read_log(whole, **ASKED))
 
@@ -98,10 +100,10 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
         return len(asked) > 3
 
     patience = FollowOptions(follow=True, should_stop=should_stop)
-    found = LogStream(stream_tables(path, patience), **ASKED).joined()
+    found = LogStream(stream_tables(path, patience), REQUEST).joined()
     assert found.t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(found.warnings)
-    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)), **ASKED).joined()
+    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)), REQUEST).joined()
     assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
 
 

@@ -91,8 +91,7 @@ class LogSession:
                 warn=self._warn,
             )
             tables = recordings.stream_tables(self._source, options, request)
-            channels = {"required": request.required, "optional": request.optional}
-            stream = LogStream(tables, request.mapping, **channels)
+            stream = LogStream(tables, request)
             try:
                 for chunk in stream:
                     self.start_ns = stream.start_ns

@@ -22,6 +22,7 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.follow import FollowOptions as FollowOptions
 from needleforce.recordings.log import Log as Log, LogStream as LogStream
 from needleforce.recordings.mapping import (
+    ChannelRequest as ChannelRequest,
     ColumnMapping as ColumnMapping,
     ColumnSpec as ColumnSpec,
     load_mapping as load_mapping,

@@ -16,7 +16,7 @@ from needleforce.recordings.errors import (
     MappingError,
     require_size,
 )
-from needleforce.recordings.mapping import ColumnMapping, ColumnSpec, channel_columns
+from needleforce.recordings.mapping import ChannelRequest, ColumnSpec, channel_columns
 from needleforce.recordings.table import (
     HEAD_ROWS,
     NS_PER_S,
@@ -184,21 +184,12 @@ class LogStream:
     """Iterates over the rows of a recording in SI units, a chunk at a time.
 
     Which columns are which channels is decided from the first rows. Rows and numbers are those of
-    `read_log`, and what is wrong with them is reported as there. Tables come from `stream_tables`;
-    for mapping, required and optional see `read_log`.
+    `read_log`, and what is wrong with them is reported as there. `tables` come from
+    `stream_tables`, with the same request.
     """
 
-    def __init__(
-        self,
-        tables: Iterable[Table],
-        mapping: ColumnMapping | None = None,
-        *,
-        required: Iterable[str] = (),
-        optional: Iterable[str] = (),
-    ) -> None:
-        self._tables = iter(tables)
-        self._mapping = mapping or ColumnMapping()
-        self._required, self._optional = tuple(required), tuple(optional)
+    def __init__(self, tables: Iterable[Table], request: ChannelRequest | None = None) -> None:
+        self._tables, self._request = iter(tables), request or ChannelRequest()
         self._found: dict[str, None] = {}  # warnings, in order, of which so many were taken
         self._taken = 0
         self._rows = self._kept = self._clock_ns = 0
@@ -219,8 +210,9 @@ class LogStream:
         self._report(head.warnings)
         self.start_ns = head.start_ns
         self._find_channels(head)
-        if self._mapping.rate_hz is None:
-            time = _find_signal(head, CHANNELS["time"], self._mapping.channels.get("time"))
+        mapping = self._request.mapping
+        if mapping.rate_hz is None:
+            time = _find_signal(head, CHANNELS["time"], mapping.channels.get("time"))
             if time is None:
                 raise ColumnError(
                     "no time column found; say which one with --time, or the sample rate with "
@@ -244,17 +236,18 @@ class LogStream:
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
         names = tuple(name for name in CHANNELS if name != "time")
-        for name in (*self._required, *self._optional):
+        required, optional = self._request.required, self._request.optional
+        for name in (*required, *optional):
             if name not in names:
                 raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(names)}")
-        optional = self._optional if self._required or self._optional else names
+        optional = optional if required or optional else names
         missing: list[Channel] = []
-        for name in (*self._required, *optional):
-            channel, spec = CHANNELS[name], self._mapping.channels.get(name)
+        for name in (*required, *optional):
+            channel, spec = CHANNELS[name], self._request.mapping.channels.get(name)
             signal = _find_signal(table, channel, spec)
-            is_wanted = name in self._required or spec is not None
+            is_wanted = name in required or spec is not None
             if signal is None:
-                missing += [channel] * (name in self._required)
+                missing += [channel] * (name in required)
             elif is_wanted or np.isfinite(signal.read(table)[:HEAD_ROWS]).any():
                 self._signals[channel.key] = signal
             else:
@@ -295,7 +288,7 @@ class LogStream:
 
     def _time_s(self, table: Table, values: Mapping[str, FloatArray], rows: int) -> FloatArray:
         """Return stamps in s: of the mapping's rate, or those of a column."""
-        rate_hz = self._mapping.rate_hz
+        rate_hz = self._request.mapping.rate_hz
         if rate_hz is not None:
             return np.arange(self._rows, self._rows + rows) / rate_hz
         found_s, signal = values["t_s"], self._signals["t_s"]

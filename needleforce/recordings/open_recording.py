@@ -88,10 +88,10 @@ def read_log(
             is ambiguous (`ColumnError`), a channel name is unknown or a scale does not fit its
             columns (`MappingError`), or the channels do not form a log (`LogError`).
     """
-    mapping, asked = mapping or ColumnMapping(), (tuple(required), tuple(optional))
-    request = ChannelRequest(mapping, *asked, joints=tuple(joints))
+    asked = tuple(required), tuple(optional), tuple(joints)
+    request = ChannelRequest(mapping or ColumnMapping(), *asked)
     tables = stream_tables(path, FollowOptions(), request, max_bytes=max_bytes)
-    return LogStream(tables, mapping, required=asked[0], optional=asked[1]).joined(max_bytes)
+    return LogStream(tables, request).joined(max_bytes)
 
 
 def stream_tables(
