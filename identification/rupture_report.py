@@ -33,8 +33,6 @@ _LEAST_SLOWED = 0.02  # fraction of the speed lost below which it is noise of th
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
 """Largest relative fall that braking explains, per fraction of the speed lost: more than 1, since
 the speed is late and travel shows its mean. The second is for a large fall."""
-_QUICK_S, _BEAT_S = 0.2, 1.25
-"""Within which nearly every rupture is seen; of the slowest heartbeat that is looked for."""
 _RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed better, less noisy
 _LEAST_PROBABILITY = 0.3  # Total of all hypotheses with the last rupture, to say what it was
 _NAMES = ("stiffness", "coulomb", "viscous")
@@ -133,15 +131,6 @@ def speed_lag(depth_std: float, speed_std: float) -> float:
     """
     lag_s = _LAGS * depth_std / max(speed_std, 1e-9)
     return min(max(lag_s, _SPEED_LAG_S), _MOST_LAG_S)
-
-
-def may_be_beat(bank: Bank, evaluation: Evaluation, time_s: float, tissue: TissueMotion) -> bool:
-    """Whether a heartbeat that nobody knows yet could explain the fall of the force.
-
-    Beats make it fall more slowly than most ruptures do, and bring it back.
-    """
-    since_s = time_s - float(bank.records[evaluation.pick, law.RUPTURE_S])
-    return tissue.may_move and _QUICK_S < since_s < _BEAT_S
 
 
 def may_be_braking(

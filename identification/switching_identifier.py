@@ -269,7 +269,6 @@ class SwitchingMethod:
         if (
             found.more > self._config.alarm_probability
             and self._is_settled(evidence.bank, found.pick)
-            and not reports.may_be_beat(evidence.bank, found, sample[-1], self._tissue)
             and not reports.may_be_braking(evidence.bank, found, place, sample[-1], self._tissue)
         ):
             self._raise_alarm(evidence, sample, found)

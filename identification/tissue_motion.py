@@ -20,7 +20,6 @@ from identification.tissue_window import (
     SIZE,
     SLOWEST_HEART,
     STEP_S,
-    UNLIKE,
     Fit,
     Window,
     displacement,
@@ -68,7 +67,6 @@ class TissueMotion(NamedTuple):
     first: Fit = Fit()  # the best of its starts with two beats
     likely: Fit = Fit()  # a good one found by the last search that was not clear yet
     held: int = 0  # steps in a row at which that explained the force
-    is_off: bool = True  # the law of tissue at rest, at the last look
 
     @property
     def damage(self) -> str:
@@ -79,11 +77,6 @@ class TissueMotion(NamedTuple):
     def is_known(self) -> bool:
         """Whether a motion is in use."""
         return len(self.fit.beats) > 0
-
-    @property
-    def may_move(self) -> bool:
-        """Whether it cannot be said yet that the tissue moves, or that it does not."""
-        return not self.is_known and (self.is_off or not self._is_long)
 
     @property
     def _is_long(self) -> bool:
@@ -146,9 +139,8 @@ class TissueMotion(NamedTuple):
         if self.unit >= 0:
             return self._searched(window, time_s)
         if not self.is_known:
-            still, count = window.still, window.count
-            unit = 0 if still > max(CLEAR, 0.1 * count) else -1
-            return self._replace(next_s=time_s + _CHECK_S, unit=unit, is_off=still > UNLIKE * count)
+            due = 0 if window.still > max(CLEAR, 0.1 * window.count) else -1
+            return self._replace(next_s=time_s + _CHECK_S, unit=due)
         fit = window.stepped(turned(self.fit, time_s), is_prior=True)
         is_good = fit.error < min(GOOD * window.count, window.still)
         bad = 0 if is_good else self.bad + 1

@@ -41,7 +41,7 @@ GOOD, FAIR = 0.05, 0.5  # Mean square of a good fit's errors, and of a fair one'
 _CLEARER, CLEAR = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD)), 10.0
 """The motion must lower the error by this factor, to at most that mean square: a heartbeat,
 breathing (a layer that bends looks like one), and less than two breaths; and by so much."""
-UNLIKE = 1.5
+_UNLIKE = 1.5
 """Breath shows only where the law of tissue at rest is off by more than it admits, a mean square of
 1: a membrane, or a layer of another law, bends the force within that, as a slow breath would."""
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
@@ -288,7 +288,7 @@ class Window:
             if hz > SLOWEST_HEART:
                 grid, periods, least_s = (HEART, 4.0, 0.0)
             else:
-                least = UNLIKE * self.count
+                least = _UNLIKE * self.count
                 is_long = is_proven or length_s > max(_BREATH_S[1], 2.0 / hz)
                 clearer, most = _CLEARER[1 if is_long else 2]
             is_known = grid[0] - 0.03 < hz < grid[-1] + 0.03

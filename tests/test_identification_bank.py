@@ -11,7 +11,6 @@ from identification.rupture_report import (
     count_ruptures,
     evidence_of,
     friction_left,
-    may_be_beat,
     may_be_braking,
     rupture_of,
     speed_lag,
@@ -188,16 +187,6 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
     for fall_N, lag_s, waits in ((0.2, 0.1, False), (0.2, 0.22, True), (0.25, 0.22, False)):
         place = Place(10.15, 0.01, 50.0, 2.3, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.01, lag_s)
         assert may_be_braking(bank, evaluation, place, 10.15, TissueMotion()) == waits
-
-
-@pytest.mark.parametrize(("since_s", "waits"), [(0.1, False), (0.5, True), (1.3, False)])
-def test_a_slow_fall_waits_for_a_beat_while_tissue_may_move(since_s, waits):
-    bank, evaluation = first_bank(), Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    bank.records[0, law.RUPTURE_S] = 10.0
-    assert may_be_beat(bank, evaluation, 10.0 + since_s, TissueMotion()) == waits  # just met
-    seen = TissueMotion(window=np.zeros((100, 4)))  # long enough
-    assert may_be_beat(bank, evaluation, 10.0 + since_s, seen) == waits
-    assert not may_be_beat(bank, evaluation, 10.0 + since_s, seen._replace(is_off=False))
 
 
 @pytest.mark.parametrize(
