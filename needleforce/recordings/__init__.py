@@ -6,8 +6,8 @@ columns to use where their names do not. Row by row, whatever the length: `strea
 `LogStream` in, `open_table` out.
 
 Reading order: `open_recording`, `table` (what a file holds, and time), `channels` (units and usual
-names), `mapping`, `log`. The formats: `follow` (bytes as they come), `csv_file`; ROS 2 bags:
-`bag_reader`, `bag_messages`, `bag_types`. Writing: `output`.
+names), `mapping`, `log`. The formats: `follow` (bytes as they come), `csv_file`, `columnar` (npz,
+Parquet); ROS 2 bags: `bag_reader`, `bag_messages`, `bag_types`. Writing: `output`.
 """
 
 from needleforce.recordings.channels import CHANNELS as CHANNELS
