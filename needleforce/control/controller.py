@@ -20,14 +20,13 @@ from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIs
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
 from needleforce.control.tasks import JointVelocity, Task, ToolState, vector
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or
+from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or, dot
 from urdf import Robot
 
 LONGEST_STEP_s = 0.02  # A sample that comes later gives the arm no more acceleration than this one
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
-LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3
-"""Rows of `Limits.table`."""
+LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3  # Rows of `Limits.table`
 
 _REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
 _AT_LIMIT_rad_s = 1e-6
@@ -134,8 +133,7 @@ class Stack:
         """Take rows and rates of tasks of the same sizes."""
         for task, (rows, rates) in zip(tasks, self.levels, strict=False):
             task.write(tool, rows, rates)
-        last = tasks[-1] if tasks else None
-        if isinstance(last, JointVelocity):
+        if tasks and isinstance(last := tasks[-1], JointVelocity):
             self.wish = last.velocity(tool.q_rad)
 
 
@@ -155,15 +153,6 @@ def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
             return False
         velocity += step
     return bool(((bounds[0] < velocity) & (velocity < bounds[1])).all())
-
-
-@compiled
-def dot(one: Vector, other: Vector) -> float:
-    """Scalar product."""
-    total = 0.0
-    for k in range(one.size):
-        total += one[k] * other[k]
-    return total
 
 
 @compiled_or(_all_met)

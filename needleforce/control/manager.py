@@ -249,7 +249,7 @@ class Manager:
             Path(log).open("ab").close()
         self.session = session
         self._limits, self._log, self._written = limits, log, 0
-        self._monitors = Monitors(limits or SafetyLimits(axial_N=1.0))
+        self._monitors = Monitors(session, limits or SafetyLimits(axial_N=1.0))
         self.events: list[LoggedEvent] = []
         self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
         self._time_s, self._step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
@@ -269,13 +269,12 @@ class Manager:
         self._time_s += self._step_s
         estimate = self.session.update(*signals)
         self._find_entry(estimate)
-        watched, times = (estimate, sample, beside), (self._step_s, since_s, self.session.lag_s)
-        event, reason = self._monitors.update(self._state, watched, times)
+        event, reason = self._monitors.update(estimate, sample, beside, self._step_s)
         if not event and self.session.zero is not self._entered_zero and self._state in _PLACED:
             event, reason = "limit", "depth counts from elsewhere: begin_insertion() only at idle"
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
-        elif self._state in MOVING and not self._is_led:
+        elif self._state in MOVING and "heartbeat" not in self._facts():
             self._apply("stop", {"reason": f"no heartbeat for {_HEARTBEAT_S:g} s"})
         state_s = self._time_s - self._entered_s
         return Situation(self._state, state_s, self._time_s, self._reason, estimate)
@@ -286,7 +285,7 @@ class Manager:
         is_new = is_first or self.session.zero is not self._zero
         if is_new and not is_first:  # outside the next insertion may be at another place
             moved_m = estimate.depth_m - self._depth_m
-            self._entry_m = math.inf if self._is_outside else self._entry_m + moved_m
+            self._entry_m = math.inf if "outside" in self._facts() else self._entry_m + moved_m
         self._zero, self._depth_m = self.session.zero, estimate.depth_m
         if is_inside and math.isinf(self._entry_m):
             self._lost_zero = self._zero
@@ -294,10 +293,6 @@ class Manager:
                 self._entry_m = -math.inf if is_new else self._depth_m
         elif not is_inside and self._entry_m == -math.inf and self._lost_zero is self._zero:
             self._entry_m = self._depth_m
-
-    @property
-    def _is_outside(self) -> bool:
-        return self._depth_m < self._entry_m - _ENTRY_MARGIN_M
 
     def request(self, event: str, **data: Any) -> str:
         """Ask for a transition; returns why it is refused, empty if it is not.
@@ -331,7 +326,7 @@ class Manager:
         if after is not before:
             self._entered_s = self._time_s
             self._entered_zero = self.session.zero if before is State.IDLE else self._entered_zero
-            self._monitors.enter()
+            self._monitors.enter(after)
         if self._log is not None:
             self._write(self._log)
         return refused
@@ -346,16 +341,13 @@ class Manager:
             self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")
 
     def _facts(self) -> list[str]:
+        """What holds now, of `REFUSALS`."""
         holds = {
             "limit": self._limits is not None,
-            "heartbeat": self._is_led,
+            "heartbeat": self._time_s - self._beat_s < _HEARTBEAT_S,
             "tared": self.session.tared,
-            "outside": self._is_outside,
+            "outside": self._depth_m < self._entry_m - _ENTRY_MARGIN_M,
             "device": self._monitors.has_device,
             "healthy": self._monitors.is_healthy,
         }
         return [name for name, is_so in holds.items() if is_so]
-
-    @property
-    def _is_led(self) -> bool:
-        return self._time_s - self._beat_s < _HEARTBEAT_S

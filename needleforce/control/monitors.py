@@ -16,7 +16,7 @@ from residual.estimate import SensorWarning, Status
 from residual.input_validation import as_float
 
 if TYPE_CHECKING:
-    from needleforce.session import SessionEstimate
+    from needleforce.session import InsertionSession, SessionEstimate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,14 +68,14 @@ started in it, and what torques nobody saw did to the force fades within so many
 
 
 class Monitors:
-    """Watch every sample, command and device; see `update`."""
+    """Watch every sample of a session, command and device; see `update`."""
 
-    def __init__(self, limits: SafetyLimits) -> None:
-        self._limits = limits
+    def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
+        self._session, self._limits = session, limits
         self._bad_s, self._device_s, self._clear_s, self._step_s = 0.0, math.inf, math.inf, math.inf
         self._position: Array | None = None
-        self._last_N = 0.0  # of the session, across the needle
-        self.enter()
+        self._lateral_N = 0.0  # of the session, across the needle
+        self.enter("idle")
 
     @property
     def has_device(self) -> bool:
@@ -87,33 +87,30 @@ class Monitors:
         """Whether no fault has been seen of late."""
         return self._clear_s >= _CLEAR_S
 
-    def enter(self) -> None:
+    def enter(self, state: str) -> None:
         """A new state begins: commands and forces are compared with what they are now."""
+        self._state = state
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
         self._entry_axial_N: float | None = None
-        self._side_Ns, self._fading_s, self._entry_lateral_N = 0.0, 0.0, self._last_N
+        self._side_Ns, self._fading_s, self._entry_lateral_N = 0.0, 0.0, self._lateral_N
 
     def update(
-        self,
-        state: str,
-        watched: "tuple[SessionEstimate, ArmSample, Beside]",
-        times: tuple[float, float, float],
+        self, estimate: "SessionEstimate", sample: ArmSample, beside: Beside, step_s: float
     ) -> tuple[str, str]:
         """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
 
-        Watched is what the session says of a sample, the sample, and what came beside it. Times
-        [s] are the step, the one before where the clock was set; the step as it came, nan for none;
-        and the lag of the session's force.
+        The step [s] is that of the sample, or the one before where the clock was set.
         """
-        (estimate, _, beside), (step_s, since_s, lag_s) = watched, times
-        self._last_N = estimate.wrench.lateral
+        since_s, lag_s = as_float(getattr(sample, "dt_s", None)), self._session.lag_s
+        self._lateral_N = estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
         fault = f"no sample for {1e3 * since_s:.0f} ms"
         if not since_s > self._limits.late_s:
-            fault = self._signals(estimate, axial_N, step_s) or self._commands(*watched, step_s)
+            fault = self._signals(estimate, axial_N, step_s)
+            fault = fault or self._commands(estimate, sample, beside, step_s)
         self._clear_s = 0.0 if fault else self._clear_s + step_s
         if fault:
             return "fault", fault
@@ -124,9 +121,9 @@ class Monitors:
         self._axial_N = axial_N
         self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
         ahead_N = axial_N + ahead_s * self._rate_N_per_s
-        side = self._side_force(state, self._last_N, step_s, lag_s)
-        stop = self._forces(state, estimate, axial_N, ahead_N) or side
-        if state == "teleop" and not self.has_device:
+        side = self._side_force(step_s, lag_s)
+        stop = self._forces(estimate, axial_N, ahead_N) or side
+        if self._state == "teleop" and not self.has_device:
             stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
         return ("limit", stop) if stop else ("", "")
 
@@ -168,10 +165,8 @@ class Monitors:
             return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
         return ""
 
-    def _forces(
-        self, state: str, estimate: "SessionEstimate", axial_N: float, ahead_N: float
-    ) -> str:
-        limits, wrench = self._limits, estimate.wrench
+    def _forces(self, estimate: "SessionEstimate", axial_N: float, ahead_N: float) -> str:
+        limits, wrench, state = self._limits, estimate.wrench, self._state
         if state in _IN_AIR:
             if self._entry_axial_N is None:
                 self._entry_axial_N = wrench.axial
@@ -191,8 +186,9 @@ class Monitors:
             return f"axial force {axial_N:.2f} N, {most_N:.2f} N ahead; limit {limits.axial_N:g} N"
         return ""
 
-    def _side_force(self, state: str, lateral_N: float, step_s: float, lag_s: float) -> str:
+    def _side_force(self, step_s: float, lag_s: float) -> str:
         """A force across the needle that lasts, and is not what a gap has left."""
+        state, lateral_N = self._state, self._lateral_N
         # A needle that was stopped by a side force must still come out.
         most_N = self._limits.lateral_N + (self._entry_lateral_N if state == "withdraw" else 0.0)
         is_gap = step_s > max(_GAP_S, _GAP_STEPS * self._step_s)
