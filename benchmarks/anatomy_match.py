@@ -20,7 +20,7 @@ from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch
 
-STACKS, PLANS = 200, 15
+STACKS, PLANS = 200, 5
 """Insertions, and plans for each; it takes half an hour."""
 OFFSET_STD_m, BOUNDARY_STD_m = 3e-3, 0.5e-3
 SAME_m = 3e-3
