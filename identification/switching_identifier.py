@@ -1,8 +1,8 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
-the next reports ruptures; the next a layer, where one is due; in the next hypotheses of new events
-begin and the least likely go; one more may look for moving tissue.
+A block's work is spread over samples: the one that fills it lets every hypothesis use its force; in
+the next hypotheses of new events begin and the least likely go, unless it reports a rupture, or a
+layer is due: then the next one does the rest. One more may look for moving tissue.
 """
 
 import math
@@ -158,11 +158,13 @@ class SwitchingMethod:
         if self._stage >= _RUPTURES:
             self._stage -= _RUPTURES
             self._report(sample)
-            return
-        if self._stage >= _LAYERS:
-            self._stage -= _LAYERS
-            if self._report_layer(sample[7]):
+            if self._events.rupture is not None or self._stage not in (_BRANCH, _PRUNE):
                 return
+        elif self._stage >= _LAYERS:
+            self._stage -= _LAYERS
+            if self._alarm is not None:
+                self._report_layer(self._alarm, sample[7])
+            return
         clock_s = sample[-1]
         if self._stage != _FOLLOW:
             if self._stage == _BRANCH:
@@ -278,7 +280,7 @@ class SwitchingMethod:
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
-        elif alarm is not None:
+        elif alarm is not None and self._is_layer_due(place.depth / _MM - alarm.depth_m):
             self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
@@ -312,16 +314,22 @@ class SwitchingMethod:
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
-    def _report_layer(self, force_std: float) -> bool:
-        """Report the layer that the last rupture ended, twice, where due; whether it was."""
-        layers, alarm = self.layers, self._alarm
-        if alarm is None:
-            return False
-        travel = self._place.depth / _MM - alarm.depth_m
-        is_open, is_revised = self._is_open, self._place.time_s % _REVISE_S < self._place.dt_s
-        is_due = not is_open and not layers[-1].is_final and (travel >= _FINAL_M or travel < 0.0)
-        if not (travel >= _PROVISIONAL_M if is_open else is_due or is_revised):
-            return False
+    def _is_final(self, travel_m: float) -> bool:
+        """Whether the layer left is final now, so far behind its rupture."""
+        is_far = travel_m >= _FINAL_M or travel_m < 0.0
+        return is_far and not self._is_open and not self.layers[-1].is_final
+
+    def _is_layer_due(self, travel_m: float) -> bool:
+        """Whether the layer left is reported or revised now, so far behind its rupture."""
+        if self._is_open:
+            return travel_m >= _PROVISIONAL_M
+        is_revised = self._place.time_s % _REVISE_S < self._place.dt_s
+        return is_revised or self._is_final(travel_m)
+
+    def _report_layer(self, alarm: Rupture, force_std: float) -> None:
+        """Report the layer that the last rupture ended, provisional or final, or revise it."""
+        layers, is_open = self.layers, self._is_open
+        is_due = self._is_final(self._place.depth / _MM - alarm.depth_m)
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction, and the law's.
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0) + self._place.law_error**2
@@ -334,7 +342,7 @@ class SwitchingMethod:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
                 self._rupture_state = RuptureState.FRICTION_IDENTIFIED
-            return True
+            return
         layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
         if is_due:
             partial = reports.partial_rupture_probability(evidence, self._ruptures)
@@ -346,7 +354,6 @@ class SwitchingMethod:
         if earlier is not None and len(kept) > 1:
             kept[-2] = reports.with_friction(kept[-2], *earlier)
         self._keep(tuple(kept))
-        return True
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, float, float]:
