@@ -147,9 +147,13 @@ DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 def scenario(name: str, seed: int = 0) -> Scenario:
     """A catalogued scenario, or one drawn from the seed.
 
-    Names are those of the catalogue, ``random-stack`` and ``random-tissue``; followed by ``+`` and
-    one of `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``. `ScenarioError` if there
-    is none of that name; the message lists the names.
+    Args:
+        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+`` and one of
+            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
+        seed: Of what is drawn.
+
+    Raises:
+        ScenarioError: There is none of that name; the message lists the names.
     """
     base, plus, change = name.partition("+")
     if base in DRAWN:

@@ -80,12 +80,17 @@ def simulate(
 ) -> Run:
     """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
 
-    A scenario without layers moves all joints in free air instead. Names are those of
-    `groundtruth.scenario` and `PLANT_MODELS`; the seed is that of everything drawn, so that equal
-    arguments give equal runs; `progress` gets the fraction done, 0 to 1.
+    A scenario without layers moves all joints in free air instead.
+
+    Args:
+        scenario: A scenario or its name, see `groundtruth.scenario`.
+        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
+        seed: Seed of everything drawn; equal arguments give equal runs.
+        progress: Called now and then with the fraction done, 0 to 1.
 
     Raises:
-        ScenarioError, PlantModelError: There is none of that name.
+        ScenarioError: There is no scenario of that name.
+        PlantModelError: There is no plant model of that name.
         MotionError: The needle's line is out of the arm's reach.
         PlantError: The tissue has pushed the arm off its motion.
     """
@@ -160,9 +165,15 @@ def insert_needle(
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
-    Names are those of `groundtruth.scenario`; the seed is that of the sensor's noise and of a drawn
-    scenario: the same seed gives the same run. `ScenarioError` if there is no scenario of that
-    name, `MotionError` if the rate is unusable.
+    Args:
+        scenario: A scenario or its name, see `groundtruth.scenario`.
+        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
+        rate_hz: Samples per second.
+        noise: What the force sensor adds, see `groundtruth.force_noise`.
+
+    Raises:
+        ScenarioError: There is no scenario of that name.
+        MotionError: The rate is unusable.
     """
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     require_positive(MotionError, rate_hz=rate_hz)

@@ -100,9 +100,13 @@ class Tissue:
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.
 
-        The depth is the travel of the tip since first contact at the end of the step, negative
-        above; its speed is positive inwards. `TissueError` if a value is not finite or `dt_s` is
-        not positive; the state is unchanged.
+        Args:
+            depth_m: Travel of the tip since first contact, at the end of the step; negative above.
+            speed_m_s: Speed of the tip, positive inwards.
+            dt_s: Length of the step.
+
+        Raises:
+            TissueError: A value is not finite or `dt_s` is not positive; the state is unchanged.
         """
         if not (math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0):
             raise TissueError(

@@ -51,7 +51,7 @@ _MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the bea
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
-_LAYERS, _RUPTURES = 4, 8  # besides, before: the layer that the last rupture ended; first ruptures
+_LAYERS, _RUPTURES = 4, 8  # added where the layer left, or ruptures, are to be reported first
 
 
 class SwitchingState(NamedTuple):

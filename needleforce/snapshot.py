@@ -49,9 +49,13 @@ class _Envelope(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
-    """Write what ``snapshot()`` of a session, a sensor or an identifier returned.
+    """Write the snapshot of a session, of a virtual sensor or of an identifier.
 
-    The file appears whole or not at all; an older one of that name is replaced.
+    The file appears whole or not at all.
+
+    Args:
+        snapshot: What ``snapshot()`` of one of them returned.
+        path: Where to; an older file of that name is replaced.
 
     Raises:
         SnapshotFileError: For anything but such a snapshot.
@@ -74,7 +78,13 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
 
 
 def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
-    """Read a snapshot that `write_snapshot` wrote, for ``restore`` of its kind.
+    """Read what `write_snapshot` wrote.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The snapshot, for ``restore`` of its kind.
 
     Raises:
         SnapshotFileError: If it is no snapshot, damaged, or of another version.

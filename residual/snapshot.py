@@ -59,7 +59,10 @@ def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 
 
 def check_form(state: object, model: object) -> None:
-    """Raise `SnapshotError` if arrays have other shapes than those of a valid state."""
+    """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
+
+    `SnapshotError` with the array that differs, or what is missing.
+    """
     expected = {place: array.shape for place, array in arrays(model)}
     for place, array in arrays(state):
         first = 1 if place.endswith(GROWING) else 0

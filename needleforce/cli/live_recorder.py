@@ -34,12 +34,14 @@ COLUMNS = {
 class Recorder:
     """A recording that is written while samples come; for the ``with`` statement.
 
-    `FileAccessError` if the file cannot be written; whatever goes wrong in its process is raised by
-    `put` or at the end.
+    Whatever goes wrong in its process is raised by `put` or at the end.
 
     Attributes:
         rows: Samples that it was given.
         time_s: Time stamp of the last one: the first has 0.
+
+    Raises:
+        needleforce.recordings.FileAccessError: The file cannot be written.
     """
 
     def __init__(self, path: Path, joint_names: tuple[str, ...]) -> None:

@@ -87,7 +87,7 @@ def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> 
 def stop_request(
     *others: int, then: Callable[[], None] = lambda: None
 ) -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C or another of these signals came; the first calls, two interrupt."""
+    """Yield whether Ctrl-C or another of these signals came; the second interrupts at once."""
     is_asked = False
 
     def hear(_number: int, _frame: FrameType | None) -> None:

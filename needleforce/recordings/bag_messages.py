@@ -135,7 +135,10 @@ def _records(data: bytes | bytearray, at: int = 0) -> Iterator[tuple[int, int, i
 
 
 class _McapReader:
-    """Reads one MCAP file as far as it goes; a record or unpacked chunk may have `limit` bytes."""
+    """Reads the messages of one MCAP file from its start as far as it goes; its end may miss.
+
+    A record, and what a chunk holds when unpacked, may have `limit` bytes.
+    """
 
     def __init__(self, path: Path, faults: list[str], limit: int) -> None:
         self._library = optional_library("mcap.records", "MCAP files")
@@ -191,7 +194,8 @@ class _McapReader:
     def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""
         if opcode == _MESSAGE:
-            yield from self._message(data)
+            if (message := self._message(data)) is not None:
+                yield message
             return
         if opcode not in _PARSED:
             return
@@ -210,16 +214,16 @@ class _McapReader:
             kind, text = self._schemas.get(record.schema_id, ("", ""))
             self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
 
-    def _message(self, data: bytes) -> Iterator[RawMessage]:
+    def _message(self, data: bytes) -> RawMessage | None:
         # By hand, since the parser of the library takes ten times as long.
         if len(data) >= _MESSAGE_HEAD.size:
             channel, _, log_ns, _ = _MESSAGE_HEAD.unpack_from(data)
             topic = self._channels.get(channel)
             if topic is not None and log_ns <= _LATEST_NS:
-                yield RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
-                return
+                return RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
         if "has damaged messages" not in self._faults:
             self._faults.append("has damaged messages")
+        return None
 
     def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
         data, size = chunk.data, chunk.uncompressed_size

@@ -46,7 +46,11 @@ class Log:
     start_ns: int = 0  # the instant of t_s = 0, see `Table`
 
     def __post_init__(self) -> None:
-        """Copy and freeze the data; `LogError` for wrong shapes, no channel or time not finite."""
+        """Copy, freeze and check the data.
+
+        `LogError` if there is no channel, something is no array of numbers of the right shape, or
+        time is not finite.
+        """
         t_s = read_only("t_s", self.t_s)
         channels = {name: read_only(name, values) for name, values in self.channels.items()}
         if not channels:
@@ -184,8 +188,12 @@ class LogStream:
     """Iterates over the rows of a recording in SI units, a chunk at a time.
 
     Which columns are which channels is decided from the first rows. Rows and numbers are those of
-    `read_log`, and what is wrong with them is reported as there. `tables` come from
-    `stream_tables`, with the same request.
+    `read_log`, and what is wrong with them is reported as there.
+
+    Args:
+        tables: From `stream_tables`, with the same request.
+        request: Which channels are read, and which columns they are; by default all that look like
+            one.
     """
 
     def __init__(self, tables: Iterable[Table], request: ChannelRequest | None = None) -> None:
@@ -205,7 +213,10 @@ class LogStream:
         return news
 
     def __iter__(self) -> Iterator[LogChunk]:
-        """Yield the rows, in the first chunk 200 if there are so many; raises as `read_log`."""
+        """Yield the rows; the first chunk has 200, if there are so many.
+
+        Raises as `read_log`; what only the end shows is reported there.
+        """
         head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
