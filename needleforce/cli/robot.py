@@ -13,7 +13,7 @@ import urdf
 from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings import load_mapping
-from needleforce.recordings.errors import read_toml
+from needleforce.recordings.mapping import read_toml
 from residual import DEFAULT, PUBLISHED, FrictionModel, JointFriction, SensorConfig, SigmoidFriction
 from urdf import NeedleTool, Payload, Robot
 from urdf.errors import finite_array

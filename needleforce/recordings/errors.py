@@ -1,12 +1,10 @@
-"""What this package raises, and the limits and the care with which files are opened."""
+"""What this package raises, and the limits that every format shares."""
 
-import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 
 class RecordingError(Exception):
@@ -34,7 +32,6 @@ class LogError(RecordingError, ValueError):
 
 
 MAX_BYTES = 2 << 30  # The most memory a recording may ask for; a small damaged file can ask for any
-_LONGEST_TOML = 1 << 22  # bytes
 
 
 def require_size(size: int, limit: int, what: str) -> None:
@@ -79,25 +76,3 @@ def readable_path(path: str | Path) -> Path:
         if path.exists() and not (path.is_file() or path.is_dir() or path.is_fifo()):
             raise FileAccessError(f"cannot read {path}: it is neither a file, a folder nor a pipe")
     return path
-
-
-def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Return the content of a TOML file, at least one key; `what` it is stands in messages.
-
-    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is empty.
-    """
-    try:
-        with file_errors(path), readable_path(path).open("rb") as stream:
-            data = stream.read(_LONGEST_TOML + 1)
-    except FileAccessError as error:
-        message = str(error).replace("cannot read", f"cannot read the {what}")
-        raise FileAccessError(message) from error
-    if len(data) > _LONGEST_TOML:
-        raise FormatError(f"the {what} {path} is longer than {_LONGEST_TOML} bytes")
-    try:
-        content = tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"the {what} {path} is not valid TOML: {error}") from error
-    if not content:
-        raise FormatError(f"the {what} {path} is empty")
-    return content

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,8 +20,17 @@ from needleforce.recordings.channels import (
     find_unit,
     parse_column_name,
 )
-from needleforce.recordings.errors import ColumnError, FormatError, MappingError, read_toml
+from needleforce.recordings.errors import (
+    ColumnError,
+    FileAccessError,
+    FormatError,
+    MappingError,
+    file_errors,
+    readable_path,
+)
 from needleforce.recordings.table import Table
+
+_LONGEST_TOML = 1 << 22  # bytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,6 +159,28 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         raise MappingError(f"{path}: {what}; a channel has columns, unit and scale") from error
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from error
+
+
+def read_toml(path: str | Path, what: str) -> dict[str, Any]:
+    """Return the content of a TOML file, at least one key; `what` it is stands in messages.
+
+    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is empty.
+    """
+    try:
+        with file_errors(path), readable_path(path).open("rb") as stream:
+            data = stream.read(_LONGEST_TOML + 1)
+    except FileAccessError as error:
+        message = str(error).replace("cannot read", f"cannot read the {what}")
+        raise FileAccessError(message) from error
+    if len(data) > _LONGEST_TOML:
+        raise FormatError(f"the {what} {path} is longer than {_LONGEST_TOML} bytes")
+    try:
+        content = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"the {what} {path} is not valid TOML: {error}") from error
+    if not content:
+        raise FormatError(f"the {what} {path} is empty")
+    return content
 
 
 @dataclass(frozen=True, slots=True)
