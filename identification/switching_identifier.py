@@ -1,8 +1,9 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it lets every hypothesis use its force; in
-the next hypotheses of new events begin and the least likely go, unless it reports a rupture, or a
-layer is due: then the next one does the rest. One more may look for moving tissue.
+A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
+the next reports ruptures, begins hypotheses of new events and drops the least likely. Where it
+reports one, or a layer is due, the one after it does the rest. At rest the one that fills a block
+does all. One more may look for moving tissue.
 """
 
 import math
@@ -146,6 +147,8 @@ class SwitchingMethod:
                 break
         if is_full:
             self._use_block(sample)
+            if self._stage < _RUPTURES:  # a needle at rest, which ruptures nothing
+                self._report(sample)
         return self._outputs(sample)
 
     def _outputs(self, sample: Sample) -> tuple[Any, ...]:
@@ -158,7 +161,7 @@ class SwitchingMethod:
         if self._stage >= _RUPTURES:
             self._stage -= _RUPTURES
             self._report(sample)
-            if self._events.rupture is not None or self._stage not in (_BRANCH, _PRUNE):
+            if self._events.rupture is not None or self._stage >= _LAYERS:
                 return
         elif self._stage >= _LAYERS:
             self._stage -= _LAYERS
@@ -221,7 +224,7 @@ class SwitchingMethod:
             law_std = math.hypot(2.0 * speed_std, own - last.speed)
             _learn(bank, place, left, self._resumed, (depth_std, law_std))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
-            self._stage = _BRANCH if is_advancing else _PRUNE
+            self._stage = _RUPTURES + (_BRANCH if is_advancing else _PRUNE)
             self._texture = self._texture.with_force(place.force, fresh if is_met else 0.0, v)
         else:
             # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
@@ -232,7 +235,6 @@ class SwitchingMethod:
         self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
         self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
-        self._stage += _RUPTURES
         if not is_gap:
             self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
 
@@ -335,9 +337,7 @@ class SwitchingMethod:
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0) + self._place.law_error**2
         friction = reports.friction_left(evidence, self._ruptures, grown)
         if is_open:
-            layer = None
-            if friction is not None:
-                layer = reports.layer_left(evidence, alarm, self._ruptures, friction)
+            layer = friction and reports.layer_left(evidence, alarm, self._ruptures, friction)
             if layer is not None:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
