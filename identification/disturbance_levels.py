@@ -152,7 +152,8 @@ class DisturbanceLevels(NamedTuple):
     def law_error(self, force: float, noise: float) -> float:
         """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and noise."""
         variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
-        return math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0))
+        # Friction lies between none and all of the force, so no deviation exceeds half of that.
+        return min(math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0)), 0.5 * abs(force))
 
 
 @compiled

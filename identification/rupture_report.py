@@ -68,10 +68,11 @@ def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, spee
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
     answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, weights, scene)
     # Friction is known no better than the law is, whose error the texture shows.
-    answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += all_met * place.law_error**2
+    law_variance = all_met * place.law_error**2
+    answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += law_variance
     if all_met > 0.5:
         answer[0, :3] = 1.0, known + 1, contact / _MM
-    answer[0, 3:7] = place.depth, place.noise**2, tip, speed
+    answer[0, 3:] = place.depth, place.noise**2, tip, speed, law_variance
     return answer
 
 

@@ -45,10 +45,10 @@ FIRST_MEMORY.setflags(write=False)
 # together; N, mm, mm/s. Its first row: whether tissue has been met; the layer the tip is in, from
 # 1, 0 before contact; depth at which the first was met [m]; depth the answer is of; variance of a
 # sample's force; force at the tip; speed for the cumulative friction: that of the last rupture, 0
-# before the first, to take the present one. The second row holds the mean, the others the
-# covariance of: force in free air; Coulomb and viscous friction of the layers left, and of the
-# whole shaft; their growth with depth; stiffness of the tip's force.
-IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED = range(7)
+# before the first, to take the present one; variance of the law's error. The second row holds the
+# mean, the others the covariance of: force in free air; Coulomb and viscous friction of the layers
+# left, and of the whole shaft; their growth with depth; stiffness of the tip's force.
+IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED, _LAW = range(8)
 _OFFSET, LEFT_COULOMB, LEFT_VISCOUS, COULOMB, VISCOUS = range(5)
 _OWN_COULOMB, _OWN_VISCOUS, _STIFFNESS = range(5, 8)
 NO_ANSWER = np.zeros((10, 8))
@@ -91,6 +91,18 @@ def _per_speed(answer: Matrix, first: int, speed: float) -> tuple[float, float]:
 
 
 @compiled
+def _not_pulled(tip: float, variance: float) -> tuple[float, float]:
+    """Mean of a tip force cut off at zero, since no tissue pulls the tip, and variance that goes.
+
+    The variance is that of the law's error: what the hypotheses do not know of.
+    """
+    std = math.sqrt(max(variance, _TINY))
+    a = max(tip / std, -30.0)
+    rise = math.sqrt(2.0 / math.pi) * math.exp(-0.5 * a * a) / math.erfc(-math.sqrt(0.5) * a)
+    return std * (a + rise), variance * rise * (rise + a)
+
+
+@compiled
 def _forces(
     depth_m: float, speed: float, force: float, memory: Vector, answer: Matrix, layers: Matrix
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -126,13 +138,12 @@ def _forces(
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
-    tip_std = _with_offset(answer, COULOMB, w, speed, variance)
-    std, predicted = math.sqrt(max(variance, 0.0)), offset + friction + tip
-    if friction > force:
-        # No tissue pulls the tip: at rest the force relaxes faster than this friction says.
-        excess, friction = friction - force, force
-        std, tip_std = math.hypot(std, excess), math.hypot(tip_std, excess)
-    return force - left, left_std, force - friction, tip_std, friction, std, predicted
+    predicted, excess = offset + friction + tip, max(friction - force, 0.0)
+    tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
+    # At rest the force may relax faster than this friction says.
+    variance += excess**2 - known
+    tip_std, std = _with_offset(answer, COULOMB, w, speed, variance), math.sqrt(max(variance, 0.0))
+    return force - left, left_std, tip, tip_std, force - tip, std, predicted
 
 
 @compiled

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from identification import hypothesis_filter as law
+from identification import switching_update as samples
 from identification.disturbance_levels import DisturbanceLevels, transitions
 from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, first_bank
 from identification.rupture_report import (
@@ -223,3 +224,16 @@ def test_who_knows_only_of_an_older_rupture_denies_the_alarm():
     seen = evidence_of(memory.bank, alarm, 1)
     assert seen.ruptures[:2].tolist() == [0.0, 1.0]
     assert count_ruptures(seen, 1, PLACE).fewer > 0.9
+
+
+@pytest.mark.parametrize("friction", [0.2, 1.0, 1.4])
+def test_a_law_that_errs_leaves_no_tip_force_below_zero(friction):
+    memory, answer = samples.FIRST_MEMORY.copy(), samples.NO_ANSWER.copy()
+    memory[samples._DEFLECTION], memory[samples._DEEPEST] = 1.0, 0.02
+    answer[0, samples.IN_CONTACT], answer[0, samples._LAW] = 1.0, 0.3**2
+    answer[1, samples.COULOMB], answer[2 + samples.COULOMB, samples.COULOMB] = friction, 0.3**2
+    found = samples.switching_outputs(0.02, 0.005, 1.1, memory, answer, np.zeros((0, 4)))
+    tips = np.random.default_rng(3).normal(1.1 - friction, 0.3, 1_000_000)
+    tips, excess = tips[tips > 0.0], max(friction - 1.1, 0.0)
+    assert found[4:8:2] == pytest.approx((tips.mean(), 1.1 - tips.mean()), abs=2e-3)
+    assert found[5:8:2] == pytest.approx([np.hypot(tips.std(), excess)] * 2, abs=2e-3)
