@@ -125,7 +125,7 @@ class Estimate(NamedTuple):
         layer: Number of the layer the tip is in, from 1; 0 in free air in front of the tissue.
         enhanced_force_N: Axial force less the friction of the layers already traversed. Its
             deviation, as that of the tip force, holds the noise of the force too.
-        tip_force_N: Axial force less all shaft friction, the current layer's included.
+        tip_force_N: Axial force less all friction of the shaft; in tissue never negative.
         shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
         predicted_force_N: Axial force the model expected at this sample.
         stiffness_N_per_m: K of the current layer.

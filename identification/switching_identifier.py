@@ -2,8 +2,8 @@
 
 A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
 the next reports ruptures, begins hypotheses of new events and drops the least likely. Where it
-reports one, or a layer is due, the one after it does the rest. At rest the one that fills a block
-does all. One more may look for moving tissue.
+reports one, or a layer is due, the one after it does the rest. Where the needle does not advance,
+the one that fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
@@ -147,7 +147,7 @@ class SwitchingMethod:
                 break
         if is_full:
             self._use_block(sample)
-            if self._stage < _RUPTURES:  # a needle at rest, which ruptures nothing
+            if self._stage < _RUPTURES:  # it does not advance: the next sample has nothing to add
                 self._report(sample)
         return self._outputs(sample)
 
