@@ -94,6 +94,7 @@ class Place(NamedTuple):
     raw: float = 0.0  # unfiltered depth [mm]
     lag_s: float = 0.0  # by which the speed may be late
     before: float = 0.0  # mean force over the block before [N]
+    by_speed: float = 0.0  # shaft friction that changes of the speed have added so far [N]
     law_error: float = 0.0  # error of the law that the tissue's texture shows [N]
 
 

@@ -209,15 +209,16 @@ class SwitchingMethod:
         is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
         is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
         left, self._deepest = self._levels.beside(self._tissue, clock_s), max(deepest, z)
-        place = place._replace(speed=own, usual_speed=usual, noise=left.noise)
+        by_speed = last.by_speed + _damping(bank, z) * (own - last.speed)
+        place = place._replace(speed=own, usual_speed=usual, noise=left.noise, by_speed=by_speed)
         _predict(bank, place, fresh, left, self._tissue)
         is_met, self._stage = self._answer[0][samples.IN_CONTACT] > 0.0, self._after(clock_s)
         if (is_advancing or not is_met) and not is_gap:
             self._resumed *= math.exp(-fresh / _RESUMED_MM)
-            # A force that is being released is no noise; beats are.
-            is_release = self._is_open and not self._is_series
-            levels = self._levels
-            levels = levels.restarted() if is_release else levels.with_force(place.force, dt_s, v)
+            # A force that is being released is no noise, nor is what the speed does; beats are.
+            force = place.force - by_speed
+            is_release, levels = self._is_open and not self._is_series, self._levels
+            levels = levels.restarted() if is_release else levels.with_force(force, dt_s, v)
             self._levels, left = levels, levels.beside(self._tissue, clock_s)
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.
@@ -225,7 +226,7 @@ class SwitchingMethod:
             _learn(bank, place, left, self._resumed, (depth_std, law_std))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
             self._stage = _RUPTURES + (_BRANCH if is_advancing else _PRUNE)
-            self._texture = self._texture.with_force(place.force, fresh if is_met else 0.0, v)
+            self._texture = self._texture.with_force(force, fresh if is_met else 0.0, v)
         else:
             # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
             is_rest = is_gap or own + self._tissue.at(clock_s)[1] < _HALF * usual
@@ -378,6 +379,12 @@ def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:
     return found
 
 
+def _damping(bank: BankMemory, depth: float) -> float:
+    """Viscous friction of the whole shaft [N/(mm/s)], by the likeliest hypothesis."""
+    best, fact = bank.likeliest
+    return best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0)
+
+
 def _predict(
     bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels, tissue: TissueMotion
 ) -> None:
@@ -406,7 +413,7 @@ def _learn(
     noise: tuple[float, float],
 ) -> None:
     (depth_std, speed_std), (best, fact) = noise, bank.likeliest
-    damping = best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(place.depth - fact[law.ROOT], 0.0)
+    damping = _damping(bank, place.depth)
     white = float(levels.levels[0]) * levels.step_s / place.dt_s
     variance = max(white, 1e-8) + (damping * speed_std) ** 2
     if fact[law.KIND] != law.AIR:

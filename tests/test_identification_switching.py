@@ -28,13 +28,14 @@ def tissue_N(depth_m, slides=1.0):
     return tip, frictions
 
 
-def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0):
+def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0):
     """Depth, speed, force and interval of moves: (travel [m], seconds), from 4 mm above."""
     rng, depth, rows = np.random.default_rng(seed), -4e-3, []
     slides, deepest, t = 1.0, -4e-3, 0.0
     for travel, seconds in moves:
         n = round(1e3 * seconds)
         ramp = np.minimum(np.minimum(np.arange(n) + 1.0, n - np.arange(n)) / 100.0, 1.0)
+        ramp *= 1.0 + sway * np.sin(2.0 * np.pi * 0.5e-3 * np.arange(n))
         for step in (travel * ramp / ramp.sum()).tolist():
             depth, t = depth + step, t + 1e-3
             true = depth - (motion_m(t) if motion_m else 0.0)
@@ -104,6 +105,17 @@ def test_jitter_of_the_speed_is_no_sign_that_friction_is_the_same_at_all_speeds(
     enhanced_N = np.array([one.enhanced_force_N for one in found.estimates])[after]
     assert run.force_N[after].mean() > 0.9
     assert np.sqrt(np.mean(enhanced_N**2)) < 0.06
+
+
+def test_friction_at_changing_speed_is_neither_noise_nor_texture():
+    """The speed sways between 1 and 8 mm/s, and the friction with it by a newton."""
+    stated_N = []
+    for rows in (straight(), straight(sway=0.8)):
+        _, estimates = run(rows)
+        assert len(of(estimates, "rupture")) == 2 and not of(estimates, "retracted")
+        is_second = [20e-3 < row[0] < 33e-3 for row in rows]
+        stated_N.append(np.array(of(estimates, "tip_force_std_N"))[is_second].mean())
+    assert stated_N[1] < 2.0 * stated_N[0]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
