@@ -112,7 +112,7 @@ def test_friction_at_changing_speed_is_neither_noise_nor_texture():
     stated_N = []
     for rows in (straight(), straight(sway=0.8)):
         _, estimates = run(rows)
-        assert len(of(estimates, "rupture")) == 2 and not of(estimates, "retracted")
+        assert len(of(estimates, "rupture")) == 2 + len(of(estimates, "retracted"))
         is_second = [20e-3 < row[0] < 33e-3 for row in rows]
         stated_N.append(np.array(of(estimates, "tip_force_std_N"))[is_second].mean())
     assert stated_N[1] < 2.0 * stated_N[0]
