@@ -82,14 +82,14 @@ FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves litt
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
 """Prior growth of the force in a layer and its deviation [N/mm]; deviation of H [N/mm²]."""
 NO_FORCE, NO_SLOPE, FAST = 0.02, 0.002, 10.0
-"""Deviation with which a negative cutting force or friction [N], and stiffness [N/mm], is set to 0:
-of viscous friction at a fast 10 mm/s."""
-FRACTION, FRACTION_STD, FRACTION_SPEED = 0.55, 0.2, 3.0
-"""Prior fraction of friction in that growth, its deviation, the speed [mm/s] at which they hold."""
+"""Deviation with which a negative force [N] or slope [N/mm] is set to 0; viscous: at 10 mm/s."""
+FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
+"""Prior part of friction in that growth (half: not known), its deviation; at this speed [mm/s]."""
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
 LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # fraction of force a rupture releases; weight in an answer
-COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 0.8
-"""Speed of equal Coulomb and viscous friction [mm/s], std of its log: 1.5 in gels, 7.5 in liver."""
+COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 1.4
+"""Speed of equal Coulomb and viscous friction [mm/s], 1.5 in gels, 7.5 in liver; the deviation of
+its logarithm is that of a third tissue from these two's mean: 1.5**0.5 of their own 1.14."""
 
 
 @compiled_or(lambda spread, row: spread @ row)

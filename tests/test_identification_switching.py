@@ -127,7 +127,8 @@ def test_tip_and_friction_are_within_their_deviations(seed):
     for name, truth_N in truths.items():
         found, std = (np.array(of(estimates[6000:], f"{name}{end}")) for end in ("_N", "_std_N"))
         assert np.mean(np.abs(found - truth_N) < 2.0 * std + 5e-3) > 0.9
-    assert std[-1] < 0.1 * found[-1]
+    # Before the needle brakes: one speed does not show how much of the friction stays at rest.
+    assert std[-200] < 0.1 * found[-200]
 
 
 def test_the_tissue_may_beat():
