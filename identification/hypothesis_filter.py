@@ -81,8 +81,8 @@ TEMPER = 0.5  # exponent of the likelihood: errors of the law are alike from one
 FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
 """Prior growth of the force in a layer and its deviation [N/mm]; deviation of H [N/mm²]."""
-NO_FORCE, NO_SLOPE, FAST = 0.02, 0.002, 10.0
-"""Deviation with which a negative force [N] or slope [N/mm] is set to 0; viscous: at 10 mm/s."""
+NO_FORCE, NO_SLOPE = 0.02, 0.002
+"""Deviation with which a negative cutting force or friction [N], stiffness [N/mm], is set to 0."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
 """Prior part of friction in that growth (half: not known), its deviation; at this speed [mm/s]."""
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
@@ -376,8 +376,7 @@ def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is
 def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float:
     """Set to zero what is negative but cannot be; returns the change of the log weight."""
     added, row = 0.0, np.zeros(UNKNOWNS)
-    forces = (COULOMB, NO_FORCE), (HELD, NO_FORCE), (VISCOUS, NO_FORCE / FAST)
-    for at, none in (*forces, (STIFFNESS, NO_SLOPE), (OWN_VISCOUS, NO_SLOPE / FAST)):
+    for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
         variance, value = max(spread[at, at], 0.0), mean[at]
         # With its onset a negative cutting force would look like a slow release.
         if value < -none - math.sqrt(variance) and (is_cutting or at != HELD):
