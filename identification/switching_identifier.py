@@ -381,8 +381,8 @@ def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:
 
 def _damping(bank: BankMemory, depth: float) -> float:
     """Viscous friction of the whole shaft [N/(mm/s)], by the likeliest hypothesis."""
-    best, fact = bank.likeliest
-    return best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0)
+    best, fact = bank.store[0][0], bank.store[3][0]
+    return float(best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0))
 
 
 def _predict(
