@@ -133,7 +133,7 @@ class DisturbanceLevels(NamedTuple):
         return self._replace(steps=0.0, force_sum=0.0, filled_s=0.0)
 
     def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
-        """Use the mean force of a block [N] at a speed [mm/s]."""
+        """Use a block's mean force, less what changes of speed added [N], at a speed [mm/s]."""
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
         step = _TEXTURE_MM if self.is_texture else STEP_S
         if filled < step * (1.0 - 1e-6):

@@ -108,7 +108,7 @@ def test_jitter_of_the_speed_is_no_sign_that_friction_is_the_same_at_all_speeds(
 
 
 def test_friction_at_changing_speed_is_neither_noise_nor_texture():
-    """The speed sways between 1 and 8 mm/s, and the friction with it by a newton."""
+    """The speed sways between 1 and 7 mm/s, and the friction with it by up to a newton."""
     stated_N = []
     for rows in (straight(), straight(sway=0.8)):
         _, estimates = run(rows)
