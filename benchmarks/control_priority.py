@@ -24,7 +24,6 @@ from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import (
     Controller,
     Limits,
-    LONGEST_STEP_s,
     Solver,
     Stack,
     hierarchical,
@@ -35,6 +34,7 @@ from needleforce.control.tasks import (
     AxialSpeed,
     DecoupledMotion,
     Fixture,
+    LONGEST_STEP_s,
     Posture,
     RemoteCentre,
     Task,

@@ -2,6 +2,7 @@
 
 from itertools import pairwise
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
@@ -330,6 +331,39 @@ def test_a_late_sample_and_a_silent_program_stop():
     assert "sign of life" in manager.request("withdraw")
 
 
+def test_the_time_that_a_tare_takes_is_no_lost_arm():
+    for late_s, state in ((0.05, State.IDLE), (0.5, State.FAULTED)):
+        manager, sensor = new_manager()
+        run(manager, 0.2)
+        assert manager.request("tare") == ""
+        sensor.tare = lambda sensor=sensor: (sleep(0.05), setattr(sensor, "tared", True))
+        assert manager.request("arrived") == ""
+        assert run(manager, 5e-3).state is State.IDLE  # what the arm has sent meanwhile
+        now = run(manager, dt_s=late_s)
+        assert (now.state, "no sample" in now.reason) == (state, state is State.FAULTED)
+        assert run(manager, dt_s=0.06).state is State.FAULTED  # that time has passed once
+
+
+def test_a_program_that_falls_silent_in_a_dwell_stops():
+    manager, _ = inserting()
+    assert manager.request("arrived") == ""
+    assert run(manager, 0.2).is_moving  # a stopped tip is held
+    for _ in range(150):
+        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+    assert (now.state, "no heartbeat" in now.reason) == (State.STOPPED, True)
+
+
+def test_before_the_first_valid_sample_nobody_knows_where_the_needle_is():
+    manager, sensor = new_manager()
+    sensor.reads(Status.REJECTED)
+    run(manager, 3e-3)
+    assert "nobody knows" in manager.request("approach")
+    sensor.reads(depth_m=0.1)
+    run(manager, 0.2)
+    assert manager.request("approach") == ""
+    assert run(manager, 0.1).state is State.APPROACH
+
+
 def test_a_clock_that_is_set_moves_no_time():
     manager, _ = new_manager()
     for dt_s in (-3600.0, np.nan, 0.0, 1e9, None, "x", np.ones(2), 10**400):
@@ -397,7 +431,7 @@ def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
     assert now.state is State.INSERTION
     now = run(manager, 0.01, Beside(axial_N=np.nan))
     assert (now.state, "axial force of the sensor nan" in now.reason) == (State.FAULTED, True)
-    for command in (np.full(7, np.nan), np.zeros(6), "x"):
+    for command in (np.full(7, np.nan), np.zeros(6), "x", [[]] * 7, [(0.0,), 0.0], ["x"] * 7):
         manager, _ = inserting()
         reason = run(manager, beside=Beside(command_rad_s=command)).reason
         assert "expected 7 finite numbers" in reason

@@ -1,5 +1,7 @@
 """Tasks, limits and strict priority."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -18,7 +20,7 @@ from needleforce.control import (
     Task,
     TipVelocity,
 )
-from needleforce.control.tasks import JointVelocity, ToolState
+from needleforce.control.tasks import JointVelocity, LONGEST_STEP_s, ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -105,6 +107,31 @@ def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
     tool = tool_at(q)
     assert np.linalg.norm(pin.log3(tool.rotation @ tool_at(Q).rotation.T)) > 0.03
     assert np.linalg.norm(tool.tip_m - start_m) < 1e-4
+
+
+def test_a_pause_or_a_time_that_is_none_moves_no_wish_of_decoupled_motion_away():
+    tool = tool_at(Q)
+    motion = DecoupledMotion(tool)
+    for dt_s, most_m in ((np.nan, 0.0), (-1.0, 0.0), (5.0, 0.03 * LONGEST_STEP_s), (1e-3, 1e-3)):
+        before_m = motion.goal_m
+        motion.move(tool, (0.0, 0.0, 0.03), np.zeros(3), dt_s)
+        assert np.linalg.norm(motion.goal_m - before_m) <= 1.001 * most_m
+    assert motion.goal_m[2] > tool.tip_m[2]
+
+
+def test_tasks_that_cannot_be_compared_are_tasks_as_others():
+    @dataclass
+    class Push:
+        wish: np.ndarray
+        size: int = 3
+
+        def write(self, tool, rows, rates):
+            rows[:], rates[:] = tool.jacobian[:3], self.wish
+
+    control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    for _ in range(3):
+        command = control.update(sample, [Push(np.full(3, 1e-3))])
+        assert command.status in ("ok", "saturated")
 
 
 @pytest.mark.parametrize(

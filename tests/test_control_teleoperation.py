@@ -163,6 +163,28 @@ def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, 
     assert master.least_energy_J >= LEAST_J["wall"]
 
 
+@pytest.mark.parametrize("mass_kg", [0.25, 0.5, 1.25])
+@pytest.mark.parametrize("every", [1, 4, 10, 20])
+def test_a_handle_that_nobody_holds_gets_no_energy_however_seldom_it_is_read(every, mass_kg):
+    tele, place, speed, depth, pace = Teleoperation(), 0.0, 0.0, 0.0, 0.0
+    force_N = given_J = least_J = 0.0
+    for k in range(4000):
+        push_N = 6.0 if k // 1000 % 2 == 0 else -6.0
+        speed += (push_N - 5.0 * speed + force_N) / mass_kg * DT
+        place += speed * DT
+        given_J -= force_N * speed * DT
+        least_J = min(least_J, given_J)
+        handle = SimpleNamespace(
+            position_m=(0.0, 0.0, place), velocity_m_s=(0.0, 0.0, speed), clutch=True
+        )
+        seen = estimate(300.0 * max(depth, 0.0), None, depth, pace)
+        move = tele.update(handle if k % every == 0 else None, seen, DT)
+        force_N, pace = move.force_N[2], move.speed_m_s
+        depth += pace * DT
+        assert abs(force_N) < 50.0
+    assert least_J > -0.05
+
+
 def test_after_a_reset_nothing_goes_on_until_the_device_has_sent():
     tele, handle = Teleoperation(), {"velocity_m_s": (0.0, 0.0, 0.04), "clutch": True}
     for k in range(500):
@@ -344,6 +366,8 @@ def test_a_time_step_that_does_not_advance_lets_the_needle_stand(dt_s):
         handle(position_m=((0.0,), 1.0, 2.0)),
         handle(velocity_m_s=(0.0, 0.0, 1e300)),
         handle(velocity_m_s=(0.0, np.nan, 0.0)),
+        handle(clutch=np.zeros(3)),
+        SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3)),
         SimpleNamespace(),
     ],
 )
@@ -359,6 +383,8 @@ def test_a_sample_that_no_handle_can_give_counts_as_none(sample):
     assert np.abs(forces_N[0]).max() > 0.01
     assert forces_N[0].tolist() == forces_N[1].tolist()
     assert np.isfinite(tele.update(handle(clutch=None), estimate(1.0), DT).force_N).all()
+    for odd, dt_s in ((handle(("0", "0", "0")), DT), (handle(), 10**400)):
+        assert np.isfinite(tele.update(odd, estimate(1.0), dt_s).force_N).all()
 
 
 @pytest.mark.parametrize("frozen", [False, True])

@@ -21,7 +21,7 @@ LIMITS = {
     "product": (18_990, 98),
     "benchmarks": (6_500, 30),
     "tests": (12_993, 71),
-    "control": (2_209, 11),
+    "control": (2_243, 11),
     "anatomy": (1_451, 7),
     "scene": (700, 6),
     "devices": (1_200, 7),

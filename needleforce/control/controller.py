@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
@@ -19,11 +20,10 @@ from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIs
 
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
-from needleforce.control.tasks import JointVelocity, Task, ToolState, vector
+from needleforce.control.tasks import JointVelocity, LONGEST_STEP_s, Task, ToolState, vector
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or, dot
 from urdf import Robot
 
-LONGEST_STEP_s = 0.02  # A sample that comes later gives the arm no more acceleration than this one
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
 LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3  # Rows of `Limits.table`
@@ -362,7 +362,8 @@ class Controller:
 
     def _numbers_of(self, stack: Sequence[Task]) -> Stack:
         """Room for the numbers of a stack; made when one of such tasks comes first."""
-        if stack != self._tasks:  # the same tasks are equal, whatever has changed in them
+        tasks = self._tasks  # the same tasks are known, whatever has changed in them
+        if len(stack) != len(tasks) or not all(map(is_, stack, tasks)):
             has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
             key = (has_wish, *[task.size for task in stack])
             if key not in self._stacks:

@@ -160,7 +160,8 @@ class InsertionProfile:
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
         found = identification or now.estimate.identification
         force_N = now.estimate.wrench.axial_unsmoothed if axial_N is None else axial_N
-        if now.is_moving and now.state_s < dt_s + 1e-6:  # entered since the last call
+        is_going = now.is_moving and now.state.value != "dwell"  # which goes on from an insertion
+        if is_going and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
         self._follow_program(now.state.value)
         self._last = self._step(now, dt_s, found, force_N)

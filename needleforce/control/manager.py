@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterable
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
+from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
@@ -18,6 +19,7 @@ from needleforce.control.errors import SettingError
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from residual.errors import TareError
+from residual.estimate import Status
 from residual.input_validation import as_float
 
 if TYPE_CHECKING:
@@ -39,9 +41,9 @@ class State(StrEnum):
     FAULTED = "faulted"
 
 
-MOVING = frozenset(State) - {State.IDLE, State.DWELL, State.STOPPED, State.FAULTED}
-"""States in which the arm is commanded to move; in the others it is commanded to rest."""
-_PLACED = MOVING - {State.GUIDANCE} | {State.DWELL}  # States whose motions depend on the depth
+MOVING = frozenset(State) - {State.IDLE, State.STOPPED, State.FAULTED}
+"""States in which the arm may be commanded to move; in the others it is commanded to rest."""
+_PLACED = MOVING - {State.GUIDANCE}  # States whose motions depend on the depth
 
 
 class Rule(NamedTuple):
@@ -190,7 +192,7 @@ class Situation(NamedTuple):
 
     state: State
     state_s: float  # time in this state
-    time_s: float  # sum of the time steps since the start, bad samples included
+    time_s: float  # sum of the time steps, a step over 0.1 s counted as the one before it
     reason: str  # why it was stopped, faulted or refused last; empty if it never was
     estimate: "SessionEstimate"
 
@@ -211,7 +213,7 @@ class Manager:
 
     Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s is
     stopped. At the end of the state ``tare``, with the arm at rest, `request` takes a few tenths
-    of a second.
+    of a second; what an arm that does not wait has sent meanwhile may be lost.
 
     Args:
         session: Force sensor and identification, for the manager alone to update.
@@ -281,6 +283,8 @@ class Manager:
 
     def _find_entry(self, estimate: "SessionEstimate") -> None:
         """Where tissue begins: infinitely deep before it is met, -inf for who begins inside it."""
+        if estimate.status is Status.REJECTED:
+            return  # it repeats the last depth, or none
         is_first, is_inside = self._depth_m == math.inf, estimate.identification.layer > 0
         is_new = is_first or self.session.zero is not self._zero
         if is_new and not is_first:  # outside the next insertion may be at another place
@@ -302,10 +306,13 @@ class Manager:
             data: What the log should hold beside it; a ``reason`` shows in `Situation.reason`.
         """
         if event == "arrived" and self._state is State.TARE:
+            start_s = monotonic()
             try:
                 self.session.tare()
             except TareError as error:
                 return self._apply("limit", {"reason": f"the tare is refused: {error}"})
+            finally:
+                self._monitors.missed_s = monotonic() - start_s
             self._entry_m = math.inf
         refused = self._apply(event, data)
         if event == "tare" and not refused:

@@ -75,6 +75,7 @@ class Monitors:
         self._bad_s, self._device_s, self._clear_s, self._step_s = 0.0, math.inf, math.inf, math.inf
         self._position: Array | None = None
         self._lateral_N = 0.0  # of the session, across the needle
+        self.missed_s = 0.0  # time for which the program, not the arm, was away
         self.enter("idle")
 
     @property
@@ -108,7 +109,9 @@ class Monitors:
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
         fault = f"no sample for {1e3 * since_s:.0f} ms"
-        if not since_s > self._limits.late_s:
+        is_late = since_s > self._limits.late_s + self.missed_s
+        self.missed_s = max(self.missed_s - max(since_s, step_s), 0.0)
+        if not is_late:
             fault = self._signals(estimate, axial_N, step_s)
             fault = fault or self._commands(estimate, sample, beside, step_s)
         self._clear_s = 0.0 if fault else self._clear_s + step_s
@@ -148,9 +151,13 @@ class Monitors:
         if command is None or estimate.status is Status.REJECTED:
             return ""
         position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
-        if np.shape(command) != position.shape or not np.isfinite(command).all():
+        try:
+            command = np.asarray(command, dtype=np.float64)
+            is_usable = command.shape == position.shape and bool(np.isfinite(command).all())
+        except (TypeError, ValueError):
+            is_usable = False
+        if not is_usable:
             return f"the command is {command!r:.80}, expected {len(position)} finite numbers"
-        command = np.asarray(command, dtype=np.float64)
         moved = 0.0 if self._position is None else position - self._position
         self._position = position
         self._made_rad = kept * (self._made_rad + moved)

@@ -114,8 +114,11 @@ class HandPort(Port):
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
         self._damping_N, missing_J = 0.0, -min(owed_J, self.net_J)
         if missing_J > 0.0:
-            most_J = MOST_DAMPING_Ns_m * speed_m_s * speed_m_s * ahead_s
-            self._damping_N = passive_part(most_J, missing_J) * MOST_DAMPING_Ns_m * speed_m_s
+            # More than m / Δt, held over an interval, would turn the handle round.
+            most_Ns_m = min(MOST_DAMPING_Ns_m, HANDLE_kg / ahead_s)
+            most_J = most_Ns_m * speed_m_s * speed_m_s * ahead_s
+            damping_N = passive_part(most_J, missing_J) * most_Ns_m * speed_m_s
+            self._damping_N = min(max(damping_N, -most_N - force_N), most_N - force_N)
         self._force_N, self._position_m = force_N + self._damping_N, position_m
         return self._force_N
 

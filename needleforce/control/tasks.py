@@ -23,6 +23,7 @@ from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compil
 from urdf import Robot
 
 GAIN_PER_S = 30.0
+LONGEST_STEP_s = 0.02  # A sample that comes later moves the arm no more than this one
 """K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
 rounded to an encoder's steps they make the command rough."""
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -210,12 +211,16 @@ class DecoupledMotion(TipTask):
     def move(
         self, tool: ToolState, linear_m_s: ArrayLike, angular_rad_s: ArrayLike, dt_s: float
     ) -> None:
-        """Wish velocities in base axes, shape (3,) each, for the coming tick."""
+        """Wish velocities in base axes, shape (3,) each, for the coming tick.
+
+        A longer time than `LONGEST_STEP_s` counts as that, one that is no positive number as none.
+        """
         behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
         behind_rad = np.linalg.norm(self._missing_turn(tool))
         linear = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
         angular = vector(angular_rad_s, 3, "angular_rad_s") * (behind_rad < self.MOST_LAG_rad)
         self.rate = np.concatenate((linear, angular))
+        dt_s = min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else 0.0
         self.goal_m = self.goal_m + dt_s * linear
         self.rotation = np.ascontiguousarray(pin.exp3(dt_s * angular) @ self.rotation)
 

@@ -87,13 +87,23 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     return min(max(wanted_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
-def _is_sound(sample: MasterSample | None) -> bool:
-    """Whether a sample holds a place and a velocity that a handle can have."""
+class _Handle(NamedTuple):
+    """A sample of the device, checked."""
+
+    position_m: Array
+    velocity_m_s: Array
+    clutch: bool
+
+
+def _checked(sample: MasterSample | None) -> _Handle | None:
+    """A sample with a place and a velocity that a handle can have; else None."""
     try:
         numbers = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
+        clutch = bool(sample.clutch)  # type: ignore[union-attr]
     except (AttributeError, TypeError, ValueError):
-        return False
-    return numbers.shape == (2, 3) and bool((np.abs(numbers) < _MOST).all())
+        return None
+    is_sound = numbers.shape == (2, 3) and bool((np.abs(numbers) < _MOST).all())
+    return _Handle(numbers[0], numbers[1], clutch) if is_sound else None
 
 
 class DeviceSide:
@@ -270,14 +280,14 @@ class Teleoperation:
             dt_s: Time since the last call; where it does not advance, the needle stands and the
                 force stays.
         """
-        if not 0.0 < as_float(dt_s) < math.inf:
+        dt_s = as_float(dt_s)
+        if not 0.0 < dt_s < math.inf:
             return TeleopCommand(0.0, -self.device.force_N * self._axis)
         if estimate.status is Status.OK:
             self.shown_N = self._smoothed(estimate, dt_s)
         else:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
-        sample = sample if _is_sound(sample) else None
-        sent = self.device.update(sample, self._from_needle, dt_s)
+        sent = self.device.update(_checked(sample), self._from_needle, dt_s)
         lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
         speed_m_s, answer = self.needle.update(arrived, self.shown_N, *travel, dt_s)
