@@ -375,14 +375,12 @@ def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is
 @compiled
 def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float:
     """Set to zero what is negative but cannot be; returns the change of the log weight."""
-    added, row = 0.0, np.zeros(UNKNOWNS)
+    added = 0.0
     for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
         variance, value = max(spread[at, at], 0.0), mean[at]
         # With its onset a negative cutting force would look like a slow release.
         if value < -none - math.sqrt(variance) and (is_cutting or at != HELD):
-            row[:] = 0.0
-            row[at] = 1.0
-            _condition(mean, spread, row, none**2)
+            _measure(mean, spread, spread[:, at].copy(), -value, variance + none**2)
             added -= 0.5 * value**2 / (variance + none**2)
     return added
 
@@ -415,23 +413,26 @@ def weigh(
 
 
 @compiled
-def shaft_mixture(store: Store, weights: Vector, scene: Scene) -> tuple[Any, ...]:
+def shaft_mixture(store: Store, trusted: Vector, weights: Vector, scene: Scene) -> tuple[Any, ...]:
     """Friction of the shaft at a place: mixture of all hypotheses but the least likely.
 
     Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
     shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); the probability that tissue
-    has been met, and its depth; and the tip force of the likeliest hypothesis.
+    has been met, and its depth; and the tip force of the likeliest hypothesis. The means are of the
+    `trusted`, with their weights, the covariance is of all hypotheses around those means.
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
-    weights = np.where(weights > LEAST_WEIGHT, weights, 0.0)
-    weights, rows, all_met, contact = weights / weights.sum(), np.flatnonzero(weights), 0.0, 0.0
+    trusted = np.where(trusted > LEAST_WEIGHT * trusted.sum(), trusted, 0.0)
+    weights = np.where((weights > LEAST_WEIGHT) | (trusted > 0.0), weights, 0.0)
+    trusted, weights, all_met, contact = trusted / trusted.sum(), weights / weights.sum(), 0.0, 0.0
+    rows = np.flatnonzero(weights)
     for k in rows:
         row, length = np.zeros((8, UNKNOWNS)), max(scene[0] - facts[k, ROOT], 0.0)
         met = 1.0 if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0 else 0.0
         if met > 0.0 and all_met == 0.0:
             contact = records[k, CONTACT_MM]
-        all_met += weights[k] * met
+        all_met += trusted[k] * met
         row[0, OFFSET] = 1.0
         row[1, COULOMB] = row[2, VISCOUS] = row[3, COULOMB] = row[4, VISCOUS] = met
         row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
@@ -439,11 +440,11 @@ def shaft_mixture(store: Store, weights: Vector, scene: Scene) -> tuple[Any, ...
         row[7, STIFFNESS] = 1.0 if facts[k, KIND] != AIR else 0.0
         row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(scene[0] - facts[k, TIP], 0.0)
         found[k] = np.dot(row, means[k])
-        total += weights[k] * found[k]
+        total += trusted[k] * found[k]
         spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
     for k in rows:
         spread += weights[k] * np.outer(found[k] - total, found[k] - total)
     np.fill_diagonal(spread, np.maximum(np.diag(spread), 0.0))
-    best, tip = np.argmax(weights), slice(RELEASED, _AFTER_TIP)
+    best, tip = np.argmax(trusted), slice(RELEASED, _AFTER_TIP)
     force = np.dot(regressor(facts[best], scene)[tip], means[best, tip])
     return total, spread, all_met, contact, force

@@ -16,7 +16,6 @@ from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
 from identification.switching_update import COULOMB, IDENTIFIED, LEFT_COULOMB, NO_ANSWER
 from identification.tissue_motion import TissueMotion
-from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
@@ -33,12 +32,12 @@ _LEAST_SLOWED = 0.02  # fraction of the speed lost below which it is noise of th
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
 """Largest relative fall that braking explains, per fraction of the speed lost: more than 1, since
 the speed is late and travel shows its mean. The second is for a large fall."""
+_STEADY = 0.9  # of the usual speed; slower, friction's dependence on the speed may look like a fall
+_LEAST_TRUSTED = 1e-6  # Probability of all hypotheses that the answer's mean may rest on
 _RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed better, less noisy
 _LEAST_PROBABILITY = 0.3  # Total of all hypotheses with the last rupture, to say what it was
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
-_OF_COUNT = law.KIND, law.IS_HELD, law.RELEASED, law.KEPT, law.HELD
-"""Indices for compiled code, which does not use constants of another file."""
 
 
 class Evidence(NamedTuple):
@@ -60,13 +59,23 @@ def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
     return Evidence(bank, bank.weights, np.where(rupture_mm < before_mm, denied, ruptures))
 
 
-def answer_at(memory: BankMemory, weights: Array, place: Place, known: int, speed: float) -> Array:
+def answer_at(
+    memory: BankMemory, evidence: Evidence, place: Place, counts: tuple[int, int], speed: float
+) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
-    `known` ruptures were reported, the last at a speed [mm/s], 0 before the first.
+    `counts` are ruptures the hypotheses were reported to have, and layers left; the last rupture
+    was at a speed [mm/s], 0 before the first. A rupture that is not reported and may be a needle
+    that slowed down does not count: a hand that feels the tip's force vanish for it pushes.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
-    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, weights, scene)
+    reported, known = counts
+    slowest = np.minimum(evidence.bank.records[:, law.RUPTURE_SPEED], place.speed)
+    is_slow = slowest < _STEADY * place.usual_speed
+    weights = evidence.weights
+    trusted = np.where((evidence.ruptures <= reported) | ~is_slow, weights, 0.0)
+    rows = trusted if trusted.sum() > _LEAST_TRUSTED else weights, weights
+    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, *rows, scene)
     # Friction is known no better than the law is, whose error the texture shows.
     law_variance = all_met * place.law_error**2
     answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += law_variance
@@ -88,41 +97,20 @@ class Evaluation(NamedTuple):
 def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
-    force = bank.records[:, law.RUPTURE_FORCE]
+    facts, means, force = bank.facts, bank.means, bank.records[:, law.RUPTURE_FORCE]
+    # After a partial rupture part of the force is held: what has fallen is the rest.
+    is_partial = (facts[:, law.KIND] == law.LAYER) & (facts[:, law.IS_HELD] > 0.0)
+    held = np.where(is_partial, means[:, law.HELD], 0.0)
+    fallen = means[:, law.RELEASED] - means[:, law.KEPT] - held
+    fallen = np.minimum(fallen, force - means[:, law.OFFSET])  # at most the force there was
     is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
     # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
     is_undone = is_late & (force <= place.force)
-    most = np.where(is_undone, 0.0, force - bank.means[:, law.OFFSET])
-    limits = float(known), least, law.LAYER
-    counted = _counted(weights, ruptures, bank.facts, bank.means, most, limits, _OF_COUNT)
-    found = Evaluation(*counted)
-    lower = force[found.pick] - bank.records[found.pick, law.LEAST_FORCE]
-    return found if lower > _VISIBLE * least else found._replace(more=0.0)
-
-
-@compiled
-def _counted(
-    weights: Vector,
-    ruptures: Vector,
-    facts: Matrix,
-    means: Matrix,
-    most: Vector,
-    limits: tuple[float, float, float],
-    places: tuple[int, int, int, int, int],
-) -> tuple[float, float, int, int]:
-    """An `Evaluation`; `limits`: ruptures known, least force released, the kind of a layer.
-
-    A rupture releases at most `most`: the force there was, or nothing where the force is back.
-    """
-    (known, least, layer), (kind, is_held, released, kept, held) = limits, places
-    # After a partial rupture part of the force is held: what has fallen is the rest.
-    is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
-    fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
-    fallen = np.minimum(fallen, most)
-    is_more = (ruptures > known) & (fallen > least)
+    is_more = (ruptures > known) & (fallen > least) & ~is_undone
     pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
-    more, fewer = weights[is_more].sum(), weights[ruptures < known].sum()
-    return float(more), float(fewer), pick, int(ruptures[np.argmax(weights)])
+    is_visible = force[pick] - bank.records[pick, law.LEAST_FORCE] > _VISIBLE * least
+    more, fewer = float(weights[is_more & is_visible].sum()), float(weights[ruptures < known].sum())
+    return Evaluation(more, fewer, pick, int(ruptures[np.argmax(weights)]))
 
 
 def speed_lag(depth_std: float, speed_std: float) -> float:

@@ -287,8 +287,8 @@ class SwitchingMethod:
             self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
-        known = layers_traversed(self.layers) + self._is_open
-        answer = reports.answer_at(self._bank, evidence.weights, place, known, speed)
+        counts = self._ruptures, layers_traversed(self.layers) + self._is_open
+        answer = reports.answer_at(self._bank, evidence, place, counts, speed)
         self._answer = working_copy(answer)
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:

@@ -18,7 +18,7 @@ INSTALLED = (*LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
-    "product": (18_990, 98),
+    "product": (18_979, 98),
     "benchmarks": (6_500, 30),
     "tests": (12_993, 71),
     "control": (2_243, 11),
@@ -26,9 +26,8 @@ LIMITS = {
     "scene": (700, 6),
     "devices": (1_200, 7),
 }
-"""Most lines and files of Python: ceilings at today's size, to be lowered with every cut. The goals
-of the chain are 19,000, 6,500 and 13,000 lines, the last two are met. The packages around it, with
-their commands, count apart; control 1,800, anatomy 1,000, scene 700; devices has met its 1,200."""
+"""Most lines and files of Python: ceilings at today's size, lowered with every cut. Goals of the
+chain are 19,000, 6,500 and 13,000 lines; control 1,800, anatomy 1,000, scene 700, devices 1,200."""
 
 APART = ("control", "anatomy", "scene", "devices")
 """Packages around the chain."""
@@ -49,10 +48,11 @@ AROUND = (
     "groundtruth/torso",
     "needleforce/cli/demo",
     "needleforce/cli/live",
+    "tests/managed_session",
     "tests/scene_page",
     "tests/vendor_emulators",
 )
-"""How the names of the files begin that belong to them; campaigns and KDL count with them."""
+"""How files' names begin that belong to them and count apart; campaigns and KDL count with them."""
 MOST_LINES = 450
 MOST_CODE_LINES = 40
 MOST_PUBLIC_NAMES = 26

@@ -1,0 +1,67 @@
+"""A manager whose session is a stand-in: what it reports is set by the test."""
+
+import numpy as np
+
+from groundtruth.rig_arm import ArmSample
+from needleforce import InsertionSession
+from needleforce.control.manager import Manager
+from needleforce.control.monitors import Beside, SafetyLimits
+from residual import SensorConfig, SensorWarning, Status, TareError
+from urdf import load_lwr
+
+ROBOT = load_lwr()
+NOTHING = Beside()
+LIMITS = SafetyLimits(axial_N=2.0)
+FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
+
+
+class Sensor:
+    """Stands in for a session: what it reports is set by the test."""
+
+    lag_s, sensor_config = 0.014, SensorConfig()
+
+    def __init__(self):
+        self.tared, self.estimate, self.refuses, self.zero = False, FIRST, False, 0
+
+    def update(self, q, dq, tau, dt_s):
+        return self.estimate
+
+    def tare(self):
+        if self.refuses:
+            raise TareError("contact")
+        self.tared = True
+
+    def start_tare_recording(self):
+        self.tared = False
+
+    def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
+        now, wrench = self.estimate, {"warnings": SensorWarning.NONE, "message": ""} | wrench
+        self.estimate = now._replace(
+            wrench=now.wrench._replace(status=status, **wrench),
+            status=status,
+            depth_m=depth_m,
+            identification=now.identification._replace(
+                in_contact=in_contact, layer=int(in_contact)
+            ),
+        )
+
+
+def new_manager(limits=LIMITS, log=None):
+    sensor = Sensor()
+    sensor.reads()
+    return Manager(sensor, limits, log=log), sensor
+
+
+def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
+    for _ in range(round(seconds / 1e-3)):
+        manager.heartbeat()
+        now = manager.update(ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside)
+    return now
+
+
+def inserting(**kwargs):
+    manager, sensor = new_manager(**kwargs)
+    run(manager, 0.2)
+    for event in ("tare", "arrived", "insert"):
+        assert manager.request(event) == ""
+    return manager, sensor
