@@ -15,6 +15,7 @@ except ImportError:
 
 Vector = Annotated[NDArray[np.float64], 1]  # Array of shape (n,), contiguous
 Matrix = Annotated[NDArray[np.float64], 2]  # Array of shape (m, n), contiguous in rows
+Blocks = Annotated[NDArray[np.float64], 3]  # Array of shape (k, m, n), contiguous
 WrittenVector = Annotated[NDArray[np.float64], 1, "written"]
 WrittenMatrix = Annotated[NDArray[np.float64], 2, "written"]
 WrittenBlocks = Annotated[NDArray[np.float64], 3, "written"]

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, compiled
+from needleforce.jit import Blocks, Matrix, Vector, compiled
 from residual.errors import Array, named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
@@ -71,6 +71,9 @@ LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
 explained change may be an error of the lever arms."""
 
 
+Sums = tuple[Vector, Vector, Blocks, Matrix, Matrix]
+
+
 class VelocityMatch(NamedTuple):
     """How velocities match positions; the sums fade over `MEMORY_S` and are taken in motion."""
 
@@ -114,27 +117,32 @@ def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Arr
     return now, bool(travels(now).any())
 
 
+@compiled
+def sums_step(last: Matrix, motion: Matrix, sums: Sums, dt_s: float) -> tuple[Array, ...]:
+    """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the last motion."""
+    a, b = motion[3], motion[4]
+    way, way_dq = motion[0] - last[0], 0.5 * dt_s * (motion[1] + last[1])
+    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
+    beyond = np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2
+    own = np.stack((b, a, (a - last[3]) / dt_s), axis=1)
+    pairs = own.reshape(-1, 3, 1) * own.reshape(-1, 1, 3)
+    faded, moves = 1.0 - math.exp(-dt_s / MEMORY_S), 1.0 * travels(motion)
+    each, row = moves.reshape(-1, 1), (a * a).reshape(1, -1)
+    return (
+        sums[0] + moves * (dt_s - faded * sums[0]),
+        sums[1] + moves * (dt_s * beyond - faded * sums[1]),
+        sums[2] + each.reshape(-1, 1, 1) * (dt_s * pairs - faded * sums[2]),
+        sums[3] + each * (dt_s * row - faded * sums[3]),
+        sums[4] + each * (dt_s * np.outer(b, a) - faded * sums[4]),
+    )
+
+
 def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
     """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
     motion, is_moving = travel_step(match.motion, q, dq, dt_s)
     if not is_moving:
-        return VelocityMatch(motion, *match[1:])
-    (*_, a, b), way, way_dq = motion, q - match.motion[0], 0.5 * dt_s * (dq + match.motion[1])
-    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
-    own = np.stack((b, a, (a - match.motion[3]) / dt_s), axis=1)
-    terms = (
-        np.ones(len(q)),
-        np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2,
-        own[:, :, None] * own[:, None, :],
-        np.tile(a * a, (len(q), 1)),
-        np.outer(b, a),
-    )
-    faded, moves = 1.0 - math.exp(-dt_s / MEMORY_S), travels(motion)
-    sums = [
-        last + moves.reshape(-1, *[1] * (last.ndim - 1)) * (dt_s * term - faded * last)
-        for last, term in zip(match[1:], terms, strict=True)
-    ]
-    return VelocityMatch(motion, *sums)
+        return match._replace(motion=motion)
+    return VelocityMatch(motion, *sums_step(match.motion, motion, match[1:], dt_s))
 
 
 def velocity_fault(match: VelocityMatch) -> str:
