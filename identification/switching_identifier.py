@@ -1,9 +1,9 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
 A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
-the next reports ruptures, begins hypotheses of new events and drops the least likely. Where it
-reports one, or a layer is due, the one after it does the rest. Where the needle does not advance,
-the one that fills a block reports as well. One more may look for moving tissue.
+the next reports ruptures; the one after that begins hypotheses of new events and drops the least
+likely. Where a rupture is raised, or a layer is due, one more comes between. Where the needle does
+not advance, the one that fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
@@ -161,9 +161,8 @@ class SwitchingMethod:
         if self._stage >= _RUPTURES:
             self._stage -= _RUPTURES
             self._report(sample)
-            if self._events.rupture is not None or self._stage >= _LAYERS:
-                return
-        elif self._stage >= _LAYERS:
+            return
+        if self._stage >= _LAYERS:
             self._stage -= _LAYERS
             if self._alarm is not None:
                 self._report_layer(self._alarm, sample[7])
@@ -277,14 +276,17 @@ class SwitchingMethod:
             and not reports.may_be_braking(evidence.bank, found, place, sample[-1], self._tissue)
         ):
             self._raise_alarm(evidence, sample, found)
-        elif alarm is not None and found.fewer > _TAKEN_BACK:
+            self._stage += _RUPTURES  # the next sample answers: this one has had enough to do
+            return
+        if alarm is not None and found.fewer > _TAKEN_BACK:
             # The force has come back: no rupture was there but for what is left of its probability.
             gone = replace(alarm, probability=1.0 - found.fewer)
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
-        elif alarm is not None and self._is_layer_due(place.depth / _MM - alarm.depth_m):
-            self._stage += _LAYERS
+        elif alarm is not None and self._events.rupture is None:
+            if self._is_layer_due(place.depth / _MM - alarm.depth_m):
+                self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
         counts = self._ruptures, layers_traversed(self.layers) + self._is_open
