@@ -284,9 +284,8 @@ class SwitchingMethod:
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
-        elif alarm is not None and self._events.rupture is None:
-            if self._is_layer_due(place.depth / _MM - alarm.depth_m):
-                self._stage += _LAYERS
+        elif alarm is not None and self._events.rupture is None and self._is_layer_due(alarm):
+            self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
         counts = self._ruptures, layers_traversed(self.layers) + self._is_open
@@ -319,22 +318,22 @@ class SwitchingMethod:
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
-    def _is_final(self, travel_m: float) -> bool:
+    def _is_final(self, alarm: Rupture) -> bool:
         """Whether the layer left is final now, so far behind its rupture."""
-        is_far = travel_m >= _FINAL_M or travel_m < 0.0
+        is_far = not 0.0 <= self._place.depth / _MM - alarm.depth_m < _FINAL_M
         return is_far and not self._is_open and not self.layers[-1].is_final
 
-    def _is_layer_due(self, travel_m: float) -> bool:
+    def _is_layer_due(self, alarm: Rupture) -> bool:
         """Whether the layer left is reported or revised now, so far behind its rupture."""
         if self._is_open:
-            return travel_m >= _PROVISIONAL_M
+            return self._place.depth / _MM - alarm.depth_m >= _PROVISIONAL_M
         is_revised = self._place.time_s % _REVISE_S < self._place.dt_s
-        return is_revised or self._is_final(travel_m)
+        return is_revised or self._is_final(alarm)
 
     def _report_layer(self, alarm: Rupture, force_std: float) -> None:
         """Report the layer that the last rupture ended, provisional or final, or revise it."""
         layers, is_open = self.layers, self._is_open
-        is_due = self._is_final(self._place.depth / _MM - alarm.depth_m)
+        is_due = self._is_final(alarm)
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction, and the law's.
         grown = max(force_std**2 - self._force_std_in_air**2, 0.0) + self._place.law_error**2
