@@ -164,8 +164,9 @@ def test_a_clock_that_is_set_moves_no_time():
         assert run(manager, dt_s=dt_s).time_s < 0.01
 
 
-@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2", None])
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2", None, True, [2.0]])
 def test_limits_are_positive_numbers(value):
+    assert SafetyLimits(axial_N=np.float32(2.0)).axial_N == np.int64(2)
     with pytest.raises(SettingError, match="axial_N is"):
         SafetyLimits(axial_N=value)
 

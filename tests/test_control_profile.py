@@ -139,7 +139,7 @@ def test_a_program_goes_on_as_planned_or_not_at_all(states, offered):
 
 
 def test_a_needle_above_its_zero_is_withdrawn_and_no_hold_is_faster_than_the_plan():
-    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1))
+    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=np.int64(1)))
     assert profile.update(situation(State.WITHDRAW, -0.035, 1, 1.0)) == (0.0, "arrived")
     profile.update(situation(State.INSERTION, 0.025, 2, 1.0))
     assert profile.update(situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S

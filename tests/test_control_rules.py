@@ -1,13 +1,22 @@
 """The manager's table of rules, and its log: what it holds, what of it is refused."""
 
 import json
+import resource
 
 import numpy as np
 import pytest
 
 from groundtruth.rig_arm import ArmSample
 from needleforce import InsertionSession
-from needleforce.control import Manager, SafetyLimits, SettingError, State, read_events, replay
+from needleforce.control import (
+    Manager,
+    SafetyLimits,
+    SettingError,
+    State,
+    read_events,
+    replay,
+    write_mcap,
+)
 from needleforce.control.manager import EVENTS, REFUSALS, TABLE, transition
 from urdf import load_lwr
 
@@ -86,6 +95,29 @@ def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
         manager.request(event)
     events = read_events(tmp_path / "two.jsonl")
     assert replay(events) == [event.target for event in events]
+    write_mcap(events, tmp_path / "two.mcap")
+    assert read_events(tmp_path / "two.mcap") == events
+    whole = (tmp_path / "two.mcap").read_bytes()
+    for damaged in (b"", b"no MCAP", whole[:-60], whole[:100] + b"\xff" * 40 + whole[140:]):
+        (tmp_path / "two.mcap").write_bytes(damaged)
+        with pytest.raises(SettingError, match="no MCAP file, or a damaged one"):
+            read_events(tmp_path / "two.mcap")
+
+
+def test_half_a_line_on_a_full_disk_spoils_no_other(tmp_path):
+    manager = new_manager(tmp_path / "log.jsonl")
+    manager.request("approach")
+    sizes = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        size = (tmp_path / "log.jsonl").stat().st_size
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size + 50, sizes[1]))
+        manager.request("stop")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, sizes)
+    assert "cannot be written" in manager.update(SAMPLE).reason
+    assert read_events(tmp_path / "log.jsonl") == manager.events[:1]
+    manager.request("release")
+    assert read_events(tmp_path / "log.jsonl") == manager.events
 
 
 def test_a_log_that_cannot_be_written_is_refused_at_first_and_reported_later(tmp_path):

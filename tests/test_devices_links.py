@@ -20,6 +20,7 @@ from needleforce.devices import (
     NetFT,
     ReplayArm,
     Scale,
+    emulators,
     fri,
     paced,
     rdt,
@@ -84,9 +85,7 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
     found, arm, _ = fri_run(2000, faults)
     assert all(np.array_equal(sample.tau_Nm, 2.0 * sample.q_rad) for sample in found)
     report = arm.report
-    assert report.malformed > 50
-    assert report.stale > 20
-    assert report.missed > 30
+    assert (report.malformed > 50, report.stale > 20, report.missed > 30) == (True, True, True)
     assert report.used + report.missed == round(sum(sample.dt_s for sample in found) / 1e-3)
     assert sum(sample.missed for sample in found) == report.missed
 
@@ -98,6 +97,40 @@ def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
     assert gap.missed == round(gap.dt_s / 1e-3) - 1
     assert arm.report.outages == 2  # the second is the end
     assert len(found) == pytest.approx(500, abs=10)
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        (49_998, 49_999, 0, 1, 2),  # the controller began anew
+        (10, 11, 311, 312, 313),
+        (10, 11, 12, 13, 313),  # packets waited here while the program slept
+    ],
+)
+def test_a_count_that_begins_anew_is_no_time(counts):
+    arm, found = FriArm(port=0), []
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as controller:
+        samples = iter(arm)
+        for count in counts[:2]:
+            controller.sendto(measurement(count=count), arm.address)
+            found.append(next(samples))
+        begin_s = time.monotonic()
+        time.sleep(0.3)
+        for count in counts[2:]:
+            controller.sendto(measurement(count=count), arm.address)
+        found += [next(samples) for _ in counts[2:]]
+    passed_s = sum(sample.dt_s for sample in found[2:])
+    assert 0.3 - 1e-9 <= passed_s <= time.monotonic() - begin_s + 0.01
+
+
+def test_counts_come_however_long_a_controller_runs(monkeypatch):
+    with FriArm(port=0) as arm:
+        wanted = FriSettings(port=arm.address[1], q_rad=ROWS, tau_Nm=ROWS, cycles=500)
+        with Emulator(emulate_fri, wanted) as slow, Emulator(emulate_fri, wanted) as ended:
+            monkeypatch.setattr(emulators, "START_s", 0.1)
+            assert slow.counts()["cycles"] == 500
+            ended._process.join()
+            assert ended.stop()["cycles"] == 500
 
 
 def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
@@ -191,11 +224,12 @@ def test_another_sender_is_not_listened_to():
         found = list(arm)
     assert len(found) == 3
     assert arm.report.foreign == 3
-    named = FriArm(port=0, peer="127.0.0.2", wait_s=0.05, give_up_s=0.1)
-    with named, socket.socket(type=socket.SOCK_DGRAM) as one:
-        one.sendto(measurement(), named.address)
-        assert list(named) == []
-    assert named.report.foreign == 1
+    for peer, foreign in (("127.0.0.2", 1), ("LOCALHOST", 0)):
+        named = FriArm(port=0, peer=peer, wait_s=0.05, give_up_s=0.1)
+        with named, socket.socket(type=socket.SOCK_DGRAM) as one:
+            one.sendto(measurement(), named.address)
+            assert len(list(named)) == 1 - foreign
+        assert named.report.foreign == foreign
 
 
 def test_an_address_that_cannot_be_is_said_so():
@@ -203,8 +237,11 @@ def test_an_address_that_cannot_be_is_said_so():
         FriArm(port=arm.address[1])
     with pytest.raises(DeviceSettingError, match="expected 0 to 65535"):
         FriArm(port=70000)
-    with pytest.raises(DeviceSettingError, match="wait_s"):
-        FriArm(port=0, wait_s=2.0, give_up_s=1.0)
+    for times in ({"wait_s": 2.0, "give_up_s": 1.0}, {"wait_s": np.inf, "give_up_s": np.inf}):
+        with pytest.raises(DeviceSettingError, match="wait_s"):
+            FriArm(port=0, **times)
+    with pytest.raises(LinkError, match=r"no address for 'no host': .*; is the name right"):
+        NetFT("no host", scale=Scale(1.0, 1.0))
     with pytest.raises(LinkError, match="is it the sensor"):
         NetFT(scale="http://127.0.0.1:9/none.xml")
     for scale in (Scale(0.0, 1.0), (1,), (1, 2, 3)):
@@ -223,11 +260,11 @@ def test_a_force_sensor_that_was_closed_has_nothing_to_read():
     ft.close()
 
 
-@pytest.mark.parametrize("buffered", [False, True])
-def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
+@pytest.mark.parametrize(("host", "buffered"), [(LOOPBACK, False), ("LOCALHOST", True)])
+def test_every_record_of_a_force_sensor_comes_in_newtons(host, buffered):
     settings = RdtSettings(wrench=WRENCH, scale=(500_000.0, 2e6))
     with Emulator(emulate_rdt, settings) as box:
-        ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
+        ft = NetFT(host, box.ready["port"], scale=box.ready["page"], buffered=buffered)
         with ft:
             assert ft.scale == (500_000.0, 2e6)
             found, end_s, stream = [], time.monotonic() + PATIENCE_S, ft.stream()
@@ -373,6 +410,7 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     bad = ["{", "[]", "{}", '{"inverse3": []}', json.dumps({"inverse3": [{"state": {}}]})]
 
     def talk(link):
+        time.sleep(0.5)
         for text in (*bad, json.dumps(good | grip)):
             link.send(text)
         time.sleep(0.2)
@@ -388,7 +426,8 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     assert sample is not None
     assert not sample.clutch
     assert sample.position_m.tolist() == [0.0, 0.0, 1.0]
-    assert master.report.malformed == len(bad)
+    assert (master.report.malformed, master.report.outages) == (len(bad), 1)
+    assert master.report.longest_gap_s > 0.4  # one silence
     with pytest.raises(LinkError, match="is it running"):
         HaplyMaster("ws://127.0.0.1:9")
 
@@ -406,3 +445,5 @@ def test_recorded_signals_come_in_real_time():
     assert len(list(paced(arm))) == 100
     assert time.monotonic() - begin_s > 0.09
     assert not arm.send(np.zeros(7))
+    arm = ReplayArm(np.ones(100), ROWS, None, ROWS)
+    assert [arm.close() for _ in arm] == [None]

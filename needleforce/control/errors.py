@@ -3,6 +3,8 @@
 import math
 from collections.abc import Container, Mapping
 
+from residual.input_validation import as_float
+
 
 class ControlError(Exception):
     """Base of the errors of this package; those of the estimators pass through."""
@@ -15,7 +17,6 @@ class SettingError(ControlError, ValueError):
 def require_positive(settings: Mapping[str, object], or_zero: Container[str] = ()) -> None:
     """Refuse what is not a finite, positive number."""
     for name, value in settings.items():
-        if value == 0.0 and name in or_zero:
-            continue
-        if not (isinstance(value, int | float) and 0.0 < value < math.inf):
+        number = as_float(value)
+        if not (0.0 < number < math.inf or (number == 0.0 and name in or_zero)):
             raise SettingError(f"{name} is {value!r}, expected a positive number")

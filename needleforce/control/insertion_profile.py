@@ -7,6 +7,7 @@ rest at once, and the controller brakes with all that the limits of the arm allo
 
 import math
 from dataclasses import asdict, dataclass
+from numbers import Integral
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,7 @@ class InsertionPlan:
     acceleration_m_s2: float = 0.1  # of starts and of planned ends
 
     def __post_init__(self) -> None:
-        if not isinstance(self.layer, int | None):
+        if not isinstance(self.layer, Integral | None):
             raise SettingError(f"layer is {self.layer!r}, expected a whole number or None")
         numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
         require_positive(numbers, or_zero=("approach_m", "dwell_s"))

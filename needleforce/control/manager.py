@@ -6,7 +6,9 @@ JSON line at once and as MCAP afterwards.
 """
 
 import math
+import os
 from collections.abc import Collection, Iterable
+from contextlib import suppress
 from enum import StrEnum
 from importlib import import_module
 from pathlib import Path
@@ -156,13 +158,21 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
 
     Raises:
         SettingError: A line is no event, or the numbers of the events do not follow each other;
-            they start anew where another session was appended.
+            they start anew where another session was appended. Or the file is no MCAP, or damaged.
         OSError: The file cannot be read.
     """
     if Path(path).suffix == ".mcap":
-        with Path(path).open("rb") as file:
-            messages = _mcap("reader").make_reader(file).iter_messages(topics=[MCAP_TOPIC])
-            lines = [message.data for _, _, message in messages]
+        reader = _mcap("reader")
+        try:
+            with Path(path).open("rb") as file:
+                # As written: the clock of a session that was appended begins anew.
+                wanted = {"topics": [MCAP_TOPIC], "log_time_order": False}
+                messages = reader.make_reader(file).iter_messages(**wanted)
+                lines = [message.data for _, _, message in messages]
+        except OSError:
+            raise
+        except Exception as error:  # whatever the library makes of a damaged file
+            raise SettingError(f"{path} is no MCAP file, or a damaged one: {error!r}") from error
     else:
         lines = Path(path).read_bytes().splitlines()
     events: list[LoggedEvent] = []
@@ -340,11 +350,16 @@ class Manager:
 
     def _write(self, log: str | Path) -> None:
         """Write events at once, so that a crash loses none; a full disk stops no monitor."""
+        size = None
         try:
             with Path(log).open("ab") as file:
+                size = file.tell()
                 file.write(_ENCODER.encode_lines(self.events[self._written :]))
             self._written = len(self.events)
         except OSError as error:
+            if size is not None:
+                with suppress(OSError):  # half a line would spoil the next one
+                    os.truncate(log, size)
             self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")
 
     def _facts(self) -> list[str]:

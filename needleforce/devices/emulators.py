@@ -117,25 +117,29 @@ class Emulator(AbstractContextManager["Emulator"]):
         self._process = context.Process(target=_run, args=(other, work, settings), daemon=True)
         self._process.start()
         other.close()
-        self.ready: dict[str, Any] = self._reply()
+        self.ready: dict[str, Any] = self._reply(START_s)
 
-    def _reply(self) -> dict[str, Any]:
-        with suppress(EOFError):
-            if self._pipe.poll(START_s):
+    def _reply(self, wait_s: float | None) -> dict[str, Any]:
+        with suppress(EOFError, ConnectionError):
+            if self._pipe.poll(wait_s):
                 return self._pipe.recv()
         self._process.kill()
         raise LinkError("the emulator has ended without an answer; its message stands above")
 
     def counts(self) -> dict[str, Any]:
-        """What it has counted, once it has ended by itself."""
-        found = self._reply()
+        """What it has counted, once it has ended by itself, however long that takes."""
+        return self._counts(None)
+
+    def _counts(self, wait_s: float | None) -> dict[str, Any]:
+        found = self._reply(wait_s)
         self._process.join(START_s)
         return found
 
     def stop(self) -> dict[str, Any]:
-        """End it; what it has counted."""
-        self._pipe.send("stop")
-        return self.counts()
+        """End it, if it has not ended by itself; what it has counted."""
+        with suppress(ConnectionError):
+            self._pipe.send("stop")
+        return self._counts(START_s)
 
     def __exit__(self, *error: object) -> None:
         self._process.kill()

@@ -46,7 +46,7 @@ class HaplyMaster(Link):
                 f"no haptic service at {address}: {error}; is it running, is a device plugged in?"
             ) from error
         self._most_N, self._force_N, self._device = most_force_N, np.zeros(3), ""
-        self._begin_s = self._last_s = time.monotonic()
+        self._begin_s = self._last_s = self._asked_s = time.monotonic()
 
     def read(self) -> MasterSample | None:
         """The newest state, or None: nothing has come, or the device is gone; see `report`."""
@@ -58,11 +58,12 @@ class HaplyMaster(Link):
                     found = self._decoded(text, now_s - self._begin_s) or found
             if found is not None:
                 self.report.use(1, now_s - self._last_s)
-            elif now_s - self._last_s > LOST_s:
-                self.report.outages += 1
+                self._last_s = now_s
+            elif now_s - self._asked_s > LOST_s:
+                self.report.outages += self._asked_s == self._last_s  # one silence is one outage
             else:
                 return None
-            self._last_s = now_s
+            self._asked_s = now_s
             self._command()
         except self._gone:
             self.report.outages += 1

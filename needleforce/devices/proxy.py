@@ -42,6 +42,14 @@ def client(module: str, package: str) -> Any:
         raise MissingClientError(f"{package} is not installed; pip install {package}") from error
 
 
+def resolved(host: str) -> str:
+    """The IPv4 address of a host; `LinkError` where nobody knows its name."""
+    try:
+        return socket.gethostbyname(host)
+    except (OSError, UnicodeError) as error:
+        raise LinkError(f"no address for {host!r}: {error}; is the name right?") from error
+
+
 LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
 MOST_DATAGRAM = 65536
 ROOM = 1 << 17  # Bytes for datagrams that wait to be read: no more than usual, old ones are stale
@@ -160,6 +168,8 @@ class ReplayArm(ReadOnlyArm):
     def __iter__(self) -> Iterator[ArmSample]:
         """The samples, as fast as they are taken; see `paced`."""
         for dt_s, q, dq, tau in self._rows:
+            if not self._is_open:
+                return
             self.report.used += 1
             yield ArmSample(dt_s, q, dq, tau, None, 0, accepts_commands=False)
 
@@ -173,7 +183,7 @@ class DatagramLink(Link):
         peer: Where it sends to, and the only one it listens to; None: not known yet.
 
     Raises:
-        LinkError: The address cannot be bound.
+        LinkError: The address cannot be bound, or the peer's name is not known.
         DeviceSettingError: A port outside 0 to 65535.
     """
 
@@ -181,7 +191,8 @@ class DatagramLink(Link):
         if not 0 <= port <= 65535:
             raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
         super().__init__()
-        self._peer_host = peer
+        # Datagrams come from addresses, not from names.
+        self._peer_host = None if peer is None else resolved(peer)
         self.sender: tuple[str, int] | None = None
         self.peer: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -14,7 +14,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from needleforce.devices.proxy import LOOPBACK, Array, DatagramLink, DeviceSettingError, LinkError
+from needleforce.devices.proxy import (
+    LOOPBACK,
+    Array,
+    DatagramLink,
+    DeviceSettingError,
+    LinkError,
+    resolved,
+)
 
 PORT, REQUEST_MARK = 49152, 0x1234
 REQUEST = struct.Struct(">HHI")
@@ -80,14 +87,14 @@ class NetFT(DatagramLink):
         """Ask for the stream.
 
         Args:
-            host: Address of the sensor.
+            host: Address of the sensor, or its name.
             port: Its port.
             scale: Its counts, or the page that says them; None: the sensor's own page.
             buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
             listen_on: Address of this machine; None: loopback for a sensor there, else any.
 
         Raises:
-            LinkError: The sensor's page cannot be read, or no port is free here.
+            LinkError: The sensor's page cannot be read, its name is not known, or no port is free.
             DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
         """
         page = scale or f"http://{host}/netftcalapi.xml"
@@ -96,10 +103,11 @@ class NetFT(DatagramLink):
             raise DeviceSettingError(f"{self.scale}: expected positive counts per N and per Nm")
         if not 0 < port <= 65535:
             raise DeviceSettingError(f"port {port} of the sensor: expected 1 to 65535")
-        local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
-        super().__init__(local, 0, peer=host, room=ROOM)
+        address = resolved(host)
+        local = listen_on or (LOOPBACK if address.startswith("127.") else "0.0.0.0")
+        super().__init__(local, 0, peer=address, room=ROOM)
         self.status = 0
-        self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
+        self._sensor, self._mode = (address, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
         self._odd = self._odd_row = 0  # Last count out of sequence, and how many in a row
