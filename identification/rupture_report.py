@@ -22,7 +22,7 @@ _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force for an alarm: in standard deviations of a block's force, and in newtons (two
 thirds of the least rupture seen in real liver)."""
 _VISIBLE = 0.3  # Fraction of it by which the force must have fallen: else it only grows slower
-_LATE_S = 0.5  # If the alarm is later, in travel at the usual speed, the force must still be lower
+_LATE_S = 0.5  # If an alarm comes later than this, the force must still be lower
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 """Falls, as fractions of the force: one, and one per second [1/s], that no robot makes by braking
 before its speed is known; and one that counts as large."""
@@ -103,7 +103,7 @@ def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     held = np.where(is_partial, means[:, law.HELD], 0.0)
     fallen = means[:, law.RELEASED] - means[:, law.KEPT] - held
     fallen = np.minimum(fallen, force - means[:, law.OFFSET])  # at most the force there was
-    is_late = place.depth - bank.records[:, law.RUPTURE_MM] > _LATE_S * place.usual_speed
+    is_late = place.time_s - bank.records[:, law.RUPTURE_S] > _LATE_S
     # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
     is_undone = is_late & (force <= place.force)
     is_more = (ruptures > known) & (fallen > least) & ~is_undone

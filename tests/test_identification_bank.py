@@ -191,15 +191,15 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
 
 
 @pytest.mark.parametrize(
-    ("travel_s", "force", "least", "more"),
+    ("since_s", "force", "least", "more"),
     [(0.1, 1.1, 0.9, 1.0), (0.1, 1.1, 0.98, 0.0), (0.6, 0.8, 0.8, 1.0), (0.6, 1.1, 0.8, 0.0)],
 )
-def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(travel_s, force, least, more):
+def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(since_s, force, least, more):
     bank = first_bank()
     bank.facts[0, [law.KIND, law.RUPTURES]] = law.LAYER, 1.0
     bank.means[0, law.RELEASED] = 0.3
-    before = PLACE.depth - travel_s * PLACE.usual_speed
-    bank.records[0, [law.RUPTURE_MM, law.RUPTURE_FORCE, law.LEAST_FORCE]] = before, 1.0, least
+    at = [law.RUPTURE_S, law.RUPTURE_FORCE, law.LEAST_FORCE]
+    bank.records[0, at] = PLACE.time_s - since_s, 1.0, least
     evidence = evidence_of(bank, None, 0)
     assert count_ruptures(evidence, 0, PLACE._replace(force=force)).more == more
 
