@@ -1,6 +1,8 @@
 """The insertion in a browser page, beside a loop, and in 3D Slicer."""
 
+import errno
 import json
+import os
 import re
 import subprocess
 import sys
@@ -322,6 +324,38 @@ def test_where_nothing_can_listen_is_said_in_one_line(options, why, tmp_path, ca
     assert main(["view", str(tmp_path / "none.csv"), *options]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert re.search(why, said)
+
+
+@pytest.mark.parametrize(
+    ("export", "why"),
+    [
+        ("log.csv", "--export log.csv: its name must end in .html"),
+        ("link.html", "cannot write link.html: it is the log itself"),
+        ("no/page.html", "there is no folder no"),
+    ],
+)
+def test_a_page_that_would_harm_the_log_or_has_no_place_is_refused_before_the_work(
+    export, why, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("no log")
+    Path("link.html").symlink_to("log.csv")
+    assert main(["view", "log.csv", "--export", export]) == 2
+    assert why in capsys.readouterr().err
+    assert Path("log.csv").read_text() == "no log"
+
+
+def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(viewer, tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    page = tmp_path / "page.html"
+    page.write_text("old")
+    viewer.append(insertion(2))
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SceneError, match="No space left"):
+        viewer.export(page, frames=2)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
 
 
 def test_a_page_beside_a_loop_that_cannot_be_opened_is_said_so():

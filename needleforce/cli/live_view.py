@@ -19,6 +19,8 @@ from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
 from needleforce.recordings import load_mapping, read_log
+from needleforce.recordings.errors import readable_path
+from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import PlanScene, Viewer, view_row
 from needleforce.scene.nodes import EMPTY
 from needleforce.scene.viewer import check_address
@@ -89,6 +91,11 @@ class SessionTare:
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     """Show a recording until Ctrl-C, or write it as one page; return the exit code."""
     check_address(options.host, options.port)  # better before minutes of work than after
+    if options.export is not None:
+        if options.export.suffix.lower() != ".html":
+            raise CommandError(f"--export {options.export}: its name must end in .html")
+        require_place(options.export)
+        check_outputs({"--export": options.export}, readable_path(recording))
     model = robot_from_options(robot, options.mapping)
     plan = None if options.anatomy is None else read_plan(options.anatomy)
     rows = replayed(recording, model, options, plan)

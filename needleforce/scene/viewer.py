@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from needleforce.files import whole_file
 from needleforce.scene import nodes
 from needleforce.scene.state_ring import FIELDS, Array, SceneError
 from urdf import Robot
@@ -287,7 +288,8 @@ class Viewer:
             self.show(now_s)
             serializer.insert_sleep(float(step_s))
         try:
-            Path(path).write_text(serializer.as_html(), encoding="utf-8")
+            with whole_file(path) as file:
+                file.write(serializer.as_html().encode())
         except OSError as error:
             raise SceneError(f"cannot write {path}: {error.strerror}") from error
         return Path(path)
