@@ -85,6 +85,20 @@ def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
     np.testing.assert_array_equal(found, logged)
 
 
+@pytest.mark.parametrize("suffix", ["csv", "npz"])
+def test_a_log_on_standard_input_is_not_replaced_by_its_output(logs, tmp_path, suffix):
+    log = tmp_path / f"log.{suffix}"
+    write_table(log, read_table(logs / "force.csv").columns)
+    before, argv = log.read_bytes(), ["force", "-", *OPTIONS["force"], "-o", str(log)]
+    with log.open("rb") as stream:
+        done = subprocess.run([*PROGRAM, *argv], stdin=stream, capture_output=True, check=False)
+    assert (done.returncode, log.read_bytes() == before) == (2, True)
+    assert (
+        done.stderr
+        == f"error: cannot write {log}: it is the log itself; give another name\n".encode()
+    )
+
+
 def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
     log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
     columns = read_table(logs / "identify.csv").columns

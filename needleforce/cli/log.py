@@ -171,7 +171,9 @@ def check_outputs(source: str, output: Output) -> None:
     if output.figure is not None:
         plots.require_matplotlib("--figure", output.figure)
         output_files.require_place(output.figure)
-    output_files.check_outputs(paths, None if source == STANDARD_STREAM else readable_path(source))
+    # Standard input may be a file, too: `< log.csv`.
+    place = Path("/dev/stdin") if source == STANDARD_STREAM else readable_path(source)
+    output_files.check_outputs(paths, place)
 
 
 @contextmanager
