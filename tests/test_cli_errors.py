@@ -71,7 +71,7 @@ OPTIONS = {
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
     "--mapping sub/map.toml": "cannot read the payload file sub/heavy.toml",
     "--rate -5": "rate_hz = -5",
-    "--robot pandas": "no example robot 'pandas'; robots: panda",
+    "--robot pandas": "no example robot 'pandas'; robots: panda.*; --urdf FILE loads any other",
     "--robot ur5e --urdf arm.urdf": "--robot and --urdf name two robots",
     "--urdf arm.urdf": "7 columns per joint signal, the robot has 3 joints: .*, gripper",
     "--urdf arm.urdf --tool-frame nowhere": "no frame 'nowhere'.*frames: .*tip",

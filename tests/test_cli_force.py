@@ -226,6 +226,7 @@ def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, t
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
     options = ("--no-tare", "--mode", "full")
     right, printed = run(log, *options)
+    assert run(log, *options, "--robot", "lwr4plus")[1] == printed
     lacking, printed_lacking = run(log, *options, "--payload", str(light))
     weight_N = (right["force_z_in_base_N"] - lacking["force_z_in_base_N"])[1500]
     assert weight_N == pytest.approx(0.236 * 9.80665, abs=0.2)

@@ -134,6 +134,10 @@ class RobotOptions:
     """What is on the flange: a TOML file; the paper's 304 g force sensor and needle (default of the
     LWR); or nothing (default of other robots). It overrides the mapping."""
 
+    def __post_init__(self) -> None:
+        if self.robot == "lwr4plus":  # its name in `urdf`, where it has nothing on the flange
+            object.__setattr__(self, "robot", "lwr")
+
 
 @Parameter(name="*", group=SENSOR)
 @dataclass(frozen=True, kw_only=True)

@@ -87,9 +87,7 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         raise CommandError("--lock holds joints of a robot of --urdf FILE; known robots have none")
     placed = {"tool_frame": options.tool_frame, "tool_placement": options.tip_offset}
     placed |= {"without": options.without, "payload": payload}
-    if options.urdf is None and options.robot not in (None, LWR):
-        return urdf.load_example(options.robot, **placed)
-    if options.urdf is None:
+    if options.urdf is None and options.robot in (None, LWR):
         if options.tool_frame or options.tip_offset or options.without:
             raise CommandError(
                 "--tool-frame, --tip-offset and --without describe a robot of --robot NAME or "
@@ -98,10 +96,12 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         return urdf.load_lwr(payload=payload)
     locked = dict(map(_locked, options.lock))
     try:
+        if options.urdf is None:
+            return urdf.load_example(str(options.robot), **placed)
         return urdf.load_urdf(options.urdf, locked_joints=locked, **placed)
-    except urdf.UnsupportedJointError as error:
+    except (urdf.UnsupportedJointError, urdf.UnknownNameError) as error:
         reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
-        raise CommandError(reason) from error
+        raise CommandError(reason.replace("load_urdf(FILE) loads", "--urdf FILE loads")) from error
 
 
 def _locked(text: str) -> tuple[str, float]:
