@@ -138,6 +138,16 @@ def insertion(tmp_path_factory):
     return folder
 
 
+@pytest.mark.parametrize("name", ["a/log", "layers"])
+def test_no_figure_takes_the_place_of_a_chart_of_the_report(insertion, capsys, name):
+    charts = sorted((insertion / name).glob("*.svg"))
+    assert len(charts) == {"a/log": 6, "layers": 2}[name]
+    for chart in charts:
+        argv = ["identify", "no.csv", "--figure", str(chart), "--report", str(chart.parent)]
+        assert main(argv) == 2
+        assert f"--figure and --report ({chart.name}) both write to" in capsys.readouterr().err
+
+
 def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
     page, alone = (
         (insertion / name / "index.html").read_text(encoding="utf-8")

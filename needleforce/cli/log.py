@@ -158,13 +158,19 @@ def run_log(
     return log.exit_code
 
 
+_CHARTS = ("forces-over-time", "forces-over-depth", "layers")
+_IN_REPORT = (plots.PAGE, *(f"{name}{end}.svg" for name in _CHARTS for end in ("", "-wide")))
+
+
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done."""
     start, end = output.start, output.end
     if start is not None and end is not None and not start < end:
         raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
-    named: dict[str, Any] = {"-o": None if output.output == STANDARD_STREAM else output.output}
-    named |= {"--figure": output.figure, "--report": output.report and output.report / plots.PAGE}
+    table = None if output.output == STANDARD_STREAM else output.output
+    named: dict[str, Any] = {"-o": table, "--figure": output.figure}
+    if output.report is not None:
+        named |= {f"--report ({name})": output.report / name for name in _IN_REPORT}
     paths = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)
