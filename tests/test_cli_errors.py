@@ -112,6 +112,8 @@ USAGE = {
     "force good.csv --tare 0:1 --no-tare": "--tare and --no-tare contradict each other",
     "force good.csv --force-tare --no-tare": "--force-tare and --no-tare contradict each other",
     "force good.csv --no-tare --figure a.png --from 3 --to 1": "--from 3 --to 1: expected --from",
+    "force good.csv --no-tare --figure a.png --from nan": "--from nan: expected a finite number",
+    "identify no.csv --figure a.png --to=-inf": "--to -inf: expected a finite number",
     "force good.csv --from soon": 'unable to convert "soon" into float',
     "identify good.csv --method ferro": 'Choose from: "multilayer", "published"',
     "identify empty.csv": "it is empty",

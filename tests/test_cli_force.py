@@ -256,7 +256,7 @@ def test_a_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix)
     assert len(content) > 5_000
 
 
-def test_a_log_without_a_valid_row_still_has_figures_but_no_window(lwr, tmp_path, capsys):
+def test_a_log_without_a_valid_row_still_has_figures(lwr, tmp_path, capsys):
     columns = insertion(lwr, seconds=0.1)
     columns["q_rad"][:, 0] = np.nan
     write_table(tmp_path / "$\\frac{$.npz", columns)
@@ -267,5 +267,9 @@ def test_a_log_without_a_valid_row_still_has_figures_but_no_window(lwr, tmp_path
         assert path.is_file()
         assert "no sample was valid" in capsys.readouterr().out
     assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
-    assert main([*argv, "--from", "90"]) == 2
-    assert "window from 90 to 0.099; the end must lie after" in capsys.readouterr().err
+    path.unlink()
+    for window in (["--from", "90"], ["--from", "90", "--to", "99"], ["--to", "-1"]):
+        assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2
+        printed = capsys.readouterr()
+        assert "time of the log [s], runs from 0 to 0.099; give --from and" in printed.err
+        assert ("no sample was valid" in printed.out, path.exists()) == (True, False)

@@ -142,20 +142,33 @@ def run_log(
     with plots.folder_if_filled(output.report) as folder, terminal.stop_request() as is_stopped:
         log = LogSession(source, output, request, is_stopped)
         result = estimate(log)
-        if output.figure is not None:
-            chart, start, end = result.chart(output.over), output.start, output.end
-            if (start, end) != (None, None):
-                low, high = chart.x_limits or (0.0, 0.0)
-                chart = chart.within(low if start is None else start, high if end is None else end)
-            plots.save_figure(chart, output.figure)
         if folder is not None:
             first, *others = result.sections(folder)
             notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
             sections = (replace(first, notices=notices), *others)
             title = f"{first.heading} from {log.name}"
             plots.write_page(folder / plots.PAGE, plots.Page(title=title, sections=sections))
-    terminal.write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
+    try:
+        if output.figure is not None:
+            plots.save_figure(_in_window(result.chart(output.over), output), output.figure)
+    finally:  # a figure that cannot be drawn costs no result
+        terminal.write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
+
+
+def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
+    """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
+    if (output.start, output.end) == (None, None) or chart.x_limits is None:
+        return chart
+    low, high = chart.x_limits
+    first = low if output.start is None else output.start
+    last = high if output.end is None else output.end
+    if not max(low, first) < min(high, last):
+        raise CommandError(
+            f"no figure from {first:g} to {last:g}: its axis, {chart.x_label}, runs from {low:g} "
+            f"to {high:g}; give --from and --to within that"
+        )
+    return chart.within(first, last)
 
 
 _CHARTS = ("forces-over-time", "forces-over-depth", "layers")
@@ -165,6 +178,9 @@ _IN_REPORT = (plots.PAGE, *(f"{name}{end}.svg" for name in _CHARTS for end in ("
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done."""
     start, end = output.start, output.end
+    for option, place in (("--from", start), ("--to", end)):
+        if place is not None and not math.isfinite(place):
+            raise CommandError(f"{option} {place:g}: expected a finite number")
     if start is not None and end is not None and not start < end:
         raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
     table = None if output.output == STANDARD_STREAM else output.output
