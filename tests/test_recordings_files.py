@@ -271,6 +271,12 @@ def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(p
     assert "rows without a stamp, left out: 1" in log.warnings[0]
 
 
+def test_two_columns_of_one_name_are_refused(path):
+    pq.write_table(pa.table([[0.0, 1.0], [1.0, 2.0], [3.0, 4.0]], names=["t_s", "f", "f"]), path)
+    with pytest.raises(FormatError, match="more than one column 'f'; rename the others"):
+        read_table(path)
+
+
 def test_a_file_cut_short_is_refused_with_the_reason(path):
     write_table(path, {"t_s": np.arange(1000.0), "f": np.ones(1000)})
     path.write_bytes(path.read_bytes()[:-10])

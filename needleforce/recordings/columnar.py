@@ -4,6 +4,7 @@ Both are held in memory as a whole; pickled objects are never loaded.
 """
 
 import zipfile
+from collections import Counter
 from math import prod
 from pathlib import Path
 from typing import IO, Any
@@ -86,6 +87,11 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
             values = (g.column(i).num_values for g in groups for i in range(g.num_columns))
             size = max(8 * sum(values), sum(group.total_byte_size for group in groups))
             require_size(size, max_bytes, f"{path}: what it holds")
+            names = Counter(file.schema_arrow.names)
+            if twice := [name for name, count in names.items() if count > 1]:
+                raise FormatError(
+                    f"{path} has more than one column {twice[0]!r}; rename the others"
+                )
             return _parquet_table(path, file, arrow)
     except (arrow.ArrowException, UnicodeDecodeError, OSError) as error:
         # Arrow's own failures come as OSError too, but have no number.
