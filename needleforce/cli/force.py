@@ -123,7 +123,7 @@ class ForceResult:
         self.layers: IdentificationResult | None = None  # what the forces show, if asked for
         self.counts: Counter[Status] = Counter()
         self.warnings: Counter[SensorWarning] = Counter()
-        self._first_s, self._last_s, self._rate_hz = np.inf, -np.inf, np.nan
+        self._rate_hz = np.nan
         # Of the axial force of the rows of a status: least, largest, sum of standard deviations.
         self._axial_N = {status: (np.inf, -np.inf, 0.0) for status in Status}
 
@@ -132,7 +132,6 @@ class ForceResult:
         t_s = rows["t_s"]
         if not self.counts and (steps := np.diff(t_s))[steps > 0.0].size:
             self._rate_hz = 1.0 / float(np.median(steps[steps > 0.0]))
-        self._first_s, self._last_s = min(self._first_s, t_s.min()), max(self._last_s, t_s.max())
         for warning in SensorWarning:
             self.warnings[warning] += int(np.count_nonzero(rows["force_warnings"] & warning))
         for status, (low_N, high_N, total_N) in self._axial_N.items():
@@ -154,7 +153,7 @@ class ForceResult:
         name, joints = replay.robot.model.name, replay.robot.nv
         yield "robot", f"{name}, {joints} joints, payload {mass_kg:.3g} kg"
         yield "sensor", replay.description
-        span = f"{self.counts.total()} in {self._last_s - self._first_s:.4g} s"
+        span = f"{self.counts.total()} in {replay.duration_s:.4g} s"
         counts = [f"{count} {status.value}" for status in Status if (count := self.counts[status])]
         yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
         yield "rejected", rejections(replay.rejected) or "none"

@@ -84,8 +84,9 @@ class Taring:
         self._rejected, self._rejected_before = replay.rejected, Counter[str]()
         self._window: TareWindow | None = None
         if options.tare is not None:
-            self._window = tare_window(options.tare, first_s)
-            self._require_inside(self._window, math.inf)
+            window = tare_window(options.tare, first_s)
+            self._require_inside(window, math.inf)
+            self._window = window._replace(start_s=max(window.start_s, first_s))
         self._must_start = self._window is not None
         self._has_settled = False
         self.done: TareWindow | None = None
@@ -204,7 +205,7 @@ class Replay:
         self._taring: Taring | None = None
         self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
         # Of the clock of the first rows, which runs on when the log's clock is set back.
-        self._latest_s, self._shift_s = -math.inf, 0.0
+        self._first_s, self._latest_s, self._shift_s = 0.0, -math.inf, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
         self.question = ""  # the last one about signals that may be missing or in degrees
@@ -228,6 +229,7 @@ class Replay:
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
             require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
+            self._first_s = t_s[0]
             self._taring = Taring(self, self._options, t_s[0])
         sensor, taring, estimates, elapsed_s = self.sensor, self._taring, [], []
         update = sensor.update_external_torque if self.is_external else sensor.update
@@ -258,6 +260,11 @@ class Replay:
         self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
         rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
         return {**rows, "after_gap": after_gap}
+
+    @property
+    def duration_s(self) -> float:
+        """From the first row to the latest [s], on a clock that was never set back."""
+        return self._latest_s - self._first_s
 
     def finish(self, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log, which was read to its end or not."""
