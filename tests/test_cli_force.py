@@ -192,6 +192,26 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
     assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
+@pytest.mark.parametrize(
+    ("options", "advice"),
+    [
+        (
+            "0:2.5 --external-torque --tau-ext tau_Nm",
+            "torque; leave --external-torque out and read",
+        ),
+        (
+            "0:2.5 --external-torque --tau-ext tau_Nm:Nm:-1",
+            "torque; leave --external-torque out and negate it, as in --tau tau_*:Nm:-1. Tare",
+        ),
+        ("1:1.01", "s of it); choose a longer window, without gaps in time. Or"),
+    ],
+)
+def test_a_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
+    assert main(["force", str(log), "--tare", *options.split()]) == 2
+    said = capsys.readouterr().err
+    assert (advice in said, "update()" in said) == (True, False), said
+
+
 def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
     run, lwr, tmp_path, capsys
 ):

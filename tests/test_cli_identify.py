@@ -75,6 +75,10 @@ def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_pat
     assert "<p class=notice>Warning: " in page
     assert "flip its sign" in page
     assert "flip" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
+    for name, option in {"depth_m": "depth z:m", "speed_m_s": "speed v:m/s"}.items():
+        *_, said = identify(**{"speed_m_s": (), name: -needle[name]})
+        assert f"does, as in --{option}:-1" in said
+        assert "fz" not in said
     in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
     *_, said = identify(**in_mN)
     rejected = int((np.abs(in_mN["force"]) > 200.0).sum())

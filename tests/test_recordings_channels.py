@@ -148,6 +148,16 @@ def test_columns_are_found_by_their_usual_names(names, channel, columns):
 @pytest.mark.parametrize(
     ("names", "channel", "message"),
     [
+        (
+            ["axial_std_N", "force_std_N"],
+            "force_std",
+            r"\(axial_std_N, force_std_N\); say which one under force_std in the mapping",
+        ),
+        (
+            ["tau_ext", "external_torque"],
+            "tau_ext",
+            "say which one with --tau-ext, or under tau_ext",
+        ),
         (["t", "timestamp"], "time", r"several columns would fit \(t, timestamp\).*--time"),
         (["q", "position"], "q", "several"),
         (["q1", "q2", "/other/q1", "/other/q2"], "q", "q#, /other/q#"),

@@ -32,7 +32,12 @@ _AS_OPTIONS = {
     "ignore_contact=True": "--force-tare",
     "set torque_is_gravity_compensated=True": "give --gravity-compensated",
     "set torque_is_gravity_compensated=False": "leave --gravity-compensated out",
+    "negate it and call update() instead": "leave --external-torque out and negate it",
+    "call update() instead": "leave --external-torque out and read it with --tau",
     "negate it": "negate it, as in --tau tau_*:Nm:-1",
+    "update() the sensor without contact first, in steps no longer than max_gap_s, then tare()": (
+        "choose a longer window, without gaps in time"
+    ),
 }
 """What a refused tare advises in code, as options."""
 

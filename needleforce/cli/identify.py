@@ -89,16 +89,24 @@ def identify_layers(
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)
-    flip = "; a factor of -1 after the unit does, as in --force fz:N:-1"
-    hints = (f"{hint.rstrip('?')}{flip}" if "flip" in hint else hint for hint in stream.hints)
     counted = (
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in (+left_out).items()
     )
-    warnings, layers = (*counted, *hints), stream.layers
+    warnings, layers = (*counted, *map(_with_option, stream.hints)), stream.layers
     for warning in warnings:
         say(f"warning: {warning}")
     return IdentificationResult(name, options.method, layers, warnings, overview.columns())
+
+
+_FLIPPED = {"the force": "--force fz:N:-1", "depth": "--depth z:m:-1", "speed": "--speed v:m/s:-1"}
+
+
+def _with_option(hint: str) -> str:
+    for what, option in _FLIPPED.items():
+        if "flip" in hint and hint.startswith(what):
+            return f"{hint.rstrip('?')}; a factor of -1 after the unit does, as in {option}"
+    return hint
 
 
 _EVENTS = ("rupture", "identified_layer", "retracted")

@@ -54,6 +54,12 @@ class Channel:
     meaning: str  # one phrase for help texts
 
     @property
+    def where(self) -> str:
+        """Where a user says which columns it is; what only this package writes has no option."""
+        option = f"with --{self.name.replace('_', '-')}, or "
+        return f"{'' if self.name.startswith('force_') else option}under {self.name} in the mapping"
+
+    @property
     def si_unit(self) -> str:
         """The SI unit of this channel."""
         return next(iter(self.units))
@@ -250,6 +256,6 @@ def detect_columns(table: Table, channel: Channel) -> Found:
     if len(candidates) > 1:
         raise ColumnError(
             f"{channel.name}: several columns would fit ({', '.join(candidates)}); say which one "
-            f"with --{channel.name}, or under {channel.name} in the mapping"
+            f"{channel.where}"
         )
     return next(iter(candidates.values()), [])

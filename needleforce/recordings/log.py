@@ -269,8 +269,8 @@ class LogStream:
             also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
             raise ColumnError(
                 f"no column found for {channel.name} ({channel.meaning}); usual names are "
-                f"{', '.join(channel.spellings)}. Say which one with --{channel.name}, or under "
-                f"{channel.name} in the mapping. {f'Nor for {also}. ' if also else ''}"
+                f"{', '.join(channel.spellings)}. Say which one {channel.where}. "
+                f"{f'Nor for {also}. ' if also else ''}"
                 f"Columns are: {table.describe()}{table.left_out()}"
             )
         if not self._signals:
