@@ -123,6 +123,9 @@ USAGE = {
 }
 
 
+EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--report="]]
+
+
 def complaint(argv, capsys):
     """Run the command; return its one line of complaint."""
     assert main(argv) == 2
@@ -141,6 +144,10 @@ def complaint(argv, capsys):
         *((["force", name, "-o", "out.csv"], message) for name, message in LOGS.items()),
         *((["force", "good.csv", *text.split()], message) for text, message in OPTIONS.items()),
         *((text.split(), message) for text, message in USAGE.items()),
+        *(
+            (argv, f"{argv[-1]!r}: nothing is given there; leave it out, or give a")
+            for argv in EMPTY
+        ),
     ],
     ids=lambda value: " ".join(value)[-60:] if isinstance(value, list) else "",
 )

@@ -9,6 +9,7 @@ page), `robot` (the robot from options and TOML files), `force_replay` and `forc
 `simulate`.
 """
 
+import re
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -29,6 +30,12 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def dispatch() -> int:
         tokens = list(sys.argv[1:] if argv is None else argv)
+        # As a path it would be the current folder.
+        if empty := [token for token in tokens if re.fullmatch(r"(-[\w-]+=)?", token)]:
+            raise CommandError(
+                f"{empty[0]!r}: nothing is given there; leave it out, or give a name or a value "
+                "(a variable of the shell may not be set)"
+            )
         try:
             command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
         except UnusedCliTokensError as error:
