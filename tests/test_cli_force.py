@@ -108,7 +108,7 @@ def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr):
     assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
     printed = run(insertion(lwr, start_s=1.7e9), "--tare", "+0:+2.5")[1]
     assert "1700000000 to 1700000002.5 s" in printed
-    assert "0 to 2.5 s of the log" in run(insertion(lwr), "--tare", "-100:2.5")[1]
+    assert "  0 to 2.5 s of the log" in run(insertion(lwr), "--tare", "-100:2.5")[1]
 
 
 def test_the_duration_of_a_log_whose_clock_was_set_back_is_that_of_its_rows(run, lwr):
