@@ -156,19 +156,22 @@ def run_log(
     return log.exit_code
 
 
+def _window(output: Output) -> tuple[float, float]:
+    start, end = output.start, output.end
+    return -math.inf if start is None else start, math.inf if end is None else end
+
+
 def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
     """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
-    if (output.start, output.end) == (None, None) or chart.x_limits is None:
+    (start, end), (low, high) = _window(output), chart.x_limits or (-math.inf, math.inf)
+    if (low, high) == (-math.inf, math.inf) or (output.start, output.end) == (None, None):
         return chart
-    low, high = chart.x_limits
-    first = low if output.start is None else output.start
-    last = high if output.end is None else output.end
-    if not max(low, first) < min(high, last):
+    if not max(low, start) < min(high, end):
         raise CommandError(
-            f"no figure from {first:g} to {last:g}: its axis, {chart.x_label}, runs from {low:g} "
+            f"no figure from {start:g} to {end:g}: its axis, {chart.x_label}, runs from {low:g} "
             f"to {high:g}; give --from and --to within that"
         )
-    return chart.within(first, last)
+    return chart.within(max(low, start), min(high, end))
 
 
 _CHARTS = ("forces-over-time", "forces-over-depth", "layers")
@@ -177,11 +180,8 @@ _IN_REPORT = (plots.PAGE, *(f"{name}{end}.svg" for name in _CHARTS for end in ("
 
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done."""
-    start, end = output.start, output.end
-    for option, place in (("--from", start), ("--to", end)):
-        if place is not None and not math.isfinite(place):
-            raise CommandError(f"{option} {place:g}: expected a finite number")
-    if start is not None and end is not None and not start < end:
+    start, end = _window(output)
+    if not start < end:
         raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
     table = None if output.output == STANDARD_STREAM else output.output
     named: dict[str, Any] = {"-o": table, "--figure": output.figure}
