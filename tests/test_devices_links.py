@@ -20,9 +20,9 @@ from needleforce.devices import (
     NetFT,
     ReplayArm,
     Scale,
-    emulators,
     fri,
     paced,
+    proxy,
     rdt,
 )
 from needleforce.devices.emulators import (
@@ -85,7 +85,9 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
     found, arm, _ = fri_run(2000, faults)
     assert all(np.array_equal(sample.tau_Nm, 2.0 * sample.q_rad) for sample in found)
     report = arm.report
-    assert (report.malformed > 50, report.stale > 20, report.missed > 30) == (True, True, True)
+    assert report.malformed > 50
+    assert report.stale > 20
+    assert report.missed > 30
     assert report.used + report.missed == round(sum(sample.dt_s for sample in found) / 1e-3)
     assert sum(sample.missed for sample in found) == report.missed
 
@@ -97,40 +99,6 @@ def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
     assert gap.missed == round(gap.dt_s / 1e-3) - 1
     assert arm.report.outages == 2  # the second is the end
     assert len(found) == pytest.approx(500, abs=10)
-
-
-@pytest.mark.parametrize(
-    "counts",
-    [
-        (49_998, 49_999, 0, 1, 2),  # the controller began anew
-        (10, 11, 311, 312, 313),
-        (10, 11, 12, 13, 313),  # packets waited here while the program slept
-    ],
-)
-def test_a_count_that_begins_anew_is_no_time(counts):
-    arm, found = FriArm(port=0), []
-    with arm, socket.socket(type=socket.SOCK_DGRAM) as controller:
-        samples = iter(arm)
-        for count in counts[:2]:
-            controller.sendto(measurement(count=count), arm.address)
-            found.append(next(samples))
-        begin_s = time.monotonic()
-        time.sleep(0.3)
-        for count in counts[2:]:
-            controller.sendto(measurement(count=count), arm.address)
-        found += [next(samples) for _ in counts[2:]]
-    passed_s = sum(sample.dt_s for sample in found[2:])
-    assert 0.3 - 1e-9 <= passed_s <= time.monotonic() - begin_s + 0.01
-
-
-def test_counts_come_however_long_a_controller_runs(monkeypatch):
-    with FriArm(port=0) as arm:
-        wanted = FriSettings(port=arm.address[1], q_rad=ROWS, tau_Nm=ROWS, cycles=500)
-        with Emulator(emulate_fri, wanted) as slow, Emulator(emulate_fri, wanted) as ended:
-            monkeypatch.setattr(emulators, "START_s", 0.1)
-            assert slow.counts()["cycles"] == 500
-            ended._process.join()
-            assert ended.stop()["cycles"] == 500
 
 
 def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
@@ -174,6 +142,34 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
         flooding.join()
         assert 0.3 <= time.monotonic() - begin_s < 0.3 + PATIENCE_S
     assert min(arm.report.malformed, arm.report.stale) > 3
+
+
+@pytest.mark.parametrize(
+    ("count", "passed_s", "waiting", "then", "steps_s"),
+    [
+        (49999, 0.3, [0, 1], 2, [0.3, 1e-3, 1e-3]),  # begun anew
+        (5, 0.5, [505, 506], 507, [0.5, 1e-3, 1e-3]),  # lost on the way
+        (5, 0.9, range(6, 66), 905, [*[1e-3] * 60, 0.84]),  # not read, and no room for all
+        (5, 1.5, range(6, 66), 1505, [*[1e-3] * 60, 1.44]),
+        (5, 40.0, range(6, 66), 40005, [40.0, *[1e-3] * 60]),  # too long for the counter
+    ],
+)
+def test_no_more_time_is_reported_than_passed(count, passed_s, waiting, then, steps_s, monkeypatch):
+    real, ahead_s = time.monotonic, 0.0
+    for module in (fri, proxy):  # a slow clock, which advances where the test says so
+        monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
+    arm = FriArm(port=0, wait_s=1e-3, give_up_s=1e-3 * PATIENCE_S)
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.sendto(measurement(count=count), arm.address)
+        samples, found = iter(arm), []
+        next(samples)
+        ahead_s = passed_s
+        for counts in (waiting, [then]):
+            for each in counts:
+                box.sendto(measurement(count=each), arm.address)
+            found += [next(samples) for _ in counts]
+    assert [sample.dt_s for sample in found] == pytest.approx(steps_s)
+    assert arm.report.missed == round((sum(steps_s) - 1e-3 * len(found)) / 1e-3)
 
 
 def test_commands_that_cannot_be_are_refused():
@@ -224,12 +220,11 @@ def test_another_sender_is_not_listened_to():
         found = list(arm)
     assert len(found) == 3
     assert arm.report.foreign == 3
-    for peer, foreign in (("127.0.0.2", 1), ("LOCALHOST", 0)):
+    for peer, used in (("127.0.0.2", 0), ("127.1", 1)):
         named = FriArm(port=0, peer=peer, wait_s=0.05, give_up_s=0.1)
         with named, socket.socket(type=socket.SOCK_DGRAM) as one:
             one.sendto(measurement(), named.address)
-            assert len(list(named)) == 1 - foreign
-        assert named.report.foreign == foreign
+            assert len(list(named)) == used == 1 - named.report.foreign
 
 
 def test_an_address_that_cannot_be_is_said_so():
@@ -237,13 +232,15 @@ def test_an_address_that_cannot_be_is_said_so():
         FriArm(port=arm.address[1])
     with pytest.raises(DeviceSettingError, match="expected 0 to 65535"):
         FriArm(port=70000)
-    for times in ({"wait_s": 2.0, "give_up_s": 1.0}, {"wait_s": np.inf, "give_up_s": np.inf}):
-        with pytest.raises(DeviceSettingError, match="wait_s"):
-            FriArm(port=0, **times)
-    with pytest.raises(LinkError, match=r"no address for 'no host': .*; is the name right"):
-        NetFT("no host", scale=Scale(1.0, 1.0))
+    with pytest.raises(DeviceSettingError, match="wait_s"):
+        FriArm(port=0, wait_s=2.0, give_up_s=1.0)
     with pytest.raises(LinkError, match="is it the sensor"):
         NetFT(scale="http://127.0.0.1:9/none.xml")
+    for name in ("no-such-host.invalid", "a" * 70):
+        with pytest.raises(LinkError, match="no name that is known here"):
+            NetFT(name)
+        with pytest.raises(LinkError, match="no name that is known here"):
+            FriArm(port=0, peer=name)
     for scale in (Scale(0.0, 1.0), (1,), (1, 2, 3)):
         with pytest.raises(DeviceSettingError, match="positive counts"):
             NetFT(scale=scale)
@@ -260,11 +257,11 @@ def test_a_force_sensor_that_was_closed_has_nothing_to_read():
     ft.close()
 
 
-@pytest.mark.parametrize(("host", "buffered"), [(LOOPBACK, False), ("LOCALHOST", True)])
-def test_every_record_of_a_force_sensor_comes_in_newtons(host, buffered):
+@pytest.mark.parametrize("buffered", [False, True])
+def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
     settings = RdtSettings(wrench=WRENCH, scale=(500_000.0, 2e6))
     with Emulator(emulate_rdt, settings) as box:
-        ft = NetFT(host, box.ready["port"], scale=box.ready["page"], buffered=buffered)
+        ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
         with ft:
             assert ft.scale == (500_000.0, 2e6)
             found, end_s, stream = [], time.monotonic() + PATIENCE_S, ft.stream()
@@ -335,7 +332,7 @@ def test_a_sensor_that_reports_a_fault_gives_no_force():
     record = np.zeros(1, rdt.RECORD)
     with socket.socket(type=socket.SOCK_DGRAM) as box:
         box.bind((LOOPBACK, 0))
-        with NetFT(port=box.getsockname()[1], scale=Scale(1e6, 1e6)) as ft:
+        with NetFT("127.1", box.getsockname()[1], scale=Scale(1e6, 1e6)) as ft:
             _, asked_from = box.recvfrom(64)
             for count, status in enumerate((0, 1 << 31, 0)):
                 record["count"], record["status"] = count, status
@@ -410,7 +407,6 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     bad = ["{", "[]", "{}", '{"inverse3": []}', json.dumps({"inverse3": [{"state": {}}]})]
 
     def talk(link):
-        time.sleep(0.5)
         for text in (*bad, json.dumps(good | grip)):
             link.send(text)
         time.sleep(0.2)
@@ -426,8 +422,7 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     assert sample is not None
     assert not sample.clutch
     assert sample.position_m.tolist() == [0.0, 0.0, 1.0]
-    assert (master.report.malformed, master.report.outages) == (len(bad), 1)
-    assert master.report.longest_gap_s > 0.4  # one silence
+    assert master.report.malformed == len(bad)
     with pytest.raises(LinkError, match="is it running"):
         HaplyMaster("ws://127.0.0.1:9")
 
@@ -445,5 +440,3 @@ def test_recorded_signals_come_in_real_time():
     assert len(list(paced(arm))) == 100
     assert time.monotonic() - begin_s > 0.09
     assert not arm.send(np.zeros(7))
-    arm = ReplayArm(np.ones(100), ROWS, None, ROWS)
-    assert [arm.close() for _ in arm] == [None]

@@ -151,8 +151,6 @@ def test_an_arm_that_is_not_there_is_said_so():
         UrArm()
     with pytest.raises(DeviceSettingError, match="six positive"):
         UrArm(torque_constant_Nm_A=[1.0])
-    with pytest.raises(DeviceSettingError, match="rate_hz=0"):
-        UrArm(rate_hz=0)
 
 
 def test_a_client_that_is_not_installed_is_named(monkeypatch):

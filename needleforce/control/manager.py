@@ -167,7 +167,7 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
             with Path(path).open("rb") as file:
                 # As written: the clock of a session that was appended begins anew.
                 wanted = {"topics": [MCAP_TOPIC], "log_time_order": False}
-                messages = reader.make_reader(file).iter_messages(**wanted)
+                messages = reader.make_reader(file, validate_crcs=True).iter_messages(**wanted)
                 lines = [message.data for _, _, message in messages]
         except OSError:
             raise

@@ -130,16 +130,16 @@ class Emulator(AbstractContextManager["Emulator"]):
         """What it has counted, once it has ended by itself, however long that takes."""
         return self._counts(None)
 
+    def stop(self) -> dict[str, Any]:
+        """End it, unless it has ended by itself; what it has counted."""
+        with suppress(ConnectionError):
+            self._pipe.send("stop")
+        return self._counts(START_s)
+
     def _counts(self, wait_s: float | None) -> dict[str, Any]:
         found = self._reply(wait_s)
         self._process.join(START_s)
         return found
-
-    def stop(self) -> dict[str, Any]:
-        """End it, if it has not ended by itself; what it has counted."""
-        with suppress(ConnectionError):
-            self._pipe.send("stop")
-        return self._counts(START_s)
 
     def __exit__(self, *error: object) -> None:
         self._process.kill()

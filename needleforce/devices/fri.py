@@ -47,8 +47,8 @@ COMMAND_KIND, POSITION_FLAG = 0x1005, 0x1
 SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
 LONGEST_COUNTED_s = 1.0
 """Of a longer gap the counter may have gone round or begun anew: our own clock says how long."""
-JITTER_s = 0.05  # By so much more than has passed here a count may run ahead: packets come unevenly
-LONGEST_WAIT_s = 1e6
+MOST_WAIT_s = 3600.0  # A socket waits for no infinite time
+LATEST_s = 0.1  # By which one datagram may come later than others
 
 
 class State(IntEnum):
@@ -113,26 +113,24 @@ class FriArm(DatagramLink):
         Args:
             host: Address of this machine on which the controller sends.
             port: The port set in its configuration; 0 for any free one, see `address`.
-            peer: Address or name of the controller; others are dropped. None: the first valid one.
+            peer: Address or name of the controller; others are dropped. None: who is valid first.
             wait_s: A silence longer than this counts as an outage.
             give_up_s: After so long without a valid measurement the samples end.
             robot: Kept as `robot`.
 
         Raises:
-            LinkError: The address cannot be bound, or the peer's name is not known.
+            LinkError: The address cannot be bound, or the peer's name is unknown.
             DeviceSettingError: A port or a time that cannot work.
         """
-        if not 0.0 < wait_s <= min(give_up_s, LONGEST_WAIT_s):
-            what = f"wait_s={wait_s!r}, give_up_s={give_up_s!r}"
-            raise DeviceSettingError(
-                f"{what}: expected 0 < wait_s <= give_up_s, wait_s at most {LONGEST_WAIT_s:g}"
-            )
+        if not 0.0 < wait_s <= min(give_up_s, MOST_WAIT_s):
+            what = f"0 < wait_s <= give_up_s, and wait_s of at most {MOST_WAIT_s:g} s"
+            raise DeviceSettingError(f"{wait_s=}, {give_up_s=}: expected {what}")
         super().__init__(host, port, peer=peer)
         self.robot, self.joints = robot, JOINTS
         self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
         self._wait_s, self._give_up_s = wait_s, give_up_s
         self._last: np.void | None = None
-        self._arrival_s, self._behind_s = monotonic(), 0.0
+        self._arrival_s = self._after_s = monotonic()  # Of the last: read then, sent later than
         self._answer = np.zeros((), COMMAND)
         self._answer["size"], self._answer["kind"] = COMMAND.itemsize, COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
@@ -176,22 +174,20 @@ class FriArm(DatagramLink):
         if found is None:
             self.report.malformed += 1
             return
-        cycles, silence_s = 1, now_s - self._arrival_s
+        # Both this and the last may have waited to be read: no more time is between them.
+        cycles, most_s = 1, now_s - self._after_s + LATEST_s
         # The period as it was meant: 1 ms is not a number of 32 bits.
         period_s = round(float(found["period_s"]), 6)
-        if self._last is not None and silence_s >= LONGEST_COUNTED_s:
-            cycles = round(silence_s / period_s)
-        elif self._last is not None:
+        if self._last is not None:
             cycles = (int(found["count"]) - int(self._last["count"])) % COUNTS
-            if not 0 < cycles < COUNTS // 2:
+            is_short = self._empty_s - self._arrival_s < LONGEST_COUNTED_s
+            is_counted = is_short and most_s < COUNTS // 2 * period_s
+            if is_counted and not 0 < cycles < COUNTS // 2:
                 self.report.stale += 1
                 return
-            # Packets may have waited here; more than has passed a count that began anew says.
-            if cycles * period_s > self._behind_s + silence_s + JITTER_s:
-                cycles = max(round(silence_s / period_s), 1)
-            behind_s = self._behind_s + silence_s - cycles * period_s
-            self._behind_s = min(max(behind_s, 0.0), LONGEST_COUNTED_s)
-        self.peer, self._arrival_s = self.sender, now_s
+            if not is_counted or cycles * period_s > most_s:
+                cycles = max(round((now_s - self._arrival_s) / period_s), 1)
+        self.peer, self._arrival_s, self._after_s = self.sender, now_s, self._empty_s
         self._send_answer(found)
         self.report.use(cycles, cycles * period_s)
         yield ArmSample(

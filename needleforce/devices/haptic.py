@@ -51,22 +51,20 @@ class HaplyMaster(Link):
     def read(self) -> MasterSample | None:
         """The newest state, or None: nothing has come, or the device is gone; see `report`."""
         found, now_s = None, time.monotonic()
-        try:
-            with suppress(TimeoutError):
-                while True:
-                    text = self._socket.recv(timeout=0)
-                    found = self._decoded(text, now_s - self._begin_s) or found
-            if found is not None:
-                self.report.use(1, now_s - self._last_s)
-                self._last_s = now_s
-            elif now_s - self._asked_s > LOST_s:
-                self.report.outages += self._asked_s == self._last_s  # one silence is one outage
-            else:
-                return None
-            self._asked_s = now_s
+        with suppress(TimeoutError, self._gone):
+            while True:
+                text = self._socket.recv(timeout=0)
+                found = self._decoded(text, now_s - self._begin_s) or found
+        if found is not None:
+            self.report.use(1, now_s - self._last_s)
+            self._last_s = now_s
+        elif now_s - self._asked_s > LOST_s:
+            self.report.outages += self._asked_s == self._last_s  # one a silence
+        else:
+            return None
+        self._asked_s = now_s
+        with suppress(self._gone):
             self._command()
-        except self._gone:
-            self.report.outages += 1
         return found
 
     def render(self, force_N: ArrayLike) -> None:

@@ -42,14 +42,6 @@ def client(module: str, package: str) -> Any:
         raise MissingClientError(f"{package} is not installed; pip install {package}") from error
 
 
-def resolved(host: str) -> str:
-    """The IPv4 address of a host; `LinkError` where nobody knows its name."""
-    try:
-        return socket.gethostbyname(host)
-    except (OSError, UnicodeError) as error:
-        raise LinkError(f"no address for {host!r}: {error}; is the name right?") from error
-
-
 LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
 MOST_DATAGRAM = 65536
 ROOM = 1 << 17  # Bytes for datagrams that wait to be read: no more than usual, old ones are stale
@@ -174,6 +166,15 @@ class ReplayArm(ReadOnlyArm):
             yield ArmSample(dt_s, q, dq, tau, None, 0, accepts_commands=False)
 
 
+def resolved(host: str) -> str:
+    """The numeric address of a host, which its datagrams bear; `LinkError` for an unknown name."""
+    try:
+        return socket.gethostbyname(host)
+    except (OSError, ValueError) as error:
+        what = f"{host!r} is no address and no name that is known here: {error}"
+        raise LinkError(f"{what}; give the numeric address of the device") from error
+
+
 class DatagramLink(Link):
     """A link over UDP with one peer; datagrams from elsewhere are counted and dropped.
 
@@ -183,7 +184,7 @@ class DatagramLink(Link):
         peer: Where it sends to, and the only one it listens to; None: not known yet.
 
     Raises:
-        LinkError: The address cannot be bound, or the peer's name is not known.
+        LinkError: The address cannot be bound, or the peer's name is unknown.
         DeviceSettingError: A port outside 0 to 65535.
     """
 
@@ -191,8 +192,7 @@ class DatagramLink(Link):
         if not 0 <= port <= 65535:
             raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
         super().__init__()
-        # Datagrams come from addresses, not from names.
-        self._peer_host = None if peer is None else resolved(peer)
+        self._peer_host = peer and resolved(peer)
         self.sender: tuple[str, int] | None = None
         self.peer: tuple[str, int] | None = None
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -206,16 +206,21 @@ class DatagramLink(Link):
                 "using the port, and is the address one of this machine?"
             ) from error
         self.address: tuple[str, int] = self._socket.getsockname()
+        self._empty_s = monotonic()  # When last nothing waited to be read: what came, came later
 
     def _receive(self, timeout_s: float) -> bytes | None:
         """The next datagram that may be the peer's; None when none came in time (0: now)."""
-        deadline_s = monotonic() + timeout_s
+        deadline_s, is_empty = monotonic() + timeout_s, False
         while True:
-            self._socket.settimeout(max(deadline_s - monotonic(), 0.0))
+            asked_s = monotonic()
+            self._socket.settimeout(max(deadline_s - asked_s, 0.0) if is_empty else 0.0)
             try:
                 data, sender = self._socket.recvfrom(MOST_DATAGRAM)
             except (TimeoutError, BlockingIOError):
-                return None
+                self._empty_s, is_empty = asked_s, True
+                if asked_s >= deadline_s:
+                    return None
+                continue
             except ConnectionError:  # what was sent before found nobody listening
                 continue
             if sender[0] == (self._peer_host or sender[0]) and self.peer in (None, sender):

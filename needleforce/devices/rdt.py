@@ -94,20 +94,20 @@ class NetFT(DatagramLink):
             listen_on: Address of this machine; None: loopback for a sensor there, else any.
 
         Raises:
-            LinkError: The sensor's page cannot be read, its name is not known, or no port is free.
+            LinkError: The sensor's name is unknown, its page cannot be read, or no port is free.
             DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
         """
+        host = resolved(host)
         page = scale or f"http://{host}/netftcalapi.xml"
         self.scale = read_scale(page) if isinstance(page, str) else page
         if np.shape(self.scale) != (2,) or not all(0.0 < each < np.inf for each in self.scale):
             raise DeviceSettingError(f"{self.scale}: expected positive counts per N and per Nm")
         if not 0 < port <= 65535:
             raise DeviceSettingError(f"port {port} of the sensor: expected 1 to 65535")
-        address = resolved(host)
-        local = listen_on or (LOOPBACK if address.startswith("127.") else "0.0.0.0")
-        super().__init__(local, 0, peer=address, room=ROOM)
+        local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
+        super().__init__(local, 0, peer=host, room=ROOM)
         self.status = 0
-        self._sensor, self._mode = (address, port), BUFFERED if buffered else STREAM
+        self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
         self._odd = self._odd_row = 0  # Last count out of sequence, and how many in a row

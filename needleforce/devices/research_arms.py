@@ -3,7 +3,6 @@
 Both are read only here: samples in, no commands. The clients are imported when an arm is opened.
 """
 
-import math
 from collections.abc import Iterator
 from time import sleep
 from typing import Any
@@ -99,10 +98,10 @@ class UrArm(_VendorArm):
         Raises:
             MissingClientError: ur_rtde is not installed.
             LinkError: The arm does not answer.
-            DeviceSettingError: A rate, or constants, that are not positive numbers.
+            DeviceSettingError: Constants that are not six positive numbers, or no positive rate.
         """
-        if not 0.0 < rate_hz < math.inf:
-            raise DeviceSettingError(f"rate_hz={rate_hz!r}: expected a positive number")
+        if not 0.0 < rate_hz < np.inf:
+            raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
         super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
         self._constant: Array | None = None
         if torque_constant_Nm_A is not None:
