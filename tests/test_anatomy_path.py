@@ -49,9 +49,9 @@ def test_rays_through_the_surface_cross_where_the_layers_do(scanned):
     assert np.sqrt(np.mean(np.square(differences))) < 0.2 * 1e-3 * SPACING_MM[0]
 
 
-def slabs(names, spacing_m=1e-3):
+def slabs(names, spacing_m=1e-3, kind=np.uint8):
     """Structures of ten voxels each, one behind the other along x."""
-    values = np.repeat(np.arange(1, len(names) + 1, dtype=np.uint8), 10)
+    values = np.repeat(np.arange(1, len(names) + 1, dtype=kind), 10)
     values = np.broadcast_to(values[:, None, None], (len(values), 20, 20)).copy()
     grid = Grid(values.shape, np.zeros(3), spacing_m * np.eye(3))
     return Labels.of([values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)])
@@ -78,6 +78,21 @@ def test_a_slanting_path_and_uncertain_boundaries_state_more():
     assert slanting == pytest.approx(straight / cosine, rel=0.1)
     wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[1].entry_std_m
     assert wide == pytest.approx(np.hypot(straight, 0.5e-3), rel=0.02)
+
+
+@pytest.mark.parametrize("spacing_mm", [(5.0, 0.7, 0.7), (0.7, 5.0, 0.7), (0.7, 0.7, 5.0)])
+def test_uncertain_boundaries_of_flat_voxels_state_as_much(spacing_mm):
+    labels = slabs(["fat", "muscle"], 1e-3 * np.array(spacing_mm))
+    entry, target = labels.grid.points_m([[2.0, 10.0, 10.0], [17.0, 10.0, 10.0]])
+    plain, wide = (labels.layers_along(entry, target, std)[1].entry_std_m for std in (0.0, 1e-3))
+    assert wide == pytest.approx(np.hypot(plain, 1e-3), rel=0.02)
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.int32, np.int64])
+def test_labels_may_be_integers_of_any_size(kind):
+    way = [0.002, 0.01, 0.01], [0.017, 0.01, 0.01]
+    expected = slabs(["fat", "muscle"]).layers_along(*way)
+    assert slabs(["fat", "muscle"], kind=kind).layers_along(*way) == expected
 
 
 def test_a_path_from_outside_the_volume_stays_in_order():

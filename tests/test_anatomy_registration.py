@@ -269,6 +269,22 @@ def test_where_the_surface_was_met_counts_for_half():
     assert moved.offset_m == pytest.approx(beneath.offset_m)
 
 
+def test_air_in_front_of_the_skin_is_no_layer():
+    layers = [replace(one, name=name) for one, name in zip(plan(20, 35), NAMES[:3], strict=True)]
+    moved = [replace(o, entry_m=o.entry_m + 0.015, exit_m=o.exit_m + 0.015) for o in layers]
+    air = Layer("unlabelled", 0.0, 0.015, 0.0, 0.0, False)
+    without, match = PlanMatch(layers, 3e-3), PlanMatch([air, *moved], 3e-3)
+    for depth_m, ruptures_m in ((-0.005, []), (0.005, []), (0.024, [0.024])):
+        known = {"contact_m": 0.002} if depth_m > 0.002 else {}
+        expected = without.state(depth_m, ruptures_m, **known)
+        found = match.state(depth_m, ruptures_m, **known, entry_depth_m=-0.015)
+        assert (found.layer, found.name) == (expected.layer + 1, expected.name)
+        assert found.next_name == expected.next_name
+        assert found.next_m == pytest.approx(expected.next_m)
+        assert found.offset_m == pytest.approx(expected.offset_m)
+        assert found.matched == expected.matched + (expected.matched >= 0)
+
+
 def test_the_skin_ruptures_behind_where_it_was_met():
     match = PlanMatch(plan(8, 35), 5e-3)
     assert match.state(0.0085, [0.0085]).matched == 1
@@ -288,11 +304,12 @@ def test_a_capsule_is_expected_to_rupture_late():
     layers = plan(20, 35, 60)
     states = [
         PlanMatch([*layers[:2], replace(layers[2], name=name)], 3e-3).state(0.0385, [0.0385])
-        for name in ("gland", "liver")
+        for name in ("gland", "liver", "Left Kidney")
     ]
-    assert [state.matched for state in states] == [2, 2]
+    assert [state.matched for state in states] == [2, 2, 2]
     assert states[0].offset_m == pytest.approx(3e-3, abs=1e-3)
-    assert states[1].offset_m == pytest.approx(-1e-3, abs=1e-3)
+    for state in states[1:]:
+        assert state.offset_m == pytest.approx(-1e-3, abs=1e-3)
     # Inside the organ there is no capsule.
     inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
     assert PlanMatch(inside, 3e-3)._kind[1, :, 0].tolist() == [1.0, 0.25, 0.25]

@@ -325,9 +325,10 @@ def test_a_scan_without_air_or_without_a_body_is_refused(change):
 
 
 def test_names_say_what_stops_a_needle():
-    stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1")
+    stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1", "Rib,_left", "Spine")
+    stops += ("bones", "mandible", "vertebral_body", "patella", "scapulae", "ribcage", "coccyx")
     assert all(Structure.named(name, 1).is_obstacle for name in stops)
-    goes = ("hippocampus", "liver", "tribology")
+    goes = ("hippocampus", "liver", "tribology", "renal_pelvis", "kidney-pelvis")
     assert not any(Structure.named(name, 1).is_obstacle for name in goes)
 
 
@@ -347,6 +348,16 @@ def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     parts = Labels.of([values], grid, names[1:]).with_body(Volume(soft, flipped), fat=True)
     assert parts["lean"].voxels + parts["fat"].voxels == np.count_nonzero(values)
     assert parts["fat"].voxels == pytest.approx(np.count_nonzero(values == 1), rel=0.1)
+
+
+def test_there_is_no_body_where_there_is_no_scan():
+    scan = Volume(np.full((12, 12, 12), -1000.0), Grid((12,) * 3, np.zeros(3), 1e-3 * np.eye(3)))
+    scan.values[3:9, 3:9, :] = 40.0  # cut off at both ends
+    values = np.zeros((12, 12, 32), np.uint8)
+    values[5, 5, 15] = 1
+    grid = Grid(values.shape, np.array([0.0, 0.0, -0.01]), scan.grid.axes_m)
+    body = Labels.of([values], grid, [Structure.named("part", 1)]).with_body(scan)
+    assert body["body"].voxels == 6 * 6 * 12
 
 
 @pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder")

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from needleforce.anatomy.errors import Array, PlanError, require_deviation
-from needleforce.anatomy.volume import Layer
+from needleforce.anatomy.volume import UNLABELLED, Layer, words
 
 GRID_m = 0.1e-3
 REACH = 5.0  # Of the grid, in standard deviations of the offset
@@ -49,7 +49,7 @@ class PlanState(NamedTuple):
     """What plan and ruptures say together; depths are those of the ruptures."""
 
     layer: int  # index of the layer that the tip is in most likely; -1: before the first
-    name: str  # of that layer, or `OUTSIDE`
+    name: str  # of that layer, or `OUTSIDE` before the first tissue
     probability: float  # that the tip is in it
     offset_m: float  # how much deeper everything lies than planned: the posterior's median
     offset_std_m: float
@@ -69,7 +69,8 @@ class PlanMatch:
     take a false alarm back and go on from a snapshot.
 
     Args:
-        layers: From `layers_along`, the first where the needle starts.
+        layers: From `layers_along`, the first where the needle starts. The surface is where the
+            first begins that is not `UNLABELLED`.
         offset_std_m: Standard deviation of the plan's error along the needle, as
             `Registration.std_along_m` gives it.
 
@@ -85,29 +86,33 @@ class PlanMatch:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
         require_deviation("offset_std_m", offset_std_m, PlanError)
         self.layers = tuple(layers)
-        # Boundary k is the one in front of layer k: the first is the surface.
+        # Air in front of the skin is no layer: boundaries lie in front of each from the first
+        # tissue on, the first is the surface.
+        is_tissue = [layer.name != UNLABELLED for layer in layers]
+        self._first = is_tissue.index(True) if any(is_tissue) else 0
         bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
         names = [(layer.name, layer.is_obstacle) for layer in layers]
         made_of = repr((names, bounds, float(offset_std_m)))
         self.fingerprint = sha256(made_of.encode()).hexdigest()[:16]
-        self._bound_m, bound_std_m = np.array(bounds).T
-        depths_m = np.append(self._bound_m, layers[-1].exit_m)
+        bound_m, bound_std_m = np.array(bounds).T
+        depths_m = np.append(bound_m, layers[-1].exit_m)
         is_plan = np.all(np.abs(depths_m) < MOST_m) and np.all(np.diff(depths_m) >= 0.0)
         if not is_plan or not np.all((bound_std_m >= 0.0) & (bound_std_m < MOST_m)):
             raise PlanError(
                 f"boundaries at {depths_m.tolist()} m, deviations {bound_std_m.tolist()}: expected "
                 f"depths that grow, in metres and below {MOST_m:g}, and no negative deviation"
             )
-        self._offset_std_m = float(offset_std_m)
+        self._offset_std_m, tissue = float(offset_std_m), self.layers[self._first :]
+        self._bound_m, bound_std_m = bound_m[self._first :], bound_std_m[self._first :]
         self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
-        missed, late = _chances([layer.name.lower() for layer in layers])
+        missed, late = _chances([layer.name.lower() for layer in tissue])
         self._missed, self._kind = missed[:, None], np.array([1.0 - late, late])[:, :, None]
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
         at_once_m = self._bound_m[:, None] + self._offset_m
         std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
         std_m[0] = np.hypot(std_m[0], offset_std_m)  # the surface, see `TOGETHER`
-        first = np.zeros((len(layers) + 1, len(self._offset_m)))
+        first = np.zeros((len(tissue) + 1, len(self._offset_m)))
         first[0] = _student(self._offset_m / offset_std_m)
         self._untouched = _Expected(first / first.sum(), *_at_once_and_late(at_once_m, std_m))
 
@@ -138,22 +143,24 @@ class PlanMatch:
             given = f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m"
             raise PlanError(f"{given}: expected finite depths")
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        depth, names = float(depth_m) - entry_depth_m, [one.name for one in self.layers]
+        depth, first = float(depth_m) - entry_depth_m, self._first
+        names = [OUTSIDE] * first + [one.name for one in self.layers[first:]]
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
         expected = self._expected(None if contact_m is None else contact_m - entry_depth_m)
         ahead, (weight, false) = self._ahead(expected, deepest), self._after(expected, ruptures)
         joint, is_back = _joint(ahead, weight), depth < deepest - BACK_m
         by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
-        layer = int(np.argmax(by_layer)) - 1
+        layer = int(np.argmax(by_layer)) + first - 1
         # The median: where two assignments compete, their mean is what neither says.
         middle = self._quantile_m(joint, 0.5)
         variance = float((joint @ (self._offset_m - middle) ** 2).sum())
         after = (*self.layers, NOTHING)[layer + 1]
         matched, likely = _matched(ahead, weight, false)
+        matched += first * (matched >= 0)
         return PlanState(
             layer=layer,
             name=[OUTSIDE, *names][layer + 1],
-            probability=float(by_layer[layer + 1]),
+            probability=float(by_layer.max()),
             offset_m=middle,
             offset_std_m=float(np.sqrt(variance)),
             next_name=after.name,
@@ -253,9 +260,9 @@ def _chances(names: list[str]) -> tuple[Array, Array]:
     """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures late."""
     missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
     for k, name in enumerate(names):
-        if name not in names[:k] and CAPSULES & set(name.split("_")):
+        if name not in names[:k] and CAPSULES & words(name):
             late[k] = CAPSULE_LATE
-        elif k and "fat" in names[k - 1].split("_"):
+        elif k and "fat" in words(names[k - 1]):
             missed[k] = SOFT_MISSED
     missed[0], late[0] = ENTRY_MISSED, 1.0
     return missed, late

@@ -9,6 +9,7 @@ two points. The layers therefore follow each other without gaps or overlaps, whi
 surfaces of neighbouring structures do not grant.
 """
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
@@ -24,8 +25,10 @@ from needleforce.anatomy.surface import Surface, closed_surface
 BODY_HU, FAT_HU = -300.0, -30.0
 """Between air and fat, and between fat and lean tissue, in Hounsfield units."""
 OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
-OBSTACLES += " scapula clavicula clavicle humerus pelvis skull"
-"""Words in the names of structures that stop a needle."""
+OBSTACLES += " scapula clavicula clavicle humerus pelvis skull bones spine vertebral coccyx ribcage"
+OBSTACLES += " scapulae mandible radius ulna patella tibia fibula"
+SOFT = frozenset(("renal", "kidney", "artery", "vein", "muscle", "nerve"))
+"""Words in the names of structures that stop a needle, and those beside which they do not count."""
 _COLOURS = {
     OBSTACLES: (241, 214, 145),
     "liver": (221, 130, 101),
@@ -109,11 +112,12 @@ class Structure:
     @classmethod
     def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
         """Return a structure whose colour, and whether it stops a needle, its name implies."""
-        words = set(name.lower().replace("-", "_").replace(" ", "_").split("_"))
-        fitting = [colour for key, colour in _COLOURS.items() if words & set(key.split())]
+        told = words(name)
+        told -= set(OBSTACLES.split()) if told & SOFT else set()
+        fitting = [colour for key, colour in _COLOURS.items() if told & set(key.split())]
         shade = (0.618 * value) % 1.0  # golden ratio: no two numbers close by look alike
         colour = fitting[0] if fitting else (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
-        stops = bool(words & set(OBSTACLES.split()))
+        stops = bool(told & set(OBSTACLES.split()))
         return cls(name, value, tuple(part / 255.0 for part in colour), stops, volume)
 
 
@@ -203,7 +207,7 @@ class Labels:
         first = scan.grid.indices(self.grid.origin_m).tolist()
         steps = np.linalg.solve(scan.grid.axes_m, self.grid.axes_m)
         body = ndimage.affine_transform(
-            kinds, steps, first, self.grid.shape, order=0, mode="nearest"
+            kinds, steps, first, self.grid.shape, order=0, mode="grid-constant"
         )
         names = ("lean", "fat") if fat else ("body",)
         extra = [Structure.named(name, k, len(self.volumes)) for k, name in enumerate(names, 1)]
@@ -275,15 +279,22 @@ class Labels:
         lead, trail = votes[i, left] - votes[i, right], votes[i + 1, right] - votes[i + 1, left]
         fall = np.maximum(lead + trail, 1e-9)
         cuts_m = at[i] * length_m + lead_m * lead / fall
-        # Across a flat boundary the lead falls by 2 k(0) a voxel, k the kernel in one dimension.
-        steepest_1_m = 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) / np.cbrt(self.grid.voxel_m3)
-        std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
+        spread = np.full(len(i), VOTE_STD)
+        if boundary_std_m and len(i):
+            cuts = first + (cuts_m / length_m)[:, None] * (last - first)
+            spread = np.hypot(spread, boundary_std_m * _steepest_1_m(self, cuts, left, right))
+        std_m = spread * lead_m / fall
         depths = pairwise([0.0, *cuts_m.tolist(), length_m])
         deviations = pairwise([0.0, *np.minimum(std_m, length_m).tolist(), 0.0])
         return [
             Layer(kinds[rank][0], *depth, *std, kinds[rank][1])
             for rank, depth, std in zip(winners[[0, *(i + 1)]], depths, deviations, strict=True)
         ]
+
+
+def words(name: str) -> set[str]:
+    """The words of a structure's name, in small letters."""
+    return set(re.split(r"[\W_]+", name.lower()))
 
 
 def require_agreement(labels: Labels, scan: Volume) -> None:
@@ -325,17 +336,33 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
     ranked = sorted(labels.structures, key=lambda item: -item.voxels)
     found = np.zeros(weights.shape, np.intp)
     for number, volume in enumerate(labels.volumes):
-        table = np.zeros(np.iinfo(volume.dtype).max + 1, np.intp)  # from label to rank
-        for rank, item in enumerate(ranked, 1):
-            if item.volume == number:
-                table[item.value] = rank
-        np.maximum(found, table[volume[places]], out=found)
+        values = {item.value: rank for rank, item in enumerate(ranked, 1) if item.volume == number}
+        table = np.zeros(max(values, default=0) + 2, np.intp)  # from label to rank
+        table[list(values)] = list(values.values())
+        np.maximum(found, table[np.clip(volume[places], 0, len(table) - 1)], out=found)
     found *= _outer(np.logical_and, inside)  # outside the volume is no structure
     count, size = len(indices), 1 + len(ranked)
     found += size * np.arange(count)[:, None, None, None]
     votes = np.bincount(found.ravel(), weights.ravel(), count * size)
     kinds = [(UNLABELLED, False), *((item.name, item.is_obstacle) for item in ranked)]
     return votes.reshape(count, size).astype(float, copy=False), kinds
+
+
+def _steepest_1_m(labels: Labels, cuts: Array, left: Array, right: Array) -> Array:
+    """By how much the lead falls per metre along the boundaries' normals at these indices (n, 3).
+
+    Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension; how long a
+    voxel is there depends on the normal.
+    """
+    around = cuts[:, None] + 0.5 * np.vstack((np.eye(3), -np.eye(3)))
+    votes, kinds = _votes(labels, around.reshape(-1, 3))
+    each = votes.reshape(len(cuts), 6, len(kinds))
+    rows = np.arange(len(cuts))
+    lead = each[rows, :, left] - each[rows, :, right]
+    fall = lead[:, :3] - lead[:, 3:]
+    per_voxel = np.maximum(np.linalg.norm(fall, axis=1), 1e-9)
+    voxels_1_m = np.linalg.norm(fall @ np.linalg.inv(labels.grid.axes_m), axis=1) / per_voxel
+    return 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) * voxels_1_m
 
 
 def _outer(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:
