@@ -341,6 +341,11 @@ def test_what_cannot_be_a_plan_is_refused():
         match.state(float("nan"))
     with pytest.raises(PlanError, match="contact at nan m"):
         match.state(0.0, contact_m=float("nan"))
+    with pytest.raises(PlanError, match="entry at nan m: expected finite"):
+        match.state(0.0, entry_depth_m=float("nan"))
+    for depth_m, level in ((float("nan"), 0.95), (0.0, 1.5), (0.0, float("nan"))):
+        with pytest.raises(PlanError, match="a level between 0 and 1"):
+            match.interval_m(depth_m, level=level)
     for bad in (float("nan"), 0.01):
         with pytest.raises(PlanError, match="rupture at"):
             match.state(0.03, [0.03, bad])

@@ -123,6 +123,16 @@ def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(v
     viewer.append(later)  # while somebody looks at the past
     viewer.show(1.0)
     assert not any(handle.visible for handle in viewer.marks[1].handles)
+    viewer.append(np.array([row(13.001), row(13.002, 0.03, 3.0)]))  # in one slot
+    viewer.show()
+    assert all(handle.visible for handle in viewer.marks[2].handles)
+
+
+def test_before_the_tare_no_curve_is_shown(viewer):
+    viewer.append(np.vstack([row(0.0, is_good=0.0), insertion()[2:]]))
+    for time_s, points in ((None, 198), (0.0, 0)):
+        viewer.show(time_s)
+        assert all(len(plot.data[0]) == points for plot in viewer._plots.values())
 
 
 def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):

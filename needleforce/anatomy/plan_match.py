@@ -137,11 +137,12 @@ class PlanMatch:
             entry_depth_m: Depth, from where the others count, of the plan's entry point.
 
         Raises:
-            PlanError: A depth that is not finite, or of a rupture above the one before.
+            PlanError: A depth that is not finite, or of a rupture more than 1 mm above the one
+                before.
         """
-        if not np.isfinite([depth_m, deepest_m or 0.0, contact_m or 0.0]).all():
+        if not np.isfinite([depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]).all():
             given = f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m"
-            raise PlanError(f"{given}: expected finite depths")
+            raise PlanError(f"{given}, entry at {entry_depth_m!r} m: expected finite depths")
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
         depth, first = float(depth_m) - entry_depth_m, self._first
         names = [OUTSIDE] * first + [one.name for one in self.layers[first:]]
@@ -180,7 +181,14 @@ class PlanMatch:
         *,
         contact_m: float | None = None,
     ) -> tuple[float, float]:
-        """Offsets between which the true one lies with that probability, see `state`."""
+        """Offsets between which the true one lies with that probability, see `state`.
+
+        Raises:
+            PlanError: As `state`, or a level that is not between 0 and 1.
+        """
+        if not np.isfinite([depth_m, contact_m or 0.0]).all() or not 0.0 < level < 1.0:
+            given = f"tip at {depth_m!r} m, contact at {contact_m!r} m, level {level!r}"
+            raise PlanError(f"{given}: expected finite depths, and a level between 0 and 1")
         expected, beyond = self._expected(contact_m), 0.5 - 0.5 * level
         joint = _joint(self._ahead(expected, depth_m), self._after(expected, ruptures_m)[0])
         return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)

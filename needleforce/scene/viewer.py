@@ -174,11 +174,12 @@ class Viewer:
         if not len(rows):
             return
         with self._lock:
-            for row in rows[(rows[:, [AT["rupture"], AT["retracted"]]] > 0.0).any(axis=1)]:
+            events = (rows[:, [AT["rupture"], AT["retracted"]]] > 0.0).any(axis=1)
+            for row in rows[events]:
                 self._mark(row)
             slots = np.floor(rows[:, 0] * KEPT_HZ)
             last = np.floor(self._rows[-1, 0] * KEPT_HZ) if len(self._rows) else -np.inf
-            fresh = np.diff(slots, prepend=last) > 0.0
+            fresh = events | (np.diff(slots, prepend=last) > 0.0)
             self._rows = np.vstack([self._rows, rows[fresh]])
             if len(self._rows) > MOST_ROWS:
                 self._rows = self._rows[::2]
@@ -243,8 +244,6 @@ class Viewer:
     def _draw_curves(self, at: int) -> None:
         rows = self._rows[: at + 1]
         good = rows[rows[:, AT["is_good"]] > 0.0]
-        if len(good) < 2:
-            return
         good = good[:: max(len(good) // POINTS, 1)]
         curves = []
         for value, std, _ in CURVES.values():
