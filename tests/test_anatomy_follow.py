@@ -215,6 +215,8 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
         ({"entry_m": [0, 0, 0], "target_m": [0, 0, 0], "layers": TWO}, "the same point"),
         ({"layers": [TWO[0], TWO[1] | {"exit_m": 50}]}, "boundaries at"),
         ({"layers": [TWO[0] | {"exit_std_m": -1}, TWO[1]]}, "boundaries at"),
+        ({"entry_m": [0, 0, 0], "layers": TWO}, "one of entry_m and target_m in it: expected both"),
+        ({"translation_m": [600, 0, 300], "layers": TWO}, "expected metres, not millimetres"),
         ({"entry_mm": [0, 0, 0]}, "unknown field `entry_mm`"),
         ({"entry_m": [0, 0]}, "expected `array` of length 3|Expected `array` of length 3"),
     ],

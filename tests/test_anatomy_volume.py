@@ -278,6 +278,13 @@ def test_a_file_that_is_not_there_or_no_image_is_refused(tmp_path):
             read_volume(tmp_path / name)
 
 
+@pytest.mark.parametrize("name", ["a.hdr", "a.img", "a.tif", "a.mha"])
+def test_files_of_other_kinds_are_refused(tmp_path, name):
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones((9, 9, 9), np.uint8)), str(tmp_path / name))
+    with pytest.raises(VolumeError, match="export it as"):
+        read_volume(tmp_path / name)
+
+
 @pytest.mark.parametrize(
     ("shift_m", "cut", "why"),
     [

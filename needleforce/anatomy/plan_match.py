@@ -143,8 +143,8 @@ class PlanMatch:
         if not np.isfinite([depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]).all():
             given = f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m"
             raise PlanError(f"{given}, entry at {entry_depth_m!r} m: expected finite depths")
-        ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        depth, first = float(depth_m) - entry_depth_m, self._first
+        ruptures, first = [float(one_m) - entry_depth_m for one_m in ruptures_m], self._first
+        depth = float(depth_m) - entry_depth_m
         names = [OUTSIDE] * first + [one.name for one in self.layers[first:]]
         deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
         expected = self._expected(None if contact_m is None else contact_m - entry_depth_m)
@@ -156,8 +156,7 @@ class PlanMatch:
         middle = self._quantile_m(joint, 0.5)
         variance = float((joint @ (self._offset_m - middle) ** 2).sum())
         after = (*self.layers, NOTHING)[layer + 1]
-        matched, likely = _matched(ahead, weight, false)
-        matched += first * (matched >= 0)
+        matched, likely = _matched(ahead, weight, false, first)
         return PlanState(
             layer=layer,
             name=[OUTSIDE, *names][layer + 1],
@@ -286,7 +285,9 @@ def _joint(ahead: tuple[Array, Array], weight: Array) -> Array:
     return joint / total if total > 0.0 else weight
 
 
-def _matched(ahead: tuple[Array, Array], weight: Array, false: Array) -> tuple[int, float]:
+def _matched(
+    ahead: tuple[Array, Array], weight: Array, false: Array, first: int
+) -> tuple[int, float]:
     """Into which layer the last rupture led, -1 for a false alarm, and how likely."""
     # Whichever it was: what lies behind it was passed without another rupture.
     unfelt = np.ones_like(weight)
@@ -295,7 +296,7 @@ def _matched(ahead: tuple[Array, Array], weight: Array, false: Array) -> tuple[i
     likely = ((weight - false) * unfelt).sum(axis=1)
     likely[0] = (false * unfelt).sum()
     best = int(np.argmax(likely))
-    return best - 1, float(likely[best] / max(likely.sum(), 1e-300))
+    return best - 1 + first * (best > 0), float(likely[best] / max(likely.sum(), 1e-300))
 
 
 def _arriving(weight: Array, slips: Array) -> Array:

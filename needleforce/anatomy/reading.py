@@ -152,6 +152,11 @@ def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
         _require_sound_nifti(path, header, np.array(image.GetSpacing()))
     elif path.suffix in (".nrrd", ".nhdr"):
         _require_placed_nrrd(path)
+    elif not path.is_dir():
+        raise VolumeError(
+            f"{path}: whether a file of this kind says how it lies, and is whole, is not known; "
+            "export it as .nii, .nii.gz or .nrrd, or give the folder of a DICOM series"
+        )
     return [values] if values.ndim == 3 else list(values), grid, header
 
 

@@ -279,11 +279,9 @@ class Labels:
         lead, trail = votes[i, left] - votes[i, right], votes[i + 1, right] - votes[i + 1, left]
         fall = np.maximum(lead + trail, 1e-9)
         cuts_m = at[i] * length_m + lead_m * lead / fall
-        spread = np.full(len(i), VOTE_STD)
-        if boundary_std_m and len(i):
-            cuts = first + (cuts_m / length_m)[:, None] * (last - first)
-            spread = np.hypot(spread, boundary_std_m * _steepest_1_m(self, cuts, left, right))
-        std_m = spread * lead_m / fall
+        cuts = first + (cuts_m / length_m)[:, None] * (last - first)
+        steepest_1_m = _steepest_1_m(self, cuts, left, right) if boundary_std_m and len(i) else 0.0
+        std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
         depths = pairwise([0.0, *cuts_m.tolist(), length_m])
         deviations = pairwise([0.0, *np.minimum(std_m, length_m).tolist(), 0.0])
         return [

@@ -30,6 +30,7 @@ from urdf import Robot, example_robot_path
 
 LEAST_VOXELS = 500
 PLAN = "plan.json"
+MOST_m = 10.0  # Of a coordinate; beyond it the unit is not the metre
 _WITHOUT_OPTIONS = {
     ", or ignore_contact=True if you know better": "",
     "set torque_is_gravity_compensated=True": "give needleforce force --gravity-compensated",
@@ -166,12 +167,22 @@ def read_plan(place: Path) -> Planned:
     path = place / PLAN if place.is_dir() else place
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
+        _require_places(plan)
         scene, layers = _segmented(plan, path.parent)
         match = PlanMatch(_given(plan) or layers, plan.offset_std_m)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise CommandError(f"{path}: {error}; docs/scene.md says what a plan holds") from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return Planned(scene._replace(layers=match.layers), match, entry_m)
+
+
+def _require_places(plan: _PlanFile) -> None:
+    """Refuse half of a way, and millimetres."""
+    if (plan.entry_m is None) != (plan.target_m is None):
+        raise ValueError("one of entry_m and target_m in it: expected both, or neither")
+    places = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
+    if not all(abs(part) < MOST_m for place in places for part in place):
+        raise ValueError(f"a place beyond {MOST_m:g} m in it: expected metres, not millimetres")
 
 
 def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
@@ -195,7 +206,8 @@ def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
     with progress_bar("surfaces") as progress:
         large = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
         made = tuple(labels.surfaces(large, progress).values())
-    return PlanScene(made, (), *way, turn, shift), labels.layers_along(*way)
+    layers = [] if plan.layers else labels.layers_along(*way)
+    return PlanScene(made, (), *way, turn, shift), layers
 
 
 def _given(plan: _PlanFile) -> list[Layer]:
