@@ -69,6 +69,23 @@ def test_an_open_or_twisted_surface_is_noticed():
         assert not Surface("part", corners, bad, (1.0, 1.0, 1.0)).mesh.is_volume
 
 
+def test_the_nearest_place_lies_on_a_large_triangle_too():
+    box = trimesh.creation.box((0.1, 0.08, 0.06))
+    corner = trimesh.creation.icosphere(3, 0.01).apply_translation([0.05, 0.04, 0.03])
+    both = trimesh.util.concatenate([box, corner])
+    surface = Surface("part", np.array(both.vertices), both.faces)
+    points = np.random.default_rng(0).uniform(-0.05, 0.05, (100, 3))
+    places, normals = surface.nearest(points)
+    rows = np.arange(100).repeat(len(both.faces))
+    every = trimesh.triangles.closest_point(
+        np.tile(1e3 * both.triangles, (100, 1, 1)), 1e3 * points[rows]
+    )
+    apart = 1e-3 * np.linalg.norm(every - 1e3 * points[rows], axis=1).reshape(100, -1)
+    found = np.linalg.norm(places - points, axis=1)
+    np.testing.assert_allclose(found, apart.min(axis=1), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
 def test_mean_normals_leave_out_bumps_and_the_far_side():
     ball = trimesh.creation.icosphere(5, 0.05)
     outward = ball.vertices / 0.05

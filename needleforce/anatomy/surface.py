@@ -23,7 +23,9 @@ SMOOTHING = 0.5, 0.53, 80  # Factors and steps (Taubin 1995, doi 10.1145/218380.
 TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer would show."""
 VOLUME_ROUNDS = 50  # At most; an organ needs two or three, a single voxel more
-NEIGHBOURS = 8  # Nearest middles of triangles among which the nearest triangle is looked for
+PIECES, FINEST = 20_000, 250.0
+"""The nearest triangle is found by pieces with edges as long as those of so many squares on the
+surface, but no shorter than this part of its extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,20 +53,48 @@ class Surface:
         kept = np.flatnonzero(self.mesh.face_normals.any(axis=1))
         return KDTree(self.mesh.triangles_center[kept]), kept
 
+    @cached_property
+    def _pieces(self) -> tuple[KDTree, NDArray[np.intp], float]:
+        """Middles of small pieces of those triangles, which these are, and the pieces' size.
+
+        The size is the most that a point of a piece lies from its middle.
+        """
+        from trimesh.remesh import subdivide_to_size
+
+        _, kept = self._middles
+        edge_m = max(np.sqrt(self.mesh.area / PIECES), self.mesh.scale / FINEST)
+        corners_m, faces, of = subdivide_to_size(
+            self.vertices_m, self.triangles[kept], edge_m, max_iter=30, return_index=True
+        )
+        pieces_m = corners_m[faces]
+        middles_m = pieces_m.mean(axis=1)
+        size_m = float(np.linalg.norm(pieces_m - middles_m[:, None], axis=-1).max())
+        return KDTree(middles_m), kept[of], size_m
+
     def nearest(self, points_m: Array) -> tuple[Array, Array]:
         """Nearest places on the surface, and the normals there, of points (n, 3)."""
+        tree, of, size_m = self._pieces
+        # The place lies no further than a place on any triangle, its piece's middle by a size more.
+        every = np.arange(len(points_m))
+        first = tree.query(points_m)[1]
+        places_m = self._places(of[first], points_m)
+        reach_m = np.linalg.norm(places_m - points_m, axis=1) + size_m
+        near = tree.query_ball_point(points_m, reach_m * (1.0 + 1e-9))
+        rows = np.repeat(every, [len(one) for one in near])
+        pairs = np.unique(np.column_stack((rows, of[np.concatenate(near).astype(int)])), axis=0)
+        rows, faces = pairs.T
+        places_m = self._places(faces, points_m[rows])
+        apart_m = np.linalg.norm(places_m - points_m[rows], axis=1)
+        order = np.lexsort((apart_m, rows))
+        best = order[np.searchsorted(rows, every)]
+        return places_m[best], self.mesh.face_normals[faces[best]]
+
+    def _places(self, faces: NDArray[np.intp], points_m: Array) -> Array:
+        """Nearest places of points (n, 3) on one triangle each."""
         from trimesh.triangles import closest_point
 
-        tree, kept = self._middles
-        count = min(NEIGHBOURS, len(kept))
-        near = kept[tree.query(points_m, count)[1]].reshape(-1, count)
         # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
-        corners = 1e3 * self.mesh.triangles[near].reshape(-1, 3, 3)
-        places = closest_point(corners, 1e3 * np.repeat(points_m, count, axis=0))
-        places = 1e-3 * places.reshape(*near.shape, 3)
-        rows = np.arange(len(near))
-        best = np.linalg.norm(places - points_m[:, None], axis=-1).argmin(axis=1)
-        return places[rows, best], self.mesh.face_normals[near[rows, best]]
+        return 1e-3 * closest_point(1e3 * self.mesh.triangles[faces], 1e3 * points_m)
 
     def mean_normals(self, places_m: Array, normals: Array, reach_m: float) -> Array:
         """Means of the normals so far around places (n, 3) on it; as long as 1 where it is flat."""
