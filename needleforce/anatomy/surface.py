@@ -63,13 +63,13 @@ class Surface:
 
         _, kept = self._middles
         edge_m = max(np.sqrt(self.mesh.area / PIECES), self.mesh.scale / FINEST)
-        corners_m, faces, of = subdivide_to_size(
+        corners_m, faces, *of = subdivide_to_size(
             self.vertices_m, self.triangles[kept], edge_m, max_iter=30, return_index=True
         )
         pieces_m = corners_m[faces]
         middles_m = pieces_m.mean(axis=1)
         size_m = float(np.linalg.norm(pieces_m - middles_m[:, None], axis=-1).max())
-        return KDTree(middles_m), kept[of], size_m
+        return KDTree(middles_m), kept[of[0]], size_m
 
     def nearest(self, points_m: Array) -> tuple[Array, Array]:
         """Nearest places on the surface, and the normals there, of points (n, 3)."""

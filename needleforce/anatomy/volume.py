@@ -346,7 +346,9 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
     return votes.reshape(count, size).astype(float, copy=False), kinds
 
 
-def _steepest_1_m(labels: Labels, cuts: Array, left: Array, right: Array) -> Array:
+def _steepest_1_m(
+    labels: Labels, cuts: Array, left: NDArray[np.intp], right: NDArray[np.intp]
+) -> Array:
     """By how much the lead falls per metre along the boundaries' normals at these indices (n, 3).
 
     Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension; how long a
