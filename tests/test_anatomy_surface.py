@@ -74,6 +74,7 @@ def test_the_nearest_place_lies_on_a_large_triangle_too():
     corner = trimesh.creation.icosphere(3, 0.01).apply_translation([0.05, 0.04, 0.03])
     both = trimesh.util.concatenate([box, corner])
     surface = Surface("part", np.array(both.vertices), both.faces)
+    assert len(surface.colour) == 3
     points = np.random.default_rng(0).uniform(-0.05, 0.05, (100, 3))
     places, normals = surface.nearest(points)
     rows = np.arange(100).repeat(len(both.faces))

@@ -68,6 +68,17 @@ def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
         labels["nothing"]
 
 
+def test_components_that_say_no_layer_are_segments(tmp_path):
+    values = np.zeros((4, 4, 4, 2), np.uint8)  # as Slicer up to 4.10 wrote them
+    values[1:3, 1:3, 1:3, 0] = values[2, 2, :, 1] = 1
+    image = sitk.GetImageFromArray(values, isVector=True)
+    for k, name in enumerate(("liver", "vessel")):
+        image.SetMetaData(f"Segment{k}_ID", name)
+    sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+    found = [(item.name, item.voxels) for item in read_labels(tmp_path / "a.seg.nrrd").structures]
+    assert found == [("liver", 8), ("vessel", 4)]
+
+
 @pytest.mark.parametrize(
     ("key", "value", "why"),
     [

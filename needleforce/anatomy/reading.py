@@ -109,7 +109,9 @@ def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
             )
         name = fields.get("Name", fields["ID"])
         try:
-            volume, value = int(fields.get("Layer", 0)), int(fields.get("LabelValue", k + 1))
+            # Slicer up to 4.10 says neither: each component is a segment.
+            place, label = (k, 1) if layers == count else (0, k + 1)
+            volume, value = int(fields.get("Layer", place)), int(fields.get("LabelValue", label))
             colour = tuple(float(part) for part in fields.get("Color", "").split())
             if len(colour) not in (0, 3) or not all(0.0 <= part <= 1.0 for part in colour):
                 raise ValueError(f"colour {colour}: expected three from 0 to 1")

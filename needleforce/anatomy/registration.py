@@ -89,7 +89,8 @@ class Registration:
     def region_contains(self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95) -> bool:
         """Whether a place in the robot's base lies in the region of that level about a point."""
         error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
-        distance = error @ np.linalg.solve(self.covariance_at(point_m), error)
+        least = 1e-18 * np.eye(3)  # a nanometre, of a fit without any error
+        distance = error @ np.linalg.solve(self.covariance_at(point_m) + least, error)
         # Hotelling's T squared; with so many degrees chi squared.
         return bool(distance <= 3.0 * f_law.ppf(level, 3, min(self.degrees, 1e9)))
 

@@ -38,7 +38,7 @@ class Surface:
     name: str
     vertices_m: Array  # (n, 3), LPS
     triangles: NDArray[np.integer]  # (m, 3) indices of vertices
-    colour: tuple[float, ...] = ()  # red, green, blue from 0 to 1
+    colour: tuple[float, ...] = (0.7, 0.7, 0.7)  # red, green, blue from 0 to 1
 
     @cached_property
     def mesh(self) -> "Trimesh":
