@@ -54,6 +54,12 @@ class Surface:
         return KDTree(self.mesh.triangles_center[kept]), kept
 
     @cached_property
+    def _faces(self) -> tuple[Array, Array, Array]:
+        """Corners [mm], normals and areas of the triangles; the mesh would be checked each time."""
+        mesh = self.mesh
+        return 1e3 * mesh.triangles, np.array(mesh.face_normals), np.array(mesh.area_faces)
+
+    @cached_property
     def _pieces(self) -> tuple[KDTree, NDArray[np.intp], float]:
         """Middles of small pieces of those triangles, which these are, and the pieces' size.
 
@@ -81,27 +87,27 @@ class Surface:
         reach_m = np.linalg.norm(places_m - points_m, axis=1) + size_m
         near = tree.query_ball_point(points_m, reach_m * (1.0 + 1e-9))
         rows = np.repeat(every, [len(one) for one in near])
-        pairs = np.unique(np.column_stack((rows, of[np.concatenate(near).astype(int)])), axis=0)
-        rows, faces = pairs.T
+        pairs = np.unique(rows * len(self.triangles) + of[np.concatenate(near).astype(int)])
+        rows, faces = np.divmod(pairs, len(self.triangles))
         places_m = self._places(faces, points_m[rows])
         apart_m = np.linalg.norm(places_m - points_m[rows], axis=1)
         order = np.lexsort((apart_m, rows))
         best = order[np.searchsorted(rows, every)]
-        return places_m[best], self.mesh.face_normals[faces[best]]
+        return places_m[best], self._faces[1][faces[best]]
 
     def _places(self, faces: NDArray[np.intp], points_m: Array) -> Array:
         """Nearest places of points (n, 3) on one triangle each."""
         from trimesh.triangles import closest_point
 
         # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
-        return 1e-3 * closest_point(1e3 * self.mesh.triangles[faces], 1e3 * points_m)
+        return 1e-3 * closest_point(self._faces[0][faces], 1e3 * points_m)
 
     def mean_normals(self, places_m: Array, normals: Array, reach_m: float) -> Array:
         """Means of the normals so far around places (n, 3) on it; as long as 1 where it is flat."""
-        tree, kept = self._middles
+        (tree, kept), (_, every, area) = self._middles, self._faces
         means = normals.copy()
         for k, near in enumerate(tree.query_ball_point(places_m, reach_m)):
-            around, areas = self.mesh.face_normals[kept[near]], self.mesh.area_faces[kept[near]]
+            around, areas = every[kept[near]], area[kept[near]]
             areas = areas * (around @ normals[k] > 0.0)  # not the other side of a thin part
             if areas.any():
                 means[k] = areas @ around / areas.sum()
