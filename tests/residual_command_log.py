@@ -1,8 +1,9 @@
-"""A short synthetic insertion for the tests of the command: what is in the log is known."""
+"""A short synthetic insertion for tests of the commands: what is in the log is known."""
 
 import numpy as np
 from residual_signals import external_torque_of, pose_of, swing
 
+from needleforce.cli import main
 from needleforce.recordings import write_table
 
 CONTACT_S = 2.8
@@ -33,6 +34,17 @@ def write_insertion(path, robot, *, only=None, **changes):
     columns = insertion(robot, **changes)
     write_table(path, {name: columns[name] for name in only or columns})
     return path
+
+
+def refusal(argv, capsys):
+    """Run a command that refuses; return its one line of complaint, warnings aside."""
+    assert main(argv) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    lines = [line for line in printed.err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, printed.err
+    assert lines[0].startswith("error: ")
+    return lines[0]
 
 
 SMALL_ARM = """<robot name="arm">

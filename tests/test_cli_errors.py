@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from residual_command_log import SMALL_ARM, insertion, write_insertion
+from residual_command_log import SMALL_ARM, insertion, refusal, write_insertion
 
 from needleforce.cli import main
 from needleforce.recordings import write_table
@@ -126,17 +126,6 @@ USAGE = {
 EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--report="]]
 
 
-def complaint(argv, capsys):
-    """Run the command; return its one line of complaint."""
-    assert main(argv) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    lines = [line for line in printed.err.splitlines() if not line.startswith("warning: ")]
-    assert len(lines) == 1, printed.err
-    assert lines[0].startswith("error: ")
-    return lines[0]
-
-
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
     ("argv", "message"),
@@ -156,7 +145,7 @@ def test_what_cannot_be_used_is_one_line_and_leaves_nothing(
 ):
     monkeypatch.chdir(folder)
     before = sorted(path.name for path in folder.iterdir())
-    line = complaint(argv, capsys)
+    line = refusal(argv, capsys)
     assert re.search(message, line), line
     assert sorted(path.name for path in folder.iterdir()) == before
 
@@ -173,15 +162,15 @@ def test_a_figure_without_matplotlib_is_refused_before_the_work(
 
     monkeypatch.setattr(builtins, "__import__", missing)
     monkeypatch.chdir(folder)
-    line = complaint([command, "missing.csv", *output], capsys)
+    line = refusal([command, "missing.csv", *output], capsys)
     assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
 def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
     (tmp_path / "file").touch()
     for command in ("force", "identify"):
-        assert "no.csv" in complaint([command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys)
-        line = complaint([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
+        assert "no.csv" in refusal([command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys)
+        line = refusal([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
         assert "cannot write to" in line
     assert os.listdir(tmp_path) == ["file"]
 

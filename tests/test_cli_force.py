@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, write_insertion
+from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, refusal, write_insertion
 from residual_signals import gravity_of, pose_of
 
 from needleforce.cli import main
@@ -179,8 +179,7 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
     columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
     log = str(tmp_path / "log.npz")
     write_table(log, columns)
-    assert main(["force", log, *TARE]) == 2
-    refused = capsys.readouterr().err
+    refused = refusal(["force", log, *TARE], capsys)
     for text in ("rate of q: is it in deg/s?", "--force-tare", ". Say unit", "--dq dq_*:deg/s"):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
@@ -207,8 +206,7 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_pat
     ],
 )
 def test_a_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
-    assert main(["force", str(log), "--tare", *options.split()]) == 2
-    said = capsys.readouterr().err
+    said = refusal(["force", log, "--tare", *options.split()], capsys)
     assert (advice in said, "update()" in said) == (True, False), said
 
 
@@ -224,8 +222,7 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
     ):
         log = str(tmp_path / "wrong.npz")
         write_table(log, columns | {"tau_Nm": tau_Nm})
-        assert main(["force", log, *TARE]) == 2
-        assert advice in capsys.readouterr().err
+        assert advice in refusal(["force", log, *TARE], capsys)
         found, _ = run(log, *TARE, *cure)
         np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
 
