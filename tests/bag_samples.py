@@ -134,18 +134,18 @@ def in_pieces(data, count):
 
 
 def followed(path, patience=None, mapping=None, **asked):
-    """The chunks of a log that is followed, and its warnings."""
+    """The log of a recording that is followed to its end."""
     request = ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED))
     patience = patience or FollowOptions(follow=True, idle_s=LONGEST_S)
-    stream = LogStream(stream_tables(path, patience, request), request)
-    return list(stream), stream.take_warnings()
+    return LogStream(stream_tables(path, patience, request), request).joined()
 
 
-def assert_same(chunks, log):
-    np.testing.assert_array_equal(np.concatenate([chunk.t_s for chunk in chunks]), log.t_s)
-    for key, values in log.channels.items():
-        found = np.concatenate([chunk.channels[key] for chunk in chunks])
-        np.testing.assert_array_equal(found, values)
+def assert_same(found, log):
+    """The rows and channels of two logs are equal, bit for bit."""
+    np.testing.assert_array_equal(found.t_s, log.t_s)
+    assert list(found.channels) == list(log.channels)
+    for key, values in found.channels.items():
+        np.testing.assert_array_equal(values, log[key])
 
 
 def mapped(rate_hz=None, **channels):

@@ -119,10 +119,9 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),
     ],
 )
-def test_what_cannot_be_read_is_refused_with_file_and_reason(read, text, message):
-    with pytest.raises(FormatError, match=message) as caught:
+def test_what_is_no_csv_is_refused_with_file_and_reason(read, text, message):
+    with pytest.raises(FormatError, match=f"log.csv.*{message}"):
         read(text)
-    assert "log.csv" in str(caught.value)
 
 
 @pytest.mark.parametrize("tail", ["", "2,3"])
@@ -181,15 +180,16 @@ def test_a_stray_quote_costs_no_more_than_its_line(read):
     assert "first: line 4, '3,'" in table.warnings[0]
 
 
-@pytest.fixture
-def npz_path(tmp_path):
-    return tmp_path / "log.npz"
+def array_bytes(**arrays):
+    stream = io.BytesIO()
+    np.savez_compressed(stream, **arrays)
+    return stream.getvalue()
 
 
-def test_arrays_become_columns(npz_path):
-    q_rad = np.arange(6.0).reshape(3, 2)
-    np.savez(npz_path, t_s=np.arange(3), q_rad=q_rad, rate_Hz=100, contact=[True, False, True])
-    table = read_table(npz_path)
+def test_arrays_become_columns(read):
+    q_rad, contact = np.arange(6.0).reshape(3, 2), [True, False, True]
+    content = array_bytes(t_s=np.arange(3), q_rad=q_rad, rate_Hz=100, contact=contact)
+    table = read(content, "log.npz")
     np.testing.assert_array_equal(table.columns["q_rad"], q_rad)
     np.testing.assert_array_equal(table.columns["contact"], [1.0, 0.0, 1.0])
     assert all(column.dtype == np.float64 for column in table.columns.values())
@@ -197,7 +197,7 @@ def test_arrays_become_columns(npz_path):
     assert table.warnings == ()
 
 
-def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(npz_path):
+def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(read):
     class Trap:
         def __reduce__(self):
             return pytest.fail, ("the pickle was loaded",)
@@ -210,21 +210,15 @@ def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(npz_
         "trap": np.array([Trap()], dtype=object),
         "damaged": np.ones(1000),
     }
-    np.savez(npz_path, t=np.arange(3.0), **others)
-    data = bytearray(npz_path.read_bytes())
+    stream = io.BytesIO()
+    np.savez(stream, t=np.arange(3.0), **others)
+    data = bytearray(stream.getvalue())
     data[data.rindex(np.ones(1000).tobytes()) + 4000] ^= 0xFF
-    npz_path.write_bytes(data)
-    table = read_table(npz_path)
+    table = read(bytes(data), "log.npz")
     assert list(table.columns) == ["t"]
     assert [warning.split("'")[1] for warning in table.warnings] == list(others)
     assert "column 'trap' cannot be read (it holds object, no numbers" in table.warnings[-2]
     assert "(Bad CRC-32" in table.warnings[-1]
-
-
-def array_bytes(**arrays):
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
 
 
 @pytest.mark.parametrize(
@@ -236,11 +230,9 @@ def array_bytes(**arrays):
         (array_bytes(names=np.array(["a"])), "holds no array of numbers: column 'names' cannot"),
     ],
 )
-def test_what_is_no_npz_is_refused_with_file_and_reason(npz_path, content, message):
-    npz_path.write_bytes(content)
-    with pytest.raises(FormatError, match=message) as caught:
-        read_table(npz_path)
-    assert "log.npz" in str(caught.value)
+def test_what_is_no_npz_is_refused_with_file_and_reason(read, content, message):
+    with pytest.raises(FormatError, match=f"log.npz.*{message}"):
+        read(content, "log.npz")
 
 
 @pytest.fixture

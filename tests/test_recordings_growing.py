@@ -41,14 +41,14 @@ def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, count))
     start_s = time.monotonic()
-    chunks, warnings = followed(path)
+    found = followed(path)
     writer.join()
     # It ended because the recorder finished the file, not because nothing came.
     assert time.monotonic() - start_s < 0.8 * LONGEST_S
     log = read_log(path, **ASKED)
     assert len(log) == 3000
-    assert_same(chunks, log)
-    assert "cut short" not in "".join(warnings)
+    assert_same(found, log)
+    assert "cut short" not in "".join(found.warnings)
 
 
 def test_rows_come_while_the_recorder_still_writes(tmp_path):
@@ -73,17 +73,16 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
     data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
-    chunks, warnings = followed(path, FollowOptions(follow=True, idle_s=0.2))
-    assert "growing.mcap is cut short" in warnings
-    rows = sum(len(chunk.t_s) for chunk in chunks)
-    assert 1900 < rows < 2100
+    cut = followed(path, FollowOptions(follow=True, idle_s=0.2))
+    assert "growing.mcap is cut short" in cut.warnings
+    assert 1900 < len(cut) < 2100
     is_over = threading.Event()
     patience = FollowOptions(follow=True, should_stop=is_over.is_set)
     timer = threading.Timer(0.5, is_over.set)
     timer.start()
-    chunks, warnings = followed(path, patience)
-    assert sum(len(chunk.t_s) for chunk in chunks) == rows
-    assert "cut short" not in "".join(warnings)
+    stopped = followed(path, patience)
+    assert len(stopped) == len(cut)
+    assert "cut short" not in "".join(stopped.warnings)
 
 
 @pytest.mark.parametrize(
@@ -122,8 +121,7 @@ def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path)
     path, reported = tmp_path / "growing.mcap", []
     data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
     patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
-    chunks, _ = followed(path, patience)
-    assert_same(chunks, read_log(path, **ASKED))
+    assert_same(followed(path, patience), read_log(path, **ASKED))
     assert reported == [
         "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
         "/joint_states"
@@ -150,11 +148,10 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
     data = without_chunks(write_bag(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s))))
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, 60))
-    chunks, _ = followed(path, mapping=FORCE_MAPPING, **FORCE)
+    found = followed(path, mapping=FORCE_MAPPING, **FORCE)
     writer.join()
-    force_N = np.concatenate([chunk.channels["force_N"] for chunk in chunks])
-    np.testing.assert_array_equal(force_N, np.arange(500.0))
-    assert_same(chunks, read_log(path, FORCE_MAPPING, **FORCE))
+    np.testing.assert_array_equal(found["force_N"], np.arange(500.0))
+    assert_same(found, read_log(path, FORCE_MAPPING, **FORCE))
 
 
 def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bag_samples import grow
+from bag_samples import assert_same, followed, grow
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +19,6 @@ from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import stream_tables
 
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}
-REQUEST = ChannelRequest(**ASKED)
 
 
 def text_of(rows):
@@ -41,11 +40,8 @@ def text_of(rows):
     return "\n".join(lines) + "\n"
 
 
-def assert_same(found, log):
-    np.testing.assert_array_equal(found.t_s, log.t_s)
-    assert list(found.channels) == list(log.channels)
-    for key, values in found.channels.items():
-        np.testing.assert_array_equal(values, log[key])
+def assert_all_the_same(found, log):
+    assert_same(found, log)
     assert set(found.warnings) == set(log.warnings)
 
 
@@ -57,7 +53,8 @@ def test_text_in_pieces_of_any_size_is_the_whole_text(tmp_path_factory, size, ro
     path.write_bytes(text)
     data = gzip.compress(text, mtime=0) if packed else text
     pieces = [data[start : start + size] for start in range(0, len(data), size)]
-    assert_same(LogStream(csv_tables(pieces, "log"), REQUEST).joined(), read_log(path, **ASKED))
+    found = LogStream(csv_tables(pieces, "log"), ChannelRequest(**ASKED)).joined()
+    assert_all_the_same(found, read_log(path, **ASKED))
 
 
 def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
@@ -85,9 +82,9 @@ def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path)
     whole.write_bytes(text)
     cuts = [10, 5000, 17_777, 33_333, len(text)]
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
-    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.6)), REQUEST).joined()
+    found = followed(path, FollowOptions(follow=True, idle_s=0.6), **ASKED)
     writer.join()
-    assert_same(found, read_log(whole, **ASKED))
+    assert_all_the_same(found, read_log(whole, **ASKED))
 
 
 def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_path):
@@ -100,10 +97,10 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
         return len(asked) > 3
 
     patience = FollowOptions(follow=True, should_stop=should_stop)
-    found = LogStream(stream_tables(path, patience), REQUEST).joined()
+    found = followed(path, patience, **ASKED)
     assert found.t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(found.warnings)
-    found = LogStream(stream_tables(path, FollowOptions(follow=True, idle_s=0.1)), REQUEST).joined()
+    found = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
     assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
 
 
@@ -145,7 +142,7 @@ def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size
     writer.start()
     found = LogStream(stream_tables(pipe, FollowOptions())).joined()
     writer.join()
-    assert_same(found, read_log(path))
+    assert_all_the_same(found, read_log(path))
     assert list(found.channels) == ["depth_m", "force_N"]
 
 
