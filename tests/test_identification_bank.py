@@ -39,9 +39,10 @@ def hypothesis(seed, kind, *, is_held=False):
 SCENE = (PLACE.depth, PLACE.speed, PLACE.deflection)
 
 
-def spawn(bank, place, before):
+def spawn(bank, back, ruptures):
+    """The bank after an event at `PLACE` that began so far back [mm], so many being reported."""
     memory = BankMemory(bank)
-    memory.spawn(place, before, 0.0, int(bank.facts[0, law.RUPTURES]))
+    memory.spawn(PLACE, PLACE.depth - back, 0.0, ruptures)
     return memory.bank
 
 
@@ -56,7 +57,7 @@ def force_of(bank):
 )
 def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     before = hypothesis(seed, kind, is_held=is_held)
-    after = spawn(before, PLACE, PLACE.depth - 0.3)
+    after = spawn(before, 0.3, int(before.facts[0, law.RUPTURES]))
     born = Bank(*(part[1:] for part in after))
     assert len(born.log_weights) > 2
     assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
@@ -66,7 +67,7 @@ def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
 
 def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     before = hypothesis(5, law.LAYER)
-    born = spawn(before, PLACE, PLACE.depth - 0.3)
+    born = spawn(before, 0.3, 1)
     exits = (born.facts[:, law.RUPTURES] == 2.0) & (born.facts[:, law.IS_HELD] == 0.0)
     assert set(born.records[exits, law.RUPTURE_FORCE]) == {1.1}  # of the block before
     length = PLACE.depth - 4.0
@@ -209,19 +210,17 @@ def test_friction_of_a_rupture_not_reported_counts_with_the_next(reported, left,
     bank = hypothesis(5, law.LAYER)  # knows of one rupture, and has 8 mm of shaft in the layer
     own = [law.OWN_COULOMB, law.OWN_VISCOUS, law.LEFT, law.EARLIER]
     bank.means[0, own] = 0.02, 0.0, 0.3, 0.5
-    memory = BankMemory(bank)
-    memory.spawn(PLACE, PLACE.depth - 0.1, 0.0, reported)
-    ended = memory.bank.facts[:, law.RELEASE] == PLACE.depth
-    assert (memory.bank.facts[ended, law.RUPTURES] == reported + 1.0).all()
-    assert np.allclose(memory.bank.means[ended][:, [law.LEFT, law.EARLIER]], (left, earlier))
+    found = spawn(bank, 0.1, reported)
+    ended = found.facts[:, law.RELEASE] == PLACE.depth
+    assert (found.facts[ended, law.RUPTURES] == reported + 1.0).all()
+    assert np.allclose(found.means[ended][:, [law.LEFT, law.EARLIER]], (left, earlier))
     assert ended.any()
 
 
 def test_who_knows_only_of_an_older_rupture_denies_the_alarm():
-    memory = BankMemory(hypothesis(5, law.LAYER))
-    memory.spawn(PLACE, PLACE.depth - 0.1, 0.0, 0)
-    alarm = rupture_of(evidence_of(memory.bank, None, 0), 1, 1, 0.99, (3.0, 0.012, 3.0))
-    seen = evidence_of(memory.bank, alarm, 1)
+    bank = spawn(hypothesis(5, law.LAYER), 0.1, 0)
+    alarm = rupture_of(evidence_of(bank, None, 0), 1, 1, 0.99, (3.0, 0.012, 3.0))
+    seen = evidence_of(bank, alarm, 1)
     assert seen.ruptures[:2].tolist() == [0.0, 1.0]
     assert count_ruptures(seen, 1, PLACE).fewer > 0.9
 

@@ -132,10 +132,8 @@ def test_tip_and_friction_are_within_their_deviations(seed):
 
 
 def test_the_tissue_may_beat():
-    def beat(t):
-        return 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * t)
-
-    identifier, estimates = run(straight(3, motion_m=beat))
+    rows = straight(3, motion_m=lambda t: 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * t))
+    identifier, estimates = run(rows)
     assert len(of(estimates, "rupture")) - len(of(estimates, "retracted")) == 2
     assert len(identifier.layers) == 2
 
