@@ -20,7 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 LIMITS = {
     "product": (19_055, 98),
     "benchmarks": (6_500, 30),
-    "tests": (13_079, 71),
+    "tests": (13_042, 71),
     "control": (2_260, 11),
     "anatomy": (1_538, 7),
     "scene": (700, 6),
