@@ -283,6 +283,8 @@ def test_air_in_front_of_the_skin_is_no_layer():
         assert found.next_m == pytest.approx(expected.next_m)
         assert found.offset_m == pytest.approx(expected.offset_m)
         assert found.matched == expected.matched + (expected.matched >= 0)
+    bare = PlanMatch([air, *(replace(one, name="liver") for one in moved)], 3e-3)
+    assert bare.state(0.01, [], contact_m=0.0).name == "unlabelled"  # tissue without a label
 
 
 def test_the_skin_ruptures_behind_where_it_was_met():

@@ -22,7 +22,7 @@ LIMITS = {
     "benchmarks": (6_500, 30),
     "tests": (13_042, 71),
     "control": (2_260, 11),
-    "anatomy": (1_538, 7),
+    "anatomy": (1_540, 7),
     "scene": (700, 6),
     "devices": (1_233, 7),
 }

@@ -25,6 +25,8 @@ surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 0.5  # False alarms per metre of travel
 LATE, CAPSULE_LATE = 0.25, 0.8
 """Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
+SKIN = frozenset(("body", "skin", "lean", "fat"))
+"""Words in the names of what begins at the skin: what nothing covers in front of it is air."""
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
 """Words in the names of organs in a capsule (liver: Okamura 2004, doi 10.1109/TBME.2004.831542)."""
 LATE_m, LATE_STD_m = 5e-3, 2.5e-3  # By so much
@@ -69,8 +71,8 @@ class PlanMatch:
     take a false alarm back and go on from a snapshot.
 
     Args:
-        layers: From `layers_along`, the first where the needle starts. The surface is where the
-            first begins that is not `UNLABELLED`.
+        layers: From `layers_along`, the first where the needle starts. `UNLABELLED` in front of
+            ``body``, ``skin``, ``lean`` or ``fat`` is air: the surface is where that begins.
         offset_std_m: Standard deviation of the plan's error along the needle, as
             `Registration.std_along_m` gives it.
 
@@ -87,9 +89,9 @@ class PlanMatch:
         require_deviation("offset_std_m", offset_std_m, PlanError)
         self.layers = tuple(layers)
         # Air in front of the skin is no layer: boundaries lie in front of each from the first
-        # tissue on, the first is the surface.
-        is_tissue = [layer.name != UNLABELLED for layer in layers]
-        self._first = is_tissue.index(True) if any(is_tissue) else 0
+        # tissue on, the first is the surface. Without a body among the labels it is tissue, too.
+        is_air = layers[0].name == UNLABELLED and SKIN & words(layers[1].name)
+        self._first = 1 if is_air else 0
         bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
         names = [(layer.name, layer.is_obstacle) for layer in layers]
         made_of = repr((names, bounds, float(offset_std_m)))
