@@ -112,12 +112,12 @@ class Structure:
     @classmethod
     def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
         """Return a structure whose colour, and whether it stops a needle, its name implies."""
-        told = words(name)
-        told -= set(OBSTACLES.split()) if told & SOFT else set()
-        fitting = [colour for key, colour in _COLOURS.items() if told & set(key.split())]
+        stated = words(name)
+        stated -= set(OBSTACLES.split()) if stated & SOFT else set()
+        fitting = [colour for key, colour in _COLOURS.items() if stated & set(key.split())]
         shade = (0.618 * value) % 1.0  # golden ratio: no two numbers close by look alike
         colour = fitting[0] if fitting else (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
-        stops = bool(told & set(OBSTACLES.split()))
+        stops = bool(stated & set(OBSTACLES.split()))
         return cls(name, value, tuple(part / 255.0 for part in colour), stops, volume)
 
 
