@@ -155,11 +155,11 @@ def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> tuple
         q_rad, dq_rad_s = (np.array([each[k] for each in matched]) for k in (0, 1))
     kinematics = ToolKinematics(robot)
     kinematics.update(q_rad[int(np.searchsorted(signals.t_s, zero_s))])
-    axis, start_m = kinematics.axis_in_base.copy(), kinematics.place_in_base_m.copy()
+    axis, start_m = kinematics.axis_in_base.copy(), kinematics.pose[:3, 3].copy()
     found = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
-        found[k] = tip_motion(axis, kinematics.pose, kinematics.axial_jacobian, dq)
+        found[k] = tip_motion(axis, kinematics.needle, dq)
     return found[:, 0] - float(axis.dot(start_m)), found[:, 1].copy()
 
 

@@ -329,7 +329,7 @@ class InsertionSession:
     def _zero_depth(self) -> None:
         """Count depth from where the tip is, along the needle's present direction."""
         tool = self._tool
-        self._count_from(TravelZero(tool.place_in_base_m.copy(), tool.axis_in_base.copy()))
+        self._count_from(TravelZero(tool.pose[:3, 3].copy(), tool.axis_in_base.copy()))
 
     def _count_from(self, zero: TravelZero) -> None:
         self.zero, self._start_m = zero, float(zero.axis_in_base.dot(zero.start_in_base_m))
@@ -348,7 +348,7 @@ class InsertionSession:
             self._time_s += self._sensor.elapsed_s
         sensor, tool, axis = self._sensor, self._tool, self.zero.axis_in_base
         elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
-        tip = axis, tool.pose, tool.axial_jacobian, sensor.velocity_rad_s
+        tip = axis, tool.needle, sensor.velocity_rad_s
         self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             return self._skip(wrench, elapsed_s)
@@ -365,7 +365,8 @@ class InsertionSession:
         self._identification = found
         self._had_events, due_s = found.has_events, self._earlier[1].time_s + _TAKEN_BACK_S
         self._is_due = self._had_events or self._time_s >= due_s
-        self._plan.follow(found, depth_m, self._identifier.contact_depth_m)
+        if self._plan.memory.fingerprint:
+            self._plan.follow(found, depth_m, self._identifier.contact_depth_m)
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 

@@ -6,28 +6,45 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, compiled
+from needleforce.jit import Matrix, Vector, compiled, dot
+
+Array = NDArray[np.float64]
+Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
 
 
 class TravelZero(NamedTuple):
     """Where depth is counted from."""
 
-    start_in_base_m: NDArray[np.float64]  # the tip's place, shape (3,)
-    axis_in_base: NDArray[np.float64]  # the needle's direction, shape (3,)
+    start_in_base_m: Array  # the tip's place, shape (3,)
+    axis_in_base: Array  # the needle's direction, shape (3,)
 
 
 @compiled
-def tip_motion(
-    axis: Vector, pose: Matrix, axial_jacobian: Vector, dq: Vector
-) -> tuple[float, float]:
-    """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s]."""
-    along_m = axis[0] * pose[0, 3] + axis[1] * pose[1, 3] + axis[2] * pose[2, 3]
-    return float(along_m), float(axial_jacobian.dot(dq))
+def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
+    """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s].
+
+    With linear velocity v and angular velocity w of the joint's link at the base's origin, the tip
+    at r has the speed v . d + w . (r x d) along the needle's direction d.
+
+    Args:
+        axis: Of length one, shape (3,).
+        needle: Of the last joint before it: place in the base [m], shape (3,); its axes there, one
+            a row, shape (3, 3); its Jacobian at the base's origin in base axes, a row per joint,
+            shape (n, 6). Then tip [m] and direction of the needle in its axes, shape (3,).
+        dq: Joint velocities [rad/s], shape (n,).
+    """
+    place, axes, jacobian, tip, direction = needle
+    at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
+    along = direction[0] * axes[0] + direction[1] * axes[1] + direction[2] * axes[2]
+    twist, (x, y, z), (a, b, c) = dq.dot(jacobian), at, along
+    speed = a * twist[0] + b * twist[1] + c * twist[2]
+    speed += (y * c - z * b) * twist[3] + (z * a - x * c) * twist[4] + (x * b - y * a) * twist[5]
+    return float(dot(axis, at)), float(speed)
 
 
 @compiled
 def travel_step(
-    tip: tuple[Vector, Matrix, Vector, Vector],
+    tip: tuple[Vector, Needle, Vector],
     start_m: float,
     last: tuple[float, float, float, float],
     dt_s: float,

@@ -1,5 +1,7 @@
 """Where the tool is and how joint motion moves it: computed once per sample, used by all."""
 
+from typing import Any
+
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -21,6 +23,10 @@ class ToolKinematics:
         insertion_axis: Insertion direction in the frame's axes, normalised here.
         offset_m: Where the needle's tip is in that frame: pose and Jacobian are the tip's.
 
+    Attributes:
+        axis_in_tool: The insertion direction, of length one, shape (3,).
+        needle: Of the latest `update`, as `needleforce.tip_travel.tip_motion` takes it.
+
     `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError` for an unknown
     frame.
     """
@@ -33,9 +39,6 @@ class ToolKinematics:
         offset_m: ArrayLike = (0.0, 0.0, 0.0),
     ) -> None:
         self.axis_in_tool = unit_axis(insertion_axis)
-        # One row of the Jacobian is the row along the axis, where the axis is one of the frame's.
-        aligned = np.flatnonzero(self.axis_in_tool == 1.0)
-        self._row = int(aligned[0]) if len(aligned) else None
         frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
         at, offset_m = robot.model.frames[frame_id], check_offset(offset_m)
         tip = at.placement * pin.SE3(np.eye(3), offset_m)
@@ -43,7 +46,22 @@ class ToolKinematics:
         self._frame_id = self._model.addFrame(
             pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME), False
         )
-        self._data = self._model.createData()
+        self._data, self._joint = self._model.createData(), at.parentJoint
+        self._tip = tip.translation.copy(), tip.rotation.dot(self.axis_in_tool)
+        self._share()
+
+    def _share(self) -> None:
+        """Look into Pinocchio's workspace, which every `update` fills: calls for it take longer."""
+        joint = self._data.oMi[self._joint]
+        workspace = joint.translation, joint.rotation.T, self._data.J.reshape(6, -1).T
+        self.needle = (*workspace, *self._tip)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: kept for name, kept in vars(self).items() if name != "needle"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)  # A deep copy has a workspace of its own.
+        self._share()
 
     def update(self, q: Array) -> None:
         """Move to a configuration [rad], shape (n,)."""
@@ -53,8 +71,7 @@ class ToolKinematics:
     def jacobian(self) -> Array:
         """Of the latest `update`, in the frame's own axes, shape (6, n)."""
         jacobian = pin.getFrameJacobian(self._model, self._data, self._frame_id, _LOCAL)
-        # Of a single joint it comes as a vector.
-        return jacobian[:, None] if jacobian.ndim == 1 else jacobian
+        return jacobian.reshape(6, -1)  # of a single joint it comes as a vector
 
     @property
     def pose(self) -> Array:
@@ -67,24 +84,12 @@ class ToolKinematics:
 
         Times dq it is the speed of the needle, minus it the joint torque per newton of resistance.
         """
-        if self._row is not None:
-            return self.jacobian[self._row]
         return self.axis_in_tool.dot(self.jacobian[:3])
 
     @property
     def axis_in_base(self) -> Array:
         """Insertion direction in base axes, shape (3,)."""
-        return self.rotation_tool_to_base.dot(self.axis_in_tool)
-
-    @property
-    def rotation_tool_to_base(self) -> Array:
-        """Axes of the frame in base axes, shape (3, 3)."""
-        return self.pose[:3, :3]
-
-    @property
-    def place_in_base_m(self) -> Array:
-        """Where the tip is, shape (3,)."""
-        return self.pose[:3, 3]
+        return self.pose[:3, :3].dot(self.axis_in_tool)
 
 
 def unit_axis(axis: ArrayLike) -> Array:

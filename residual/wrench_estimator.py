@@ -308,7 +308,7 @@ class WrenchEstimator:
         tool.update(q)
         jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
         if self._in_base:
-            turn = tool.rotation_tool_to_base
+            turn = tool.pose[:3, :3]
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
             axis = turn.dot(axis)
         if len(directions) == 1:

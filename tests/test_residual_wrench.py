@@ -1,12 +1,16 @@
 """Equation (13) and its weighted forms: signs, frames, covariance, singular poses."""
 
+from copy import deepcopy
+
 import numpy as np
 import pytest
 from residual_signals import MIDDLE, external_torque_of, jacobian_of, pose_of
 
+from needleforce.tip_travel import tip_motion
 from residual import PUBLISHED, ConfigurationError, SampleError, SensorConfig, WrenchEstimator
 from residual.consistency_checks import unusual_change
 from residual.estimate import UNSEEN_STD
+from residual.tool_kinematics import ToolKinematics
 from urdf import UrdfError, load_lwr
 
 POINTING_DOWN = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.14159265, 0.0])
@@ -183,3 +187,14 @@ def test_deviation_knows_what_a_lag_hides_of_a_force_that_swings(lwr):
         found = estimator.solve(MIDDLE, felt_N * unit, np.zeros(7), memory, (100.0 / 3.0, lag))
         errors.append(abs(found[0] - true_N) / found[1])
     assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
+
+
+def test_a_copy_of_the_tool_sees_its_own_joints():
+    one = ToolKinematics(load_lwr(), insertion_axis=(0.1, 0.2, 1.0), offset_m=(0.01, 0.0, 0.02))
+    other, axis, dq = deepcopy(one), np.array((0.6, 0.0, 0.8)), np.ones(7)
+    other.update(np.full(7, 0.6))
+    one.update(np.full(7, 0.3))
+    for each in (one, other):
+        expected = axis @ each.pose[:3, 3], each.axial_jacobian @ dq
+        assert tip_motion(axis, each.needle, dq) == pytest.approx(expected, abs=1e-12)
+    assert abs((one.pose - other.pose)[:3, 3]).max() > 0.1

@@ -202,7 +202,7 @@ def pushed(rows, force_in_base_N, first, count, joint=None):
     for k, (q, dq, tau, dt_s) in enumerate(rows):
         if first <= k < first + count:
             kinematics.update(q)
-            lever = kinematics.rotation_tool_to_base @ kinematics.jacobian[:3]
+            lever = kinematics.pose[:3, :3] @ kinematics.jacobian[:3]
             if joint is not None:
                 pin.computeJointJacobians(RUN.robot.model, data, q)
                 axes = pin.LOCAL_WORLD_ALIGNED
