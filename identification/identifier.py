@@ -101,8 +101,8 @@ class Identifier:
                 reported [s]; None for the sum of ``dt_s`` since the reset.
             force_std_N: Standard deviation of the force's slow error, as a virtual sensor states it
                 [N]. What it grows by after the contact is no part of the friction, and widens its
-                deviation. What is no number, below zero or beyond any plausible force counts as
-                not stated.
+                deviation; while the needle accelerates, a force counts the less the larger it is.
+                What is no number, below zero or beyond any plausible force counts as not stated.
         """
         is_measured = speed_m_s is not None
         speed = speed_m_s if is_measured else 0.0

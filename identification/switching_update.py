@@ -27,17 +27,24 @@ _RELAXED, _UNKNOWN = 0.6, 0.3
 and standard deviation of that part, and of friction while presliding turns."""
 _UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
 _UNLOADING_MM = 0.5  # travel over which its force goes on the way
+_MASS_KG, _JITTER, _ACCELERATION_S, _INERTIA_S = 10.0, 3.0, 0.03, 0.2
+"""Masses are known roughly, and inertia is taken out with another lag than the force has: so a
+virtual force is in doubt where the arm accelerates. Mass that no arm exceeds at its tip (an LWR has
+3 to 8 kg); deviations of the speed's noise that are no acceleration; the time over which that is
+measured, and the one for which it is remembered."""
 IDENTIFIED = 0.25  # A value is identified if its standard deviation is no more of it
 _TINY = 1e-12
 _NOWHERE_M = -1e9  # deepest point before the first sample
 
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
-# speed [m], presliding deflection [s], force [N s] and unfiltered depth [m s]. That deflection, -1
-# to 1; depth less the jitter of its measurement; how far friction may have let go at rest, 0 to 1;
-# deepest point so far; noise of the last depth and speed.
-FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM = range(6)
-_DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(6, 12)
-FIRST_MEMORY = np.zeros(12)
+# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and doubt [N² s]. That
+# deflection, -1 to 1; depth less the jitter of its measurement; how far friction may have let go at
+# rest, 0 to 1; deepest point so far; noise of the last depth and speed; speed with a lag; square of
+# the force that accelerates the arm; doubt of the last force.
+FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, DOUBT_SUM = range(7)
+_DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(7, 13)
+_LAGGED, _INERTIA, _DOUBT = range(13, 16)
+FIRST_MEMORY = np.zeros(16)
 FIRST_MEMORY[_DEEPEST] = _NOWHERE_M
 FIRST_MEMORY.setflags(write=False)
 
@@ -112,8 +119,8 @@ def _forces(
     """
     w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
     offset = mean[_OFFSET]
-    force -= offset
-    std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET])
+    force, doubt = force - offset, memory[_DOUBT]
+    std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET] + doubt)
     further = _MM * depth_m - answer[0][DEPTH]
     tip = answer[0][TIP_FORCE] + mean[_STIFFNESS] * further
     if answer[0][IN_CONTACT] == 0.0:
@@ -130,7 +137,7 @@ def _forces(
     p, q = w * coulomb_fraction, speed * viscous_fraction
     left = p * mean[LEFT_COULOMB] + q * mean[LEFT_VISCOUS]
     variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
-    left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance)
+    left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance + doubt)
     if is_unloaded:
         own = w * max(mean[COULOMB] - mean[LEFT_COULOMB] + mean[_OWN_COULOMB] * further, 0.0)
         own += speed * max(mean[VISCOUS] - mean[LEFT_VISCOUS] + mean[_OWN_VISCOUS] * further, 0.0)
@@ -138,12 +145,15 @@ def _forces(
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
-    predicted, excess = offset + friction + tip, max(friction - force, 0.0)
+    predicted, enhanced = offset + friction + tip, force - left
+    # A force in doubt counts the less, the more it may be off by than the friction is.
+    kept = 1.0 - doubt / (answer[0][NOISE] + max(variance, 0.0) + doubt + _TINY)
+    force, excess = kept * force + (1.0 - kept) * (friction + tip), max(friction - force, 0.0)
     tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
     # At rest the force may relax faster than this friction says.
-    variance += excess**2 - known
+    variance += kept * doubt + excess**2 - known
     tip_std, std = _with_offset(answer, COULOMB, w, speed, variance), math.sqrt(max(variance, 0.0))
-    return force - left, left_std, tip, tip_std, force - tip, std, predicted
+    return enhanced, left_std, tip, tip_std, force - tip, std, predicted
 
 
 @compiled
@@ -223,17 +233,26 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
 @compiled
 def update_switching(
     motion: tuple[float, float, float, float, float],
-    force_N: float,
+    force: tuple[float, float],
     dt_s: float,
     memory: WrittenVector,
     answer: Matrix,
     layers: Matrix,
 ) -> tuple[bool, Outputs]:
-    """Use one sample: depth, speed and the deviations of their noise, unfiltered depth; the force.
+    """Use one sample.
+
+    Its motion is depth, speed and the deviations of their noise, and the unfiltered depth; the
+    force comes with the deviation of its slow error.
 
     Returns whether the block being filled is full, and what to report, see `switching_outputs`.
     """
     m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m) = memory, motion
+    force_N, std = force
+    m[_LAGGED] += (speed_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
+    change = max(abs(speed_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
+    inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
+    m[_INERTIA] = max(inertia, m[_INERTIA] * math.exp(-dt_s / _INERTIA_S))
+    m[_DOUBT] = min(std * std, m[_INERTIA])
     w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]
     if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
@@ -250,6 +269,7 @@ def update_switching(
     m[DEFLECTION_SUM] += dt_s * w
     m[FORCE_SUM] += dt_s * force_N
     m[RAW_SUM] += dt_s * raw_m
+    m[DOUBT_SUM] += dt_s * m[_DOUBT]
     m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
     m[_DEEPEST] = max(m[_DEEPEST], depth_m)
     m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s

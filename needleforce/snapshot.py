@@ -24,7 +24,7 @@ from residual.snapshot import arrays
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 25  # Grows whenever a file of the one before cannot be read, or is misread
+SNAPSHOT_VERSION = 26  # Grows whenever a file of the one before cannot be read, or is misread
 MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot

@@ -347,6 +347,17 @@ def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True
     return SimpleNamespace(position_m=position_m, velocity_m_s=velocity_m_s, clutch=clutch)
 
 
+@pytest.mark.parametrize(("hz", "least", "most"), [(1.0, 10.0, 50.0), (5.0, 60.0, 150.0)])
+def test_a_hand_that_swings_is_damped_more_than_one_that_springs_forward(hz, least, most):
+    tele, position_m, most_N = Teleoperation(motion_scale=0.2), 0.0, 0.0
+    for angle in (2.0 * np.pi * hz * DT * np.arange(500)).tolist():
+        speed_m_s = 0.02 * np.sin(angle)
+        position_m += speed_m_s * DT
+        now = handle((0.0, 0.0, position_m), (0.0, 0.0, speed_m_s))
+        most_N = max(most_N, abs(tele.update(now, estimate(0.0), DT).force_N[2]))
+    assert least < most_N / 0.02 < most
+
+
 @pytest.mark.parametrize("dt_s", [np.nan, np.inf, 0.0, -1e-3, -0.2, None, "x"])
 def test_a_time_step_that_does_not_advance_lets_the_needle_stand(dt_s):
     tele, now = Teleoperation(), estimate(axial_N=2.0)

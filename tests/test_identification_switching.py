@@ -118,6 +118,20 @@ def test_friction_at_changing_speed_is_neither_noise_nor_texture():
     assert stated_N[1] < 2.0 * stated_N[0]
 
 
+def test_a_force_in_doubt_counts_less_while_the_needle_accelerates():
+    """A newton more for 30 ms, stated as exact, as in doubt, and as that of an arm in motion."""
+    rows, moved_N = straight(), []
+    for std_N, more_m_s in ((0.0, 0.2), (1.0, 0.0), (1.0, 0.2)):
+        identifier, estimates = run(rows[:3000])
+        for depth_m, speed_m_s, force_N, dt_s in rows[3000:3030]:
+            quicker_m_s = speed_m_s + more_m_s * (depth_m - rows[3000][0]) / speed_m_s
+            given = depth_m, quicker_m_s, force_N + 1.0, dt_s
+            found = identifier.update(*given, force_std_N=std_N)
+        moved_N.append(found.tip_force_N - estimates[-1].tip_force_N)
+    assert min(moved_N[:2]) > 0.5
+    assert abs(moved_N[2]) < 0.1
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_tip_and_friction_are_within_their_deviations(seed):
     rows = straight(seed)

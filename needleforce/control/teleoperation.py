@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError, require_positive
-from needleforce.control.passivity import HandPort, NeedlePort
+from needleforce.control.passivity import HANDLE_kg, HandPort, MOST_DAMPING_Ns_m, NeedlePort
 from needleforce.control.ports import Array, MasterSample
 from needleforce.control.tasks import vector
 from residual.estimate import Status
@@ -33,6 +33,9 @@ _SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its
 # its motion is scaled down; and a hand springs forward when a membrane ruptures. So its motion is
 # damped, by so much at least and so much per scale, but not what lasts longer than so many seconds.
 _LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S = 15.0, 50.0, 0.3
+# Where both oscillate all the same, by 3 Hz or more, damping grows up to the port's: of means over
+# so long, twice the square of the mean is no swing, nor is what is slow.
+_SWING_S, _STEADIER, _CALM_m_s = 0.12, 2.0, 3e-3
 _FADE_S = 0.05  # a force that is not known any more fades
 # Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
 # back has the opposite sign: neither the loop nor the identification stands that. So the shown
@@ -124,6 +127,7 @@ class DeviceSide:
         self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = 0.0
         self._coupled = 0.0  # 0 to 1
         self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
+        self._swing_m_s = self._power = 0.0  # lagged speed of the swing, and square of its speed
 
     def release(self, travel_m: float = 0.0) -> None:
         """No force is held any more, after about so much travel; begin from where the handle is."""
@@ -159,7 +163,8 @@ class DeviceSide:
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
         known_N, incoming_J = news or (0.0, 0.0)
-        damping_N = self._damping_Ns_m * (self._rate_m_s - self._steady_m_s)
+        swing_m_s = self._rate_m_s - self._steady_m_s
+        damping_N = self._damping_for(swing_m_s, dt_s) * swing_m_s
         wanted_N, times_s = known_N * self._coupled + damping_N, (dt_s, self._gap_s)
         self.force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
         scale = self._scale * is_coupled
@@ -167,6 +172,18 @@ class DeviceSide:
         travel_m = self._packet.travel_m + scale * moved_m
         self._packet = HandPacket(travel_m, scale * self._rate_m_s, self.port.in_J, is_coupled)
         return self._packet
+
+    def _damping_for(self, swing_m_s: float, dt_s: float) -> float:
+        """Damping of what is not steady in the hand's motion [Ns/m]: more where it oscillates."""
+        part = dt_s / (_SWING_S + dt_s)
+        self._swing_m_s += part * (swing_m_s - self._swing_m_s)
+        self._power += part * (swing_m_s**2 - self._power)
+        # The mean square of a hand that springs forward is that of its mean, of a swing it is more.
+        swing = max(self._power - _STEADIER * self._swing_m_s**2, 0.0)
+        share, least = swing / (self._power + _CALM_m_s**2), self._damping_Ns_m
+        # A light device that is read seldom would be thrown back by more.
+        most = max(min(MOST_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), least)
+        return least + share * (most - least)
 
 
 class NeedleSide:
