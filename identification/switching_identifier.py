@@ -135,9 +135,8 @@ class SwitchingMethod:
             depth_m, speed_m_s, raw_m = depth_m - place_m, speed_m_s - speed, raw_m - place_m
             # As the tissue, which moves, meets the needle.
             sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
-        motion = sample[2], sample[3], sample[4], sample[5], sample[8]
         known = self._memory, self._answer, self._left
-        is_full, outputs = samples.update_switching(motion, sample[6:8], sample[1], *known)
+        is_full, outputs = samples.update_switching(sample[2:9], sample[1], *known)
         if not is_full and self._stage == _NOTHING:
             return (self._rupture_state, *outputs, None, None, None)
         self._events = Events()

@@ -232,8 +232,7 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
 
 @compiled
 def update_switching(
-    motion: tuple[float, float, float, float, float],
-    force: tuple[float, float],
+    sample: tuple[float, float, float, float, float, float, float],
     dt_s: float,
     memory: WrittenVector,
     answer: Matrix,
@@ -241,13 +240,12 @@ def update_switching(
 ) -> tuple[bool, Outputs]:
     """Use one sample.
 
-    Its motion is depth, speed and the deviations of their noise, and the unfiltered depth; the
-    force comes with the deviation of its slow error.
+    It is depth, speed and the deviations of their noise, the force and the deviation of its slow
+    error, and the unfiltered depth.
 
     Returns whether the block being filled is full, and what to report, see `switching_outputs`.
     """
-    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, raw_m) = memory, motion
-    force_N, std = force
+    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = memory, sample
     m[_LAGGED] += (speed_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
     change = max(abs(speed_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
     inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
