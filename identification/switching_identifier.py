@@ -129,6 +129,7 @@ class SwitchingMethod:
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
+        arm_m_s = sample[3]
         if self._tissue.is_known:
             time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
             place_m, speed = (part / _MM for part in self._tissue.at(clock_s))
@@ -136,7 +137,7 @@ class SwitchingMethod:
             # As the tissue, which moves, meets the needle.
             sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
         known = self._memory, self._answer, self._left
-        is_full, outputs = samples.update_switching(sample[2:9], sample[1], *known)
+        is_full, outputs = samples.update_switching(sample[2:9], arm_m_s, sample[1], *known)
         if not is_full and self._stage == _NOTHING:
             return (self._rupture_state, *outputs, None, None, None)
         self._events = Events()

@@ -29,9 +29,10 @@ _UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
 _UNLOADING_MM = 0.5  # travel over which its force goes on the way
 _MASS_KG, _JITTER, _ACCELERATION_S, _INERTIA_S = 10.0, 3.0, 0.03, 0.2
 """Masses are known roughly, and inertia is taken out with another lag than the force has: so a
-virtual force is in doubt where the arm accelerates. Mass that no arm exceeds at its tip (an LWR has
-3 to 8 kg); deviations of the speed's noise that are no acceleration; the time over which that is
-measured, and the one for which it is remembered."""
+virtual force is in doubt where the arm accelerates. Mass that the needle is taken to have there at
+most (an LWR's along it: 3 to 4 kg in the insertions, below 10 kg in nine of ten postures);
+deviations of the speed's noise that are no acceleration; the time over which that is measured, and
+the one for which it is remembered."""
 IDENTIFIED = 0.25  # A value is identified if its standard deviation is no more of it
 _TINY = 1e-12
 _NOWHERE_M = -1e9  # deepest point before the first sample
@@ -39,8 +40,8 @@ _NOWHERE_M = -1e9  # deepest point before the first sample
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
 # speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and doubt [N² s]. That
 # deflection, -1 to 1; depth less the jitter of its measurement; how far friction may have let go at
-# rest, 0 to 1; deepest point so far; noise of the last depth and speed; speed with a lag; square of
-# the force that accelerates the arm; doubt of the last force.
+# rest, 0 to 1; deepest point so far; noise of the last depth and speed; the arm's speed with a lag;
+# square of the force that accelerates it, at most; doubt of the last force.
 FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, DOUBT_SUM = range(7)
 _DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(7, 13)
 _LAGGED, _INERTIA, _DOUBT = range(13, 16)
@@ -146,7 +147,7 @@ def _forces(
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
     predicted, enhanced = offset + friction + tip, force - left
-    # A force in doubt counts the less, the more it may be off by than the friction is.
+    # A force counts less, the larger its doubt is beside what is not known of the friction.
     kept = 1.0 - doubt / (answer[0][NOISE] + max(variance, 0.0) + doubt + _TINY)
     force, excess = kept * force + (1.0 - kept) * (friction + tip), max(friction - force, 0.0)
     tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
@@ -233,6 +234,7 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
 @compiled
 def update_switching(
     sample: tuple[float, float, float, float, float, float, float],
+    arm_m_s: float,
     dt_s: float,
     memory: WrittenVector,
     answer: Matrix,
@@ -241,13 +243,14 @@ def update_switching(
     """Use one sample.
 
     It is depth, speed and the deviations of their noise, the force and the deviation of its slow
-    error, and the unfiltered depth.
+    error, and the unfiltered depth. Depths and speed are those in the tissue, which may move; the
+    arm has a speed of its own.
 
     Returns whether the block being filled is full, and what to report, see `switching_outputs`.
     """
     m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = memory, sample
-    m[_LAGGED] += (speed_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
-    change = max(abs(speed_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
+    m[_LAGGED] += (arm_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
+    change = max(abs(arm_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
     inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
     m[_INERTIA] = max(inertia, m[_INERTIA] * math.exp(-dt_s / _INERTIA_S))
     m[_DOUBT] = min(std * std, m[_INERTIA])

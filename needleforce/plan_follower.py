@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import Estimate
+from identification import Estimate, Identifier
 
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
@@ -61,11 +61,8 @@ class PlanFollower:
         above_m = 0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
         self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
 
-    def follow(self, found: Estimate, depth_m: float, contact_m: float | None) -> None:
-        """Take events to the plan, and read it where there was one or the tip has moved.
-
-        The surface was met at `contact_m`, as known now; None before.
-        """
+    def follow(self, found: Estimate, depth_m: float, identifier: Identifier) -> None:
+        """Take events to the plan, and read it where there was one or the tip has moved."""
         if self._plan is None or not np.isfinite(depth_m):
             return
         last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture
@@ -80,7 +77,7 @@ class PlanFollower:
             return
         deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
         entry = last.fingerprint, last.entry_depth_m
-        memory = PlanMemory(*entry, ruptures, depth_m, deepest_m, contact_m)
+        memory = PlanMemory(*entry, ruptures, depth_m, deepest_m, identifier.contact_depth_m)
         self.resume(memory, self.read(memory))
 
     def read(self, memory: PlanMemory) -> "PlanState | None":

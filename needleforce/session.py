@@ -365,8 +365,7 @@ class InsertionSession:
         self._identification = found
         self._had_events, due_s = found.has_events, self._earlier[1].time_s + _TAKEN_BACK_S
         self._is_due = self._had_events or self._time_s >= due_s
-        if self._plan.memory.fingerprint:
-            self._plan.follow(found, depth_m, self._identifier.contact_depth_m)
+        self._plan.follow(found, depth_m, self._identifier)
         at = (found.status in _USED, self._time_s, self._plan.state)
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 

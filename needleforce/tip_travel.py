@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled, dot
 
 Array = NDArray[np.float64]
-Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
+Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]  # `residual.ToolKinematics.needle`
 
 
 class TravelZero(NamedTuple):
@@ -23,15 +23,9 @@ class TravelZero(NamedTuple):
 def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
     """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s].
 
-    With linear velocity v and angular velocity w of the joint's link at the base's origin, the tip
-    at r has the speed v . d + w . (r x d) along the needle's direction d.
-
-    Args:
-        axis: Of length one, shape (3,).
-        needle: Of the last joint before it: place in the base [m], shape (3,); its axes there, one
-            a row, shape (3, 3); its Jacobian at the base's origin in base axes, a row per joint,
-            shape (n, 6). Then tip [m] and direction of the needle in its axes, shape (3,).
-        dq: Joint velocities [rad/s], shape (n,).
+    The axis has length one, shape (3,); joint velocities are in rad/s, shape (n,). With linear and
+    angular velocity v and w of the link that carries the needle, at the base's origin, the tip at r
+    has the speed v . d + w . (r x d) along the needle's direction d.
     """
     place, axes, jacobian, tip, direction = needle
     at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]

@@ -25,7 +25,10 @@ class ToolKinematics:
 
     Attributes:
         axis_in_tool: The insertion direction, of length one, shape (3,).
-        needle: Of the latest `update`, as `needleforce.tip_travel.tip_motion` takes it.
+        needle: What motion of the tip follows from, always of the latest `update`. Of the joint
+            that carries the needle: place in the base [m], shape (3,); its axes there, one a row,
+            shape (3, 3); its Jacobian at the base's origin in base axes, a row per joint, shape
+            (n, 6). In that joint's axes: tip [m] and direction of the needle, shape (3,).
 
     `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError` for an unknown
     frame.

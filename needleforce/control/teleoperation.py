@@ -127,7 +127,7 @@ class DeviceSide:
         self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = 0.0
         self._coupled = 0.0  # 0 to 1
         self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
-        self._swing_m_s = self._power = 0.0  # lagged speed of the swing, and square of its speed
+        self._swing_m_s = self._square = 0.0  # means of the swing's speed and of its square
 
     def release(self, travel_m: float = 0.0) -> None:
         """No force is held any more, after about so much travel; begin from where the handle is."""
@@ -177,10 +177,10 @@ class DeviceSide:
         """Damping of what is not steady in the hand's motion [Ns/m]: more where it oscillates."""
         part = dt_s / (_SWING_S + dt_s)
         self._swing_m_s += part * (swing_m_s - self._swing_m_s)
-        self._power += part * (swing_m_s**2 - self._power)
+        self._square += part * (swing_m_s**2 - self._square)
         # The mean square of a hand that springs forward is that of its mean, of a swing it is more.
-        swing = max(self._power - _STEADIER * self._swing_m_s**2, 0.0)
-        share, least = swing / (self._power + _CALM_m_s**2), self._damping_Ns_m
+        swing = max(self._square - _STEADIER * self._swing_m_s**2, 0.0)
+        share, least = swing / (self._square + _CALM_m_s**2), self._damping_Ns_m
         # A light device that is read seldom would be thrown back by more.
         most = max(min(MOST_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), least)
         return least + share * (most - least)
