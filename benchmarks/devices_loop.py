@@ -6,15 +6,18 @@ sample least late. An overrun is a tick that takes longer than a cycle. Real-tim
 where the system grants it.
 """
 
+import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from math import inf
+from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from time import perf_counter_ns
+from time import perf_counter, perf_counter_ns
 from typing import Any
 
 import numpy as np
+import psutil
 
 from benchmarks import BenchmarkError
 from benchmarks.benchmark import Progress
@@ -39,9 +42,9 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
         raise BenchmarkError(f"--loop {seconds:g}: expected a positive number of seconds")
     run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
     kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
-    lines = []
+    lines, notes = [], list[str]()
     for number, kind in enumerate(kinds):
-        lines += [(kind, *line) for line in _one(run, seconds, kind)]
+        lines += [(kind, *line) for line in _one(run, seconds, kind, notes)]
         progress(0.2 + 0.8 * (number + 1) / len(kinds))
     quantiles = tuple(f"p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
     is_real_time = "with" if _is_real_time() else "without"
@@ -51,6 +54,7 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
         heads=("loop", "what", *quantiles, "overruns", "missed", "answered in the cycle"),
         align="LL" + (len(quantiles) + 3) * "r",
         lines=tuple(lines),
+        caption="".join(notes),
     )
 
 
@@ -61,13 +65,27 @@ def _is_real_time() -> bool:
 
 
 @contextmanager
-def _beside(kind: str, robot: Robot) -> Iterator[Callable[[Any, ArmSample], None]]:
-    """What takes the estimate and the sample of every tick."""
+def _beside(
+    kind: str, robot: Robot, notes: list[str]
+) -> Iterator[Callable[[Any, ArmSample], None]]:
+    """What takes the estimate and the sample of every tick; at the end, what else is to be said."""
     if kind == SCENE:
         from needleforce.scene import open_viewer
 
+        context = multiprocessing.get_context("spawn")
+        before = {child.pid for child in psutil.Process().children()}
         with open_viewer(robot) as view:
+            pages = {child.pid for child in psutil.Process().children()} - before
+            pipe, other = context.Pipe()
+            given = (other, view.url, sorted(pages))
+            context.Process(target=_watch, args=given, daemon=True).start()
             yield lambda now, sample: view.put(now, sample.q_rad)
+            pipe.send("stop")
+            updates_Hz, processor = pipe.recv()
+            notes.append(
+                f"The scene's process: {updates_Hz:.1f} updates a second reach a page (at least "
+                f"30), for {processor:.1f} % of a core (at most 10). "
+            )
     elif kind == RECORDER:
         names = robot.joint_names
         with TemporaryDirectory() as at, Recorder(Path(at) / "loop.mcap", names) as recorder:
@@ -76,7 +94,37 @@ def _beside(kind: str, robot: Robot) -> Iterator[Callable[[Any, ArmSample], None
         yield lambda *_: None
 
 
-def _one(run: Any, seconds: float, kind: str) -> list[tuple[str, ...]]:
+def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
+    """The process of a page's reader: counts its updates, and its server's processor time."""
+    import viser
+    import zstandard
+    from websockets.sync.client import connect
+
+    leave_real_time()
+    kind: Any = f"viser-v{viser.__version__}"
+    servers = [psutil.Process(pid) for pid in pids]
+
+    def used_s() -> float:
+        return sum(sum(server.cpu_times()[:2]) for server in servers)
+
+    with connect(url.replace("http", "ws"), subprotocols=[kind], max_size=None) as page:
+        updates, begin_s, before_s = 0, 0.0, 0.0
+        while not pipe.poll():
+            try:
+                message: Any = page.recv(timeout=0.1)
+            except TimeoutError:
+                continue
+            packed = message[16 : 16 + int.from_bytes(message[8:16], "little")]
+            if b"tip force" not in zstandard.decompress(packed, max_output_size=1 << 28):
+                continue
+            updates += 1
+            if updates == 1:  # what came before it was the whole scene
+                begin_s, before_s = perf_counter(), used_s()
+        passed_s = perf_counter() - begin_s
+        pipe.send(((updates - 1) / passed_s, 100.0 * (used_s() - before_s) / passed_s))
+
+
+def _one(run: Any, seconds: float, kind: str, notes: list[str]) -> list[tuple[str, ...]]:
     signals, cycles = run.signals, round(1e3 * seconds) + WARM_UP
     arm, session = FriArm(port=0, give_up_s=0.5), InsertionSession(run.robot)
     settings = FriSettings(
@@ -89,7 +137,7 @@ def _one(run: Any, seconds: float, kind: str) -> list[tuple[str, ...]]:
     arrived_us, taken_us = list[float](), list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
-        put = stack.enter_context(_beside(kind, run.robot))
+        put = stack.enter_context(_beside(kind, run.robot, notes))
         controller = stack.enter_context(Emulator(emulate_fri, settings))
         take_real_time()
         for sample in arm:

@@ -91,8 +91,7 @@ class StateRing(Closing):
         first = max(count, now - 3 * ROWS // 4)
         width = self._row.size // 8
         table = np.frombuffer(self._buffer, "<f8", ROWS * width, _COUNT.size).reshape(ROWS, width)
-        rows = table[np.arange(first, now) % ROWS].copy()
-        return now, rows
+        return now, table[np.arange(first, now) % ROWS].copy()
 
     def close(self) -> None:
         """Let go of it; its owner also removes it."""
