@@ -199,7 +199,7 @@ class SwitchingMethod:
     def _use_block(self, sample: Sample) -> None:
         """Let every hypothesis predict the force of the block, and learn from it."""
         clock_s, last, deepest, bank = sample[-1], self._place, self._deepest, self._bank
-        place, (depth_std, speed_std, doubt) = _block(clock_s, self._memory, last.force)
+        place, (depth_std, speed_std, by_motion) = _block(clock_s, self._memory, last.force)
         dt_s, z, v = place.dt_s, place.depth, place.speed
         fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
         faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
@@ -222,7 +222,7 @@ class SwitchingMethod:
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.
             law_std = math.hypot(2.0 * speed_std, own - last.speed)
-            _learn(bank, place, left, self._resumed, (depth_std, law_std, doubt))
+            _learn(bank, place, left, self._resumed, (depth_std, law_std, by_motion))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
             self._stage = _RUPTURES + (_BRANCH if is_advancing else _PRUNE)
             self._texture = self._texture.with_force(force, fresh if is_met else 0.0, v)
@@ -359,9 +359,9 @@ class SwitchingMethod:
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, tuple[float, float, float]]:
-    """Means of a block that is full; noise of depth and speed, doubt of force; the next begins."""
+    """Means of a block that is full; noise of depth, speed, force by motion; the next begins."""
     *sums, _, _, _, _, jitter, speed_noise, _, _, _ = np.array(memory).tolist()
-    filled, z, v, w, force, raw, doubt = sums
+    filled, z, v, w, force, raw, by_motion = sums
     memory[: len(sums)] = [0.0] * len(sums)
     z, v, raw = _MM * z / filled, _MM * v / filled, _MM * raw / filled
     jitter, speed_noise = _MM * jitter, _MM * speed_noise
@@ -369,7 +369,7 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, tuple[fl
     lag_s = reports.speed_lag(jitter, speed_noise)
     at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
     place = Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before)
-    return place, (jitter, speed_noise, doubt / filled)
+    return place, (jitter, speed_noise, by_motion / filled)
 
 
 def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:
@@ -415,10 +415,10 @@ def _learn(
     resumed: float,
     noise: tuple[float, float, float],
 ) -> None:
-    (depth_std, speed_std, doubt), (best, fact) = noise, bank.likeliest
+    (depth_std, speed_std, by_motion), (best, fact) = noise, bank.likeliest
     damping = _damping(bank, place.depth)
     white = float(levels.levels[0]) * levels.step_s / place.dt_s
-    variance = max(white, 1e-8) + (damping * speed_std) ** 2 + doubt
+    variance = max(white, 1e-8) + (damping * speed_std) ** 2 + by_motion
     if fact[law.KIND] != law.AIR:
         loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
         variance += (loose * (place.force - best[law.OFFSET])) ** 2

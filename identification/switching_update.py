@@ -29,7 +29,7 @@ _UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
 _UNLOADING_MM = 0.5  # travel over which its force goes on the way
 _MASS_KG, _JITTER, _ACCELERATION_S, _INERTIA_S = 10.0, 3.0, 0.03, 0.2
 """Masses are known roughly, and inertia is taken out with another lag than the force has: so a
-virtual force is in doubt where the arm accelerates. Mass that the needle is taken to have there at
+virtual force is uncertain where the arm accelerates. Mass that the needle is taken to have there at
 most (an LWR's along it: 3 to 4 kg in the insertions, below 10 kg in nine of ten postures);
 deviations of the speed's noise that are no acceleration; the time over which that is measured, and
 the one for which it is remembered."""
@@ -38,13 +38,13 @@ _TINY = 1e-12
 _NOWHERE_M = -1e9  # deepest point before the first sample
 
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
-# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and doubt [N² s]. That
-# deflection, -1 to 1; depth less the jitter of its measurement; how far friction may have let go at
-# rest, 0 to 1; deepest point so far; noise of the last depth and speed; the arm's speed with a lag;
-# square of the force that accelerates it, at most; doubt of the last force.
-FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, DOUBT_SUM = range(7)
+# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and variance of the force
+# by motion [N² s]. That deflection, -1 to 1; depth less the jitter of its measurement; how far
+# friction may have let go at rest, 0 to 1; deepest point so far; noise of the last depth and speed;
+# the arm's speed with a lag; square of the force that accelerates it, at most; that variance now.
+FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, BY_MOTION_SUM = range(7)
 _DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(7, 13)
-_LAGGED, _INERTIA, _DOUBT = range(13, 16)
+_LAGGED, _INERTIA, _BY_MOTION = range(13, 16)
 FIRST_MEMORY = np.zeros(16)
 FIRST_MEMORY[_DEEPEST] = _NOWHERE_M
 FIRST_MEMORY.setflags(write=False)
@@ -120,8 +120,8 @@ def _forces(
     """
     w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
     offset = mean[_OFFSET]
-    force, doubt = force - offset, memory[_DOUBT]
-    std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET] + doubt)
+    force, by_motion = force - offset, memory[_BY_MOTION]
+    std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET] + by_motion)
     further = _MM * depth_m - answer[0][DEPTH]
     tip = answer[0][TIP_FORCE] + mean[_STIFFNESS] * further
     if answer[0][IN_CONTACT] == 0.0:
@@ -138,7 +138,7 @@ def _forces(
     p, q = w * coulomb_fraction, speed * viscous_fraction
     left = p * mean[LEFT_COULOMB] + q * mean[LEFT_VISCOUS]
     variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
-    left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance + doubt)
+    left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance + by_motion)
     if is_unloaded:
         own = w * max(mean[COULOMB] - mean[LEFT_COULOMB] + mean[_OWN_COULOMB] * further, 0.0)
         own += speed * max(mean[VISCOUS] - mean[LEFT_VISCOUS] + mean[_OWN_VISCOUS] * further, 0.0)
@@ -147,12 +147,12 @@ def _forces(
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
     predicted, enhanced = offset + friction + tip, force - left
-    # A force counts less, the larger its doubt is beside what is not known of the friction.
-    kept = 1.0 - doubt / (answer[0][NOISE] + max(variance, 0.0) + doubt + _TINY)
+    # A force counts less, the more uncertain motion makes it, beside what is not known of friction.
+    kept = 1.0 - by_motion / (answer[0][NOISE] + max(variance, 0.0) + by_motion + _TINY)
     force, excess = kept * force + (1.0 - kept) * (friction + tip), max(friction - force, 0.0)
     tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
     # At rest the force may relax faster than this friction says.
-    variance += kept * doubt + excess**2 - known
+    variance += kept * by_motion + excess**2 - known
     tip_std, std = _with_offset(answer, COULOMB, w, speed, variance), math.sqrt(max(variance, 0.0))
     return enhanced, left_std, tip, tip_std, force - tip, std, predicted
 
@@ -253,7 +253,7 @@ def update_switching(
     change = max(abs(arm_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
     inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
     m[_INERTIA] = max(inertia, m[_INERTIA] * math.exp(-dt_s / _INERTIA_S))
-    m[_DOUBT] = min(std * std, m[_INERTIA])
+    m[_BY_MOTION] = min(std * std, m[_INERTIA])
     w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]
     if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
@@ -270,7 +270,7 @@ def update_switching(
     m[DEFLECTION_SUM] += dt_s * w
     m[FORCE_SUM] += dt_s * force_N
     m[RAW_SUM] += dt_s * raw_m
-    m[DOUBT_SUM] += dt_s * m[_DOUBT]
+    m[BY_MOTION_SUM] += dt_s * m[_BY_MOTION]
     m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
     m[_DEEPEST] = max(m[_DEEPEST], depth_m)
     m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s

@@ -118,8 +118,8 @@ def test_friction_at_changing_speed_is_neither_noise_nor_texture():
     assert stated_N[1] < 2.0 * stated_N[0]
 
 
-def test_a_force_in_doubt_counts_less_while_the_needle_accelerates():
-    """A newton more for 30 ms, stated as exact, as in doubt, and as that of an arm in motion."""
+def test_an_uncertain_force_counts_less_while_the_needle_accelerates():
+    """A newton more for 30 ms, stated as exact, as uncertain, and as that of an arm in motion."""
     rows, moved_N = straight(), []
     for std_N, more_m_s in ((0.0, 0.2), (1.0, 0.0), (1.0, 0.2)):
         identifier, estimates = run(rows[:3000])
