@@ -38,8 +38,8 @@ _TINY = 1e-12
 _NOWHERE_M = -1e9  # deepest point before the first sample
 
 # Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
-# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and variance of the force
-# by motion [N² s]. That deflection, -1 to 1; depth less the jitter of its measurement; how far
+# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and variance of force by
+# motion [N² s]. That deflection, -1 to 1; depth less the jitter of its measurement; how far
 # friction may have let go at rest, 0 to 1; deepest point so far; noise of the last depth and speed;
 # the arm's speed with a lag; square of the force that accelerates it, at most; that variance now.
 FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, BY_MOTION_SUM = range(7)
