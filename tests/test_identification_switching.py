@@ -125,8 +125,8 @@ def test_an_uncertain_force_counts_less_while_the_needle_accelerates():
         identifier, estimates = run(rows[:3000])
         for depth_m, speed_m_s, force_N, dt_s in rows[3000:3030]:
             quicker_m_s = speed_m_s + more_m_s * (depth_m - rows[3000][0]) / speed_m_s
-            given = depth_m, quicker_m_s, force_N + 1.0, dt_s
-            found = identifier.update(*given, force_std_N=std_N)
+            given = depth_m, quicker_m_s, force_N + 1.0, dt_s, None, std_N
+            found = identifier.update(*given)
         moved_N.append(found.tip_force_N - estimates[-1].tip_force_N)
     assert min(moved_N[:2]) > 0.5
     assert abs(moved_N[2]) < 0.1
