@@ -19,7 +19,6 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from residual.estimate import UNSEEN_STD
 
 
 def push(robot, sensor, force, *, with_velocity=True):
@@ -116,15 +115,6 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     assert ours.axial == twin.update(q[5], dq[5], tau[5], 5e-3).axial
     assert sensor.update(q[6], dq[6], tau[6], -3600.0).status is Status.REJECTED
     assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
-
-
-def test_bad_first_sample_gives_finite_numbers_and_no_knowledge(lwr):
-    sensor = VirtualForceSensor(lwr)
-    estimate = sensor.update(np.zeros(7), np.zeros(7), np.full(7, np.nan), 1e-3)
-    assert estimate.status is Status.REJECTED
-    assert np.isfinite(estimate.axial)
-    assert estimate.axial_std == UNSEEN_STD
-    assert all(np.isfinite(value).all() for value in estimate[:8])
 
 
 def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(lwr):

@@ -8,6 +8,7 @@ from guarded_sensor import feed, rows_of, signals, tared, tared_sensor
 from residual_signals import BIAS, external_torque_of, swing
 
 from residual import DEFAULT, SensorConfig, SensorWarning, Status, TareError, VirtualForceSensor
+from residual.estimate import UNSEEN_STD
 
 
 def test_a_second_tare_needs_new_motion(lwr):
@@ -37,11 +38,13 @@ def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
-def test_everything_handed_out_is_read_only(lwr, mode):
+def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
-    blank = sensor.update(np.full(7, np.nan), np.zeros(7), np.zeros(7), 1e-3)
-    size = {"axial": 1, "point": 3, "full": 6}[mode]
-    assert blank.covariance.shape == (size, size)
+    size, good, bad = {"axial": 1, "point": 3, "full": 6}[mode], np.zeros(7), np.full(7, np.nan)
+    for blank in (sensor.update(bad, good, good, 1e-3), sensor.update(good, good, bad, 1e-3)):
+        assert (blank.status, blank.axial_std) == (Status.REJECTED, UNSEEN_STD)
+        assert blank.covariance.shape == (size, size)
+        assert all(np.isfinite(value).all() for value in blank[:8])
     _, q, dq, tau = swing(lwr, seconds=1.5, amplitude=0.03)
     estimate = feed(sensor, rows_of(q, dq, tau))[-1]
     tare = sensor.tare()

@@ -7,7 +7,7 @@ import pytest
 from residual_signals import MIDDLE, external_torque_of, jacobian_of, pose_of
 
 from needleforce.tip_travel import tip_motion
-from residual import PUBLISHED, ConfigurationError, SampleError, SensorConfig, WrenchEstimator
+from residual import PUBLISHED, ConfigurationError, SensorConfig, WrenchEstimator
 from residual.consistency_checks import unusual_change
 from residual.estimate import UNSEEN_STD
 from residual.tool_kinematics import ToolKinematics
@@ -29,10 +29,11 @@ def tip_axis(robot, q):
 def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
     assert tip_axis(lwr, POINTING_DOWN) == pytest.approx([0, 0, -1], abs=1e-6)
     weight = np.array([0.0, 0.0, -2.0])
-    torque = external_torque_of(lwr, POINTING_DOWN, weight)
-    estimate = estimator_of(lwr, mode=mode).estimate(POINTING_DOWN, torque)
-    np.testing.assert_allclose(estimate.force, weight, atol=2e-3)
-    assert estimate.axial == pytest.approx(-2.0, abs=2e-3), "a pull on the needle is negative"
+    for robot in (lwr, load_lwr()):  # without a needle at its flange
+        torque = external_torque_of(robot, POINTING_DOWN, weight)
+        estimate = estimator_of(robot, mode=mode).estimate(POINTING_DOWN, torque)
+        np.testing.assert_allclose(estimate.force, weight, atol=2e-3)
+        assert estimate.axial == pytest.approx(-2.0, abs=2e-3), "a pull on the needle is negative"
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -75,8 +76,9 @@ def test_standard_deviation_is_that_of_repeated_noise(lwr, mode, weighting):
 
 
 def test_fewer_unknowns_mean_less_noise(lwr):
-    std = {m: estimator_of(lwr, mode=m).estimate(MIDDLE, np.zeros(7)).axial_std for m in MODES}
-    assert std["axial"] < std["point"] < std["full"]
+    found = [estimator_of(lwr, mode=mode).estimate(MIDDLE, np.zeros(7)) for mode in MODES]
+    assert found[0].axial_std < found[1].axial_std < found[2].axial_std
+    assert {one.axial for one in found} == {0.0}
 
 
 def test_singular_pose_gives_finite_numbers_that_say_so(lwr):
@@ -122,28 +124,11 @@ def test_an_unknown_frame_and_what_is_no_covariance_are_refused(lwr):
             WrenchEstimator(lwr).set_torque_covariance(matrix)
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_bad_input_of_an_estimate_is_refused(lwr, mode):
-    estimator = estimator_of(lwr, mode=mode)
-    with pytest.raises(SampleError, match="q has shape"):
-        estimator.estimate(MIDDLE[:3], np.zeros(7))
-    with pytest.raises(SampleError, match="finite"):
-        estimator.estimate(MIDDLE, np.full(7, np.nan))
-    assert estimator.estimate(list(MIDDLE), [0.0] * 7).axial == 0.0
-
-
 def test_length_of_the_insertion_axis_does_not_matter(lwr):
     for axis in ((0, 0, 1e-200), (0, 0, 1e200)):
         torque = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
         estimate = estimator_of(lwr, insertion_axis=axis).estimate(MIDDLE, torque)
         assert estimate.axial == pytest.approx(1.0, abs=2e-3)
-
-
-def test_arm_without_needle_reads_at_its_flange():
-    robot = load_lwr()
-    torque = external_torque_of(robot, MIDDLE, [0.0, 0.0, -1.0])
-    estimate = estimator_of(robot, mode="point").estimate(MIDDLE, torque)
-    np.testing.assert_allclose(estimate.force, [0.0, 0.0, -1.0], atol=1e-3)
 
 
 def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
