@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from residual_signals import gravity_of, jacobian_of, pose_of
+from residual_signals import external_torque_of, gravity_of, jacobian_of, pose_of
 
 from groundtruth.arm_control import drive
 from groundtruth.arm_motion import (
@@ -87,10 +87,7 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
         np.testing.assert_allclose(moved.rotation, np.eye(3), atol=2e-9)
         margin = np.minimum(ROBOT.position_upper_rad - q, q - ROBOT.position_lower_rad)
         assert margin.min() > np.radians(20.0)
-        jacobian = pin.computeFrameJacobian(
-            ROBOT.model, ROBOT.create_data(), q, ROBOT.tool_frame_id
-        )
-        assert np.linalg.cond(jacobian) < 12.0
+        assert np.linalg.cond(jacobian_of(ROBOT, q)) < 12.0
     for scenario in SCENARIOS.values():
         assert 0.0 < scenario.motion.deepest_m - scenario.motion.start_m <= REACH_M
 
@@ -186,10 +183,10 @@ def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tiss
         plant = plant_in(Push(push_N), bodies)
         plant.place(q, np.zeros(7))
         gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
-        data = bodies.robot.create_data()
-        jacobian = pin.computeFrameJacobian(bodies.robot.model, data, q, bodies.robot.tool_frame_id)
-        plant.tick(gravity + push_N * jacobian[2])
-        np.testing.assert_allclose(plant.axial_jacobian, jacobian[2], atol=1e-9)
+        needle_axis = pose_of(bodies.robot, q).rotation[:, 2]
+        lever_m = external_torque_of(bodies.robot, q, needle_axis)
+        plant.tick(gravity + push_N * lever_m)
+        np.testing.assert_allclose(plant.axial_jacobian, lever_m, atol=1e-9)
         np.testing.assert_allclose(plant.dq_rad_s, 0.0, atol=1e-12)
         assert plant.mean_axial_N == push_N
         sensor = pose_of(bodies.robot, q, "ft_sensor")

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from guarded_sensor import feed, rows_of, signals, tared
+from insertion_run import same
 from residual_signals import BIAS, MIDDLE, external_torque_of, gravity_of, swing
 
 from residual import (
@@ -23,10 +24,6 @@ from residual import (
     WrenchEstimator,
 )
 from urdf import Payload, Robot, UnsupportedJointError
-
-
-def same(one, other):
-    return all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
