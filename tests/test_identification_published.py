@@ -188,11 +188,8 @@ def test_a_layer_of_equation_3_without_noise_is_identified_exactly(swing_m_s, st
 
 def test_the_alarming_sample_is_left_out_also_where_it_is_the_last_of_its_window():
     for more in range(26):  # a window has 25 samples
-        z = np.arange(-1e-3, 8e-3, SPEED * DT_S)
-        thickness = 5e-3 + more * SPEED * DT_S
-        reach = np.clip(z, 0.0, thickness)
-        f = 9000.0 * reach * SPEED + np.where(reach < thickness, 60.0 * reach, 0.0)
-        (layer,) = run(z, f)[0].layers
+        layers = [(5e-3 + more * SPEED * DT_S, 60.0, 9000.0)]
+        (layer,) = run(*ml_insertion(layers, noise_N=0.0))[0].layers
         assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
 
 

@@ -52,6 +52,7 @@ BAD_ANYWHERE = [
 ]
 
 
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 @pytest.mark.parametrize(
     ("place", "value", "status"),
     [
@@ -69,8 +70,8 @@ BAD_ANYWHERE = [
         (0, 0.1, SampleStatus.DEPTH_JUMP),
     ],
 )
-def test_a_bad_sample_is_reported_without_a_warning_and_not_used(place, value, status):
-    identifier = Identifier(PUBLISHED)
+def test_a_bad_sample_is_reported_without_a_warning_and_not_used(config, place, value, status):
+    identifier = Identifier(config)
     before = identifier.update(*GOOD)
     state = pickle.dumps(identifier.snapshot().state)
     with warnings.catch_warnings():

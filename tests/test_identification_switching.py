@@ -187,21 +187,6 @@ def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
     assert abs(withdrawn[-1].tip_force_N) < 0.05
 
 
-def test_a_bad_sample_is_reported_and_changes_nothing():
-    rows = straight(8)[:3000]
-    one, other = Identifier(MULTILAYER), Identifier(MULTILAYER)
-    bad = [(np.nan, SPEED, 0.0, 1e-3), (0.0, SPEED, 1e6, 1e-3), (0.0, SPEED, 0.0, -1.0)]
-    for k, row in enumerate(rows):
-        expected = one.update(*row, time_s=1e-3 * k)
-        if k % 500 == 250:
-            for sample in bad:
-                assert not other.update(*sample, time_s=1e-3 * k).status.is_used
-            # The rejected samples' time was counted; it is no part of the interval.
-            other.restore(one.snapshot())
-            continue
-        assert other.update(*row, time_s=1e-3 * k) == expected
-
-
 def test_a_gap_in_time_is_no_rupture():
     rows = straight(9)
     early, late = rows[:2500], rows[3200:4000]
