@@ -7,7 +7,7 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from bag_samples import STEP_NS, TYPES, data_file, insertion_rows, joint_state, write_bag
+from bag_samples import START_NS, STEP_NS, TYPES, data_file, insertion_rows, joint_state, write_bag
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +21,7 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.bag_messages import read_messages
 from needleforce.recordings.errors import MAX_BYTES
+from needleforce.recordings.table import to_nanoseconds
 
 COUNT = 6000
 KINDS = {"mcap": ("mcap", None), "zstd": ("mcap", "STORAGE"), "sqlite3": ("sqlite3", None)}
@@ -138,6 +139,8 @@ def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(tmp_path, stor
         np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(50.0))
         np.testing.assert_array_equal(log["tau_Nm"], 2.0 * log["q_rad"])
         assert "dq_rad_s" not in log
+        stamps_ns = to_nanoseconds(log.t_s, log.start_ns).tolist()
+        assert stamps_ns == [START_NS + k * STEP_NS for k in range(50)]  # the source's
 
 
 def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path):
@@ -160,11 +163,13 @@ def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, i
     assert log.warnings == () if is_set else (note,)
 
 
-@pytest.mark.parametrize("names", [("", "", ""), ("a", "a", "a"), ("a", "", "b")])
-def test_joints_whose_names_identify_none_keep_their_places(tmp_path, names):
+@pytest.mark.parametrize("names", [("", "", ""), ("a", "a", "a"), ("a", "", "b"), "abc"])
+def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, names):
     rows = [("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)]
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"])
     np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
+    words = "has the joints a, b, c, the robot x, y, z"
+    assert [words in warning for warning in log.warnings] == [True] * (names == "abc")
 
 
 @pytest.mark.parametrize("fraction", [0.001, 0.3, 0.99])

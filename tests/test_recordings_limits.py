@@ -28,6 +28,7 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.bag_messages import MAGIC
 from needleforce.recordings.csv_file import csv_tables
+from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.open_recording import suggest_mapping
 
 SMALL = 8 << 20  # bytes
@@ -55,45 +56,33 @@ def mcap_file(path, *records):
     return path
 
 
-def chunk(data, compression, declared):
-    return Chunk(
-        compression=compression,
-        data=data,
-        message_start_time=0,
-        message_end_time=0,
-        uncompressed_crc=0,
-        uncompressed_size=declared,
-    )
-
-
 PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 
 
 @pytest.mark.parametrize("compression", PACKERS)
 @pytest.mark.parametrize("declared", [BOMB, 100])
 def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, declared):
-    packed = PACKERS[compression](bytes(BOMB))
-    path = mcap_file(tmp_path / "x.mcap", chunk(packed, compression, declared))
+    zeros = dict.fromkeys(("message_start_time", "message_end_time", "uncompressed_crc"), 0)
+    packed = {"data": PACKERS[compression](bytes(BOMB)), "compression": compression}
+    chunk = Chunk(**packed, uncompressed_size=declared, **zeros)
+    path = mcap_file(tmp_path / "x.mcap", chunk)
     with bounded(), pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"):
         read_table(path, max_bytes=SMALL)
 
 
-def test_compressed_text_is_read_up_to_the_limit(tmp_path):
+@pytest.mark.parametrize(
+    ("lines", "seconds", "max_bytes", "message"),
+    [
+        (b"# note\n" * (BOMB // 28), 60.0, SMALL, "raise max_bytes|lines after line 2 are"),
+        (b"\n" * BOMB, 20.0, MAX_BYTES, "1000000 lines after line 2 are blank or comments"),
+    ],
+    ids=["comments", "line ends"],
+)
+def test_compressed_text_without_rows_is_left_soon(tmp_path, lines, seconds, max_bytes, message):
     path = tmp_path / "x.csv.gz"
-    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + b"# note\n" * (BOMB // 28)))
-    with (
-        bounded(peak=12 * SMALL, seconds=60.0),
-        pytest.raises(FormatError, match=r"raise max_bytes|lines after line 2 are"),
-    ):
-        read_table(path, max_bytes=SMALL)
-
-
-def test_line_ends_without_end_are_left_soon(tmp_path):
-    path = tmp_path / "x.csv.gz"
-    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + b"\n" * BOMB))
-    message = "1000000 lines after line 2 are blank or comments"
-    with bounded(peak=12 * SMALL, seconds=20.0), pytest.raises(FormatError, match=message):
-        read_table(path)
+    path.write_bytes(gzip.compress(b"t,f\n0,1\n" + lines))
+    with bounded(peak=12 * SMALL, seconds=seconds), pytest.raises(FormatError, match=message):
+        read_table(path, max_bytes=max_bytes)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -159,13 +148,18 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
         read_table(path)
 
 
-def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path):
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [(range(1000, 1500), "was written anew while it was followed"), ((), "has become shorter")],
+    ids=["as long", "shorter"],
+)
+def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path, rows, message):
     path = tmp_path / "log.csv"
     path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))
     tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
     next(tables)
-    path.write_text("t,f\n" + "".join(f"{k},2\n" for k in range(1000, 1500)))
-    with pytest.raises(FileAccessError, match="was written anew while it was followed"):
+    path.write_text("t,f\n" + "".join(f"{k},2\n" for k in rows))
+    with pytest.raises(FileAccessError, match=message):
         list(tables)
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, write_table
 from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
-from needleforce.recordings.follow import FollowOptions, byte_blocks
+from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log import LogStream
 from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import stream_tables
@@ -102,16 +102,6 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
     assert "cut short" not in "".join(found.warnings)
     found = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
     assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
-
-
-def test_a_followed_file_that_has_become_shorter_is_refused(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_bytes(b"t,f\n0,1\n1,2\n")
-    blocks = byte_blocks(path, FollowOptions(follow=True))
-    assert next(blocks) == b"t,f\n0,1\n1,2\n"
-    path.write_bytes(b"t,f\n")
-    with pytest.raises(FileAccessError, match="has become shorter"):
-        next(blocks)
 
 
 def test_standard_input_that_is_closed_is_reported(monkeypatch):
