@@ -1,11 +1,11 @@
 """The pages on recordings and bags hold: their examples run, their tables are the code's."""
 
+import doctest
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from page_sessions import session_failures
 
 from needleforce import recordings
 from needleforce.recordings import CHANNELS, ColumnMapping, read_log
@@ -30,7 +30,12 @@ def _files_of_the_page(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_the_sessions_give_what_the_pages_show(page):
-    assert session_failures(page) == ""
+    text = page.read_text(encoding="utf-8")
+    session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+    assert len(session.examples) > 10
+    differences = []
+    doctest.DocTestRunner(verbose=False).run(session, out=differences.append)
+    assert "".join(differences) == ""
 
 
 def test_the_options_on_the_page_give_the_mapping_that_it_describes():
