@@ -2,7 +2,6 @@
 
 import shutil
 import sqlite3
-import sys
 from contextlib import closing
 
 import numpy as np
@@ -12,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleforce.recordings import (
-    FileAccessError,
     FormatError,
     RecordingError,
     read_log,
@@ -209,10 +207,3 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     log = read_log(path)
     assert 0 < len(log) < whole
     assert "x.mcap has a chunk whose checksum is wrong, which was left out" in log.warnings[0]
-
-
-def test_without_rosbags_the_error_says_what_to_install(tmp_path, monkeypatch):
-    folder = write_bag(tmp_path / "bag", insertion_rows(4))
-    monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
-    with pytest.raises(FileAccessError, match="pip install rosbags mcap"):
-        read_log(folder)

@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, read_table, write_table
+from needleforce.recordings.bag_types import standard_types
 from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.follow import BINARY
 
@@ -276,14 +277,16 @@ def test_a_file_cut_short_is_refused_with_the_reason(path):
         read_table(path)
 
 
-def test_without_pyarrow_the_error_says_what_to_install(path, monkeypatch):
-    write_table(path, {"t_s": [0.0]})
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.setitem(sys.modules, "pyarrow.parquet", None)
-    with pytest.raises(FileAccessError, match="pip install pyarrow"):
-        read_table(path)
-    with pytest.raises(FileAccessError, match="pip install pyarrow"):
-        write_table(path, {"t_s": [0.0]})
+@pytest.mark.parametrize(("suffix", "library"), [("parquet", "pyarrow"), ("mcap", "rosbags mcap")])
+def test_without_a_library_the_error_says_what_to_install(tmp_path, monkeypatch, suffix, library):
+    path = tmp_path / f"log.{suffix}"
+    write_table(path, {"t_s": [0.0], "f": [1.0]})
+    standard_types.cache_clear()
+    for module in ("pyarrow", "pyarrow.parquet", "rosbags.typesys"):
+        monkeypatch.setitem(sys.modules, module, None)
+    for use in (read_table, lambda path: write_table(path, {"t_s": [0.0], "f": [1.0]})):
+        with pytest.raises(FileAccessError, match=f"pip install {library}"):
+            use(path)
 
 
 @given(where=st.floats(0.0, 1.0, exclude_max=True), byte=st.integers(0, 255))
