@@ -175,21 +175,13 @@ def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(
     assert os.listdir(tmp_path) == ["file"]
 
 
-def test_warnings_of_the_log_are_passed_on(folder, tmp_path, capsys):
-    text = (folder / "good.csv").read_text().splitlines()
-    text[40] = text[40].rsplit(",", 1)[0] + ",oops"
-    (tmp_path / "log.csv").write_text("\n".join(text) + "\n")
-    assert main(["force", str(tmp_path / "log.csv"), "--external-torque", "--no-tare"]) == 0
-    assert "warning: " in capsys.readouterr().err
-
-
 def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
     columns = insertion(lwr)
     columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(np.int64)
     write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
     assert main(["force", str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
     printed = capsys.readouterr().err
-    assert "if the file is in ns, say unit = 'ns'" in printed
+    assert re.search("^warning: .*; if the file is in ns, say unit = 'ns'", printed, re.MULTILINE)
     assert "START must come before END in a log whose first stamp is 1.7e+18 s" in printed
 
 
