@@ -60,14 +60,6 @@ def test_plants_may_be_listed_or_repeated_and_two_runs_write_equal_bytes(tmp_pat
     assert list(dict.fromkeys(row.plant for row in rows)) == ["degraded", "ideal", "clean"]
 
 
-def test_a_report_has_page_numbers_and_tables(tmp_path, capsys):
-    assert run("--report", str(tmp_path / "deep" / "report")) == 0
-    page = (tmp_path / "deep" / "report" / "index.html").read_text()
-    assert "liver-constant" in page
-    assert len(read_results(tmp_path / "deep" / "report" / "results.json")) == 6
-    assert "index.html" in capsys.readouterr().out
-
-
 def test_a_benchmark_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
     path = tmp_path / "a.json"
     assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1

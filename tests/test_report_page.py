@@ -1,6 +1,5 @@
 """The report of a run: every figure, the published numbers beside ours, nothing passed off."""
 
-import json
 from itertools import product
 
 import pytest
@@ -16,6 +15,7 @@ from benchmarks.report import (
     published_sections,
     write_report,
 )
+from benchmarks.rows import read_results
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import PageFigure
 
@@ -94,14 +94,16 @@ def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
     assert points["ours, F/T, constant"].y[1] == 105.0
 
 
-def test_the_command_writes_page_drawings_and_numbers(tmp_path):
-    plant = ["--plant", "needle", "--workers", "1"]
-    arguments = ["run", "gel-70-constant", *plant, "--report", str(tmp_path)]
-    assert main(arguments) == 0
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+def test_the_command_writes_page_drawings_and_numbers(tmp_path, capsys):
+    folder, written = tmp_path / "deep" / "report", tmp_path / "a.json"
+    options = ["--plant", "needle", "--workers", "1", "--json", str(written)]
+    assert main(["run", "gel-70-constant", *options, "--report", str(folder)]) == 0
+    assert "index.html" in capsys.readouterr().out
+    page = (folder / "index.html").read_text(encoding="utf-8")
     for anchor in ("figure-2", "figure-8", "figure-10", "table-I"):
         assert f'<section id="{anchor}">' in page
+    assert "<caption>Online identification: ruptures" in page
     # A figure that stands alone is there in a wide form as well.
-    narrow = [path for path in tmp_path.glob("*.svg") if not path.stem.endswith("-wide")]
+    narrow = [path for path in folder.glob("*.svg") if not path.stem.endswith("-wide")]
     assert len(narrow) == page.count("<figcaption>")
-    assert json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert read_results(folder / "results.json") == read_results(written) != []
