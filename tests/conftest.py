@@ -20,6 +20,14 @@ def lwr():
     return load_lwr(payload=NeedleTool())
 
 
+@pytest.fixture
+def dot(tmp_path):
+    """The smallest picture."""
+    path = tmp_path / "dot.svg"
+    path.write_text('<svg xmlns="http://www.w3.org/2000/svg" width="90" height="90"></svg>')
+    return path
+
+
 @pytest.fixture(scope="session")
 def recordings_dir():
     """Folder of real recordings; tests that need it skip, saying so, when it is absent."""

@@ -15,7 +15,6 @@ from needleforce.cli.simulate import truth_table
 from needleforce.recordings import read_log, read_table
 
 ID = "gel-25-constant"
-SUFFIXES = (".csv", ".npz", ".parquet", ".mcap")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +38,7 @@ def quick(run, monkeypatch, tmp_path):
     return asked
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
 def test_every_format_goes_through_both_commands_without_an_option(quick, capsys, suffix, run):
     assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
     assert quick == [(ID, "clean", 0)]

@@ -59,18 +59,11 @@ def test_the_clean_arms_torque_has_white_noise_and_a_bias_as_stated():
     assert (start.max(axis=0) > 0.0).all()
 
 
-def noise_only(plant_model):
-    """The torque noise of a plant model, shape (10 N, 7), in units of what it states."""
-    std = plant_model.torque_noise_std_Nm
-    time_s = plant_model.torque_noise_correlation_s
-    quiet = replace(IDEAL, torque_noise_std_Nm=std, torque_noise_correlation_s=time_s)
-    still = np.zeros((10 * N, 7))
-    return torque_error(quiet, tau=still, q=still) / np.array(std)
-
-
 @pytest.mark.parametrize("plant_model", [FRI, DEGRADED], ids=["fri", "degraded"])
 def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
-    noise = noise_only(plant_model)
+    names, still = ("torque_noise_std_Nm", "torque_noise_correlation_s"), np.zeros((10 * N, 7))
+    noisy = replace(IDEAL, **{name: getattr(plant_model, name) for name in names})
+    noise = torque_error(noisy, tau=still, q=still) / np.array(noisy.torque_noise_std_Nm)
     np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.03)
     assert np.abs(noise[:3]).max() > 0.1  # at once as large, not rising from zero
     frequency, density = welch(noise, fs=1.0 / TICK_s, nperseg=8192, axis=0)

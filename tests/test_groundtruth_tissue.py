@@ -18,8 +18,6 @@ FRICTION = ShaftFriction(
     coulomb_N_per_m=10.0, viscous_Ns_per_m2=1e3, presliding_m=1e-4, reference_speed_m_s=2.3e-3
 )
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}
-GELS = (gel(25), gel(50), gel(70))
-EVERY_GEL = pytest.mark.parametrize("percent", TABLE_I_N)
 
 fractions, travels, times = st.floats(0.0, 1.0), st.floats(-0.1, 0.1), st.floats(1e-6, 10.0)
 bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
@@ -90,7 +88,7 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
 
 
-@EVERY_GEL
+@pytest.mark.parametrize("percent", TABLE_I_N)
 def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(percent):
     layer = gel(percent)
     law = Tissue((layer,))

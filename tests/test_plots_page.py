@@ -8,14 +8,11 @@ from needleforce.plots import Page, PageFigure, PageTable, Section, write_page
 from needleforce.plots.chart import ChartError, WriteError
 
 pytest.importorskip("matplotlib")
-DOT = b'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><circle r="4"/></svg>'
 
 
 @pytest.fixture
-def page(tmp_path):
-    path = tmp_path / "dot.svg"
-    path.write_bytes(DOT)
-    figure = PageFigure(path=path, alt='a "dot"', caption="From `a`\nand b", wide=path)
+def page(dot):
+    figure = PageFigure(path=dot, alt='a "dot"', caption="From `a`\nand b", wide=dot)
     table = PageTable(
         caption="Numbers <1>",
         head=("what", "N"),

@@ -21,15 +21,7 @@ from needleforce.plots import PageFigure
 
 pytest.importorskip("matplotlib")
 
-DOT = b'<svg xmlns="http://www.w3.org/2000/svg" width="90" height="90"><circle r="40"/></svg>'
 NUMBERS = ("2", "3", "5", "8", "9", "10", "I", "11", "12", "13", "14")
-
-
-@pytest.fixture
-def dot(tmp_path):
-    path = tmp_path / "dot.svg"
-    path.write_bytes(DOT)
-    return path
 
 
 def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):

@@ -153,10 +153,6 @@ def posed(lwr):
     return q, gravity_of(lwr, q)
 
 
-def noisy(tau, seed):
-    return tau + np.random.default_rng(seed).normal(size=tau.shape) * NOISE_NM
-
-
 def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(lwr, posed):
     q, tau = posed
     other = Payload(mass_kg=5.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
@@ -176,7 +172,8 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
     q, tau = (x[:count] for x in posed)
     rows = []
     for seed in range(40):
-        estimate = identify_payload_static(lwr, q, noisy(tau, seed), **options)
+        noise_Nm = np.random.default_rng(seed).normal(size=tau.shape) * NOISE_NM
+        estimate = identify_payload_static(lwr, q, tau + noise_Nm, **options)
         error = estimate.parameters - TRUE.parameters[:4]
         com = (estimate.payload.com_m - TRUE.com_m) / estimate.com_std_m
         rows.append([*error / np.sqrt(np.diag(estimate.covariance)), *com])
