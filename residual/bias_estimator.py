@@ -115,7 +115,8 @@ class BiasEstimator:
 
     Attributes:
         block_s: Length of a recorded block [s].
-        memory: All that it remembers, to be read every tick, not to be written.
+        memory: All that it remembers, to be read every tick, not to be written; one of the same
+            robot and settings may stand in its place.
     """
 
     RENEW_S = 0.02
@@ -260,25 +261,19 @@ class BiasEstimator:
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared, self.memory.leapt_s = False, 0.0
 
-    def restore(self, memory: BiasState) -> None:
-        """Go on from a `memory`, which is kept, of an estimator of the same robot and settings."""
-        self.memory = memory
-
     def reset(self) -> None:
         """Forget everything."""
         still, states = np.zeros(self._joints), self._basis.states
-        self.restore(
-            BiasState(
-                recorder=TareRecorder.of_size(self._joints, states),
-                joint_memory=np.zeros((states, self._joints)),
-                states=np.zeros((states, self._joints)),
-                torque_sum=np.zeros(self._joints),
-                bias=still,
-                motion_Nm2=still,
-                most_motion_Nm2=still,
-                q=still,
-                dq=still,
-                smooth_dq=still,
-                tare=self._basis.prior_tare,
-            )
+        self.memory = BiasState(
+            recorder=TareRecorder.of_size(self._joints, states),
+            joint_memory=np.zeros((states, self._joints)),
+            states=np.zeros((states, self._joints)),
+            torque_sum=np.zeros(self._joints),
+            bias=still,
+            motion_Nm2=still,
+            most_motion_Nm2=still,
+            q=still,
+            dq=still,
+            smooth_dq=still,
+            tare=self._basis.prior_tare,
         )

@@ -210,13 +210,21 @@ class MomentumObserver:
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
         n = self._joints = robot.nv
-        gains = _gain_vector(gain_per_s, n)
         # One where it serves all: on an uneven clock its weights change every tick.
-        self._gains = gains[:1].copy() if np.ndim(gain_per_s) == 0 else gains
+        is_fit = np.shape(gain_per_s) in ((), (n,))
+        self._gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1)
+        if not (np.isfinite(self._gains).all() and (self._gains > 0).all()):
+            raise ConfigurationError(
+                f"gain_per_s is {gain_per_s!r}, expected one positive number or {n} of them [1/s]"
+            )
         if friction is not None:
             check_friction(friction, n)
         self._model, self._friction = robot.model, friction
-        self._directions = _joint_directions(robot)
+        axes = [joint_axis(joint) for joint in list(robot.model.joints)[1:]]
+        # v x S = -(S x v)
+        crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in axes)))
+        armature = np.array(robot.model.armature) if np.any(robot.model.armature) else np.zeros(0)
+        self._directions = np.asarray(block_diag(*axes)), crossing, armature
         self._data = robot.create_data()
         self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
         self._held = alignment == "hold"
@@ -331,15 +339,6 @@ def joint_axis(joint: pin.JointModel) -> Array:
     return np.array(data.S).ravel()
 
 
-def _joint_directions(robot: Robot) -> tuple[Array, Array, Array]:
-    """What `momentum_step` calls ``joints``."""
-    directions = np.array([joint_axis(joint) for joint in list(robot.model.joints)[1:]])
-    # v x S = -(S x v)
-    crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in directions)))
-    armature = np.array(robot.model.armature) if np.any(robot.model.armature) else np.zeros(0)
-    return np.asarray(block_diag(*directions)), crossing, armature
-
-
 def _shared_rows(vectors: Any) -> Array:
     """The spatial vectors of all joints of a Pinocchio workspace, in place, shape (n, 6)."""
     first, last, step = vectors[1].vector, vectors[len(vectors) - 1].vector, 6 * 8
@@ -347,14 +346,3 @@ def _shared_rows(vectors: Any) -> Array:
     if rows[-1].ctypes.data != last.ctypes.data:
         raise ConfigurationError("this version of pinocchio lays out its workspace in another way")
     return rows
-
-
-def _gain_vector(gain_per_s: float | ArrayLike, joints: int) -> Array:
-    """Observer gains as one positive number per joint, shape (n,) [1/s]."""
-    if np.shape(gain_per_s) in ((), (joints,)):
-        gain = np.array(np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64), joints))
-        if np.isfinite(gain).all() and (gain > 0).all():
-            return gain
-    raise ConfigurationError(
-        f"gain_per_s is {gain_per_s!r}, expected one positive number or {joints} of them [1/s]"
-    )

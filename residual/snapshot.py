@@ -58,19 +58,6 @@ def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
             yield from arrays(part, f"{place}.{k}")
 
 
-def check_form(state: object, model: object) -> None:
-    """Compare the shapes of all arrays of a state with those of a valid one of the same sensor.
-
-    `SnapshotError` with the array that differs, or what is missing.
-    """
-    expected = {place: array.shape for place, array in arrays(model)}
-    for place, array in arrays(state):
-        first = 1 if place.endswith(GROWING) else 0
-        wanted = expected.get(LIKE.get(place, place), array.shape)
-        if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
-            raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
-
-
 def settings_text(config: Any, joints: int) -> str:
     """Settings in words that are equal only for equal settings.
 
@@ -141,7 +128,12 @@ def try_out(twin: Any, state: Any) -> None:
     try:
         still = np.zeros(len(state.weighed_at))
         _run(twin, state, still, still, still)
-        check_form(state, twin.snapshot())
+        expected = {place: array.shape for place, array in arrays(twin.snapshot())}
+        for place, array in arrays(state):
+            first = 1 if place.endswith(GROWING) else 0
+            wanted = expected.get(LIKE.get(place, place), array.shape)
+            if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
+                raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
         twin._take(deepcopy(state))
         _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2])
     except Exception as error:  # whatever a damaged state makes of its parts

@@ -293,7 +293,7 @@ class VirtualForceSensor:
             kind = {"is_external": state.is_external, "has_velocity": state.stream.velocity is None}
             self._stream = SampleStream(self._robot, self._config, **kind)
             self._stream.restore(state.stream)
-        self._offset.restore(state.offset)
+        self._offset.memory = state.offset
         self.lag_s = state.lag_s
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
