@@ -98,11 +98,7 @@ class PublishedConfig:
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
-        """Check the values.
-
-        Raises:
-            InvalidConfigError: One is not positive, or sigma1 does not exceed sigma0.
-        """
+        """Raise `InvalidConfigError` unless values are positive and sigma1 exceeds sigma0."""
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
         _check_kind("most_windows", self.most_windows, numbers.Integral)

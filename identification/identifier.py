@@ -14,8 +14,7 @@ from identification.published_identifier import PublishedMethod, PublishedState
 from identification.switching_identifier import SwitchingMethod, SwitchingState
 from needleforce.jit import working_copy
 
-_new = tuple.__new__
-"""Makes an `Estimate` of a tuple in a third of the time."""
+_new = tuple.__new__  # makes an `Estimate` of a tuple in a third of the time
 _METHODS: dict[type, Any] = {MultilayerConfig: SwitchingMethod, PublishedConfig: PublishedMethod}
 """By the type of their settings. A method gets checked samples only: ``update`` uses one, and
 returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of a sample at zero

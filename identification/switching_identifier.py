@@ -121,7 +121,11 @@ class SwitchingMethod:
 
     def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those left, with what every sample needs of them."""
-        self.layers, self._left = layers, left_layers(layers)
+        self.layers, self._left = layers, np.zeros((len(layers), 4))
+        for row, layer in zip(self._left, layers, strict=True):  # see `switching_outputs`
+            coulomb = min((layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N)
+            viscous = (layer.friction_N - coulomb) / max(_MM * layer.rupture.speed_m_s, 1e-3)
+            row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
 
     def report(self) -> tuple[Any, ...]:
         """What there is to report without a sample."""
@@ -370,16 +374,6 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, tuple[fl
     at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
     place = Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before)
     return place, (jitter, speed_noise, by_motion / filled)
-
-
-def left_layers(layers: tuple[LayerEstimate, ...]) -> Array:
-    """Friction of the layers left, for the withdrawal; see `switching_outputs`."""
-    found = np.zeros((len(layers), 4))
-    for row, layer in zip(found, layers, strict=True):
-        coulomb = min((layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N)
-        viscous = (layer.friction_N - coulomb) / max(_MM * layer.rupture.speed_m_s, 1e-3)
-        row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
-    return found
 
 
 def _damping(bank: BankMemory, depth: float) -> float:

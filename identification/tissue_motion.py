@@ -78,11 +78,6 @@ class TissueMotion(NamedTuple):
         """Whether a motion is in use."""
         return len(self.fit.beats) > 0
 
-    @property
-    def _is_long(self) -> bool:
-        """Whether the window is long enough to be fitted."""
-        return len(self.window) >= _MARGIN + _LEAST_S / STEP_S
-
     def at(self, time_s: float) -> tuple[float, float]:
         """Place and speed of the tissue [mm, mm/s]."""
         at_s = np.array([time_s - self.fit.at_s])
@@ -128,8 +123,9 @@ class TissueMotion(NamedTuple):
         return self._replace(window=window, filling=_EMPTY)
 
     def is_due(self, time_s: float) -> bool:
-        """Whether there is work to do."""
-        return self._is_long and (self.unit >= 0 or time_s >= self.next_s)
+        """Whether there is work to do: the window is long enough to be fitted."""
+        is_long = len(self.window) >= _MARGIN + _LEAST_S / STEP_S
+        return is_long and (self.unit >= 0 or time_s >= self.next_s)
 
     def worked(self, time_s: float) -> "TissueMotion":
         """Do one unit of what is due."""
