@@ -48,7 +48,19 @@ class TorqueSensor:
         bias = rng.uniform(plant_model.torque_bias_min_Nm, plant_model.torque_bias_max_Nm)
         self._bias_Nm = bias * rng.choice((-1.0, 1.0), bias.shape)
         self._phase_rad = rng.uniform(0.0, 2.0 * np.pi, joints)
-        self._drift_Nm = limit_Nm * _relative_drift(shape, plant_model, rng)
+        # Linear drift, a random walk and the warming up, as fractions of the limit.
+        minutes = np.arange(shape[0]) * (TICK_s / SECONDS_PER_MINUTE)
+        rate = plant_model.torque_drift_std_per_min * rng.standard_normal(joints)
+        minute_walk = plant_model.torque_random_walk_std_per_sqrt_min
+        step = minute_walk * np.sqrt(TICK_s / SECONDS_PER_MINUTE)
+        walk = np.cumsum(step * rng.standard_normal(shape), axis=0)
+        factor = drawn_factors(plant_model, (joints,), rng)
+        drift = factor * (minutes[:, None] * rate + walk - walk[0])
+        if plant_model.torque_warm_up != 0.0:
+            cold = np.exp(-np.arange(shape[0]) * TICK_s / plant_model.warm_up_s)
+            sign = rng.choice((-1.0, 1.0), joints)
+            drift = drift + plant_model.torque_warm_up * sign * cold[:, None]
+        self._drift_Nm = limit_Nm * drift
         white = rng.standard_normal(shape)
         noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
         self._noise_Nm = np.array(plant_model.torque_noise_std_Nm) * noise
@@ -75,22 +87,6 @@ class TorqueSensor:
             bent = size * (bent + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
             seen = seen + plant_model.torque_nonlinearity * self._limit_Nm * bent
         return seen + self._bias_Nm + self._drift_Nm[ticks] + self._noise_Nm[ticks]
-
-
-def _relative_drift(
-    shape: tuple[int, ...], plant_model: PlantModel, rng: np.random.Generator
-) -> Array:
-    """Linear drift, a random walk and the warming up, as fractions of the limit."""
-    minutes = np.arange(shape[0]) * (TICK_s / SECONDS_PER_MINUTE)
-    rate = plant_model.torque_drift_std_per_min * rng.standard_normal(shape[1])
-    step = plant_model.torque_random_walk_std_per_sqrt_min * np.sqrt(TICK_s / SECONDS_PER_MINUTE)
-    random_walk = np.cumsum(step * rng.standard_normal(shape), axis=0)
-    factor = drawn_factors(plant_model, (shape[1],), rng)
-    drift = factor * (minutes[:, None] * rate + random_walk - random_walk[0])
-    if plant_model.torque_warm_up == 0.0:
-        return drift
-    cold = np.exp(-np.arange(shape[0]) * TICK_s / plant_model.warm_up_s)
-    return drift + plant_model.torque_warm_up * rng.choice((-1.0, 1.0), shape[1]) * cold[:, None]
 
 
 def backlash(signal: Array, half_width: Array) -> Array:

@@ -8,7 +8,7 @@ at each layer's reference speed, the shaft friction. Our multilayer estimator do
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple, cast
 
@@ -238,7 +238,7 @@ def collect_truth(
         friction_N=columns[:, 2],
         layer_friction_N=per_layer,
         layer=np.array([force.layer for force in forces], dtype=np.int64),
-        ruptures=_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer),
+        ruptures=tuple(_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer)),
         contact_s=contact_s,
         withdrawn_s=np.nan if np.isnan(contact_s) else withdrawn_s,
     )
@@ -259,9 +259,8 @@ def _ruptures(
     depth_m: Array,
     tip_N: Array,
     layer_friction_N: Array,
-) -> tuple[Rupture, ...]:
+) -> Iterator[Rupture]:
     """The ruptures in the order they happen, timed from the depth the needle went through."""
-    found: list[Rupture] = []
     friction_N = layer_friction_N.sum(axis=1)
     axial_N = tip_N + friction_N
     for above, boundary in enumerate(boundaries):
@@ -273,16 +272,13 @@ def _ruptures(
         end_s = float(t_s[-1]) if np.isnan(end_s) else end_s
         before = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
         after = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
-        found.append(
-            Rupture(
-                onset_s=onset_s,
-                end_s=end_s,
-                onset_m=boundary.onset_m,
-                layer=above,
-                drop_N=float(tip_N[before]),
-                visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
-                layer_friction_N=float(layer_friction_N[before, above - 1]) if above else 0.0,
-                friction_N=float(friction_N[after]),
-            )
+        yield Rupture(
+            onset_s=onset_s,
+            end_s=end_s,
+            onset_m=boundary.onset_m,
+            layer=above,
+            drop_N=float(tip_N[before]),
+            visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
+            layer_friction_N=float(layer_friction_N[before, above - 1]) if above else 0.0,
+            friction_N=float(friction_N[after]),
         )
-    return tuple(found)

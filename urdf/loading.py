@@ -66,7 +66,14 @@ def load_urdf(
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
     source = str(path)
-    locked = _locked_positions(locked_joints)
+    if isinstance(locked_joints, str):
+        raise InputError(f"locked_joints is the string {locked_joints!r}, expected a list of names")
+    if not isinstance(locked_joints, Mapping):
+        locked_joints = dict.fromkeys(locked_joints, 0.0)
+    locked = {str(name): float(value) for name, value in locked_joints.items()}
+    for name, value in locked.items():
+        if not np.isfinite(value):
+            raise InputError(f"locked_joints: position of {name!r} is {value}, expected a number")
     root = read_description(Path(path), without)
     check_description(root, source, locked=locked, check_inertias=check_inertias)
     model = build_model(root, source)
@@ -166,18 +173,6 @@ def example_robot_path(name: str) -> Path:
         f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
         f"pip install {_PACKAGE}"
     )
-
-
-def _locked_positions(locked_joints: Iterable[str] | Mapping[str, float]) -> dict[str, float]:
-    if isinstance(locked_joints, str):
-        raise InputError(f"locked_joints is the string {locked_joints!r}, expected a list of names")
-    if not isinstance(locked_joints, Mapping):
-        locked_joints = dict.fromkeys(locked_joints, 0.0)
-    positions = {str(name): float(value) for name, value in locked_joints.items()}
-    for name, value in positions.items():
-        if not np.isfinite(value):
-            raise InputError(f"locked_joints: position of {name!r} is {value}, expected a number")
-    return positions
 
 
 def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
