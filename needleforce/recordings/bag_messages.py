@@ -184,9 +184,8 @@ class _McapReader:
             if self._is_over or end > len(held):
                 break
             yield from self._taken(opcode, bytes(held[start:end]))
-            done = end
-            if opcode == _DATA_END:
-                self._is_over = True
+            done, self._is_over = end, opcode == _DATA_END
+            if self._is_over:
                 break
         self._at += done
         del held[:done]
@@ -281,8 +280,6 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
                 if type(log_ns) is not int or type(data) is not bytes:
                     raise TypeError(f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes")
                 yield RawMessage(topics[connection.id], log_ns, data)
-    except (FileAccessError, FormatError):
-        raise
     except (rosbag2.ReaderError, apsw.Error, *damage) as error:
         if "missing tables" in str(error):
             raise FormatError("is not a bag: it has no tables messages and topics") from error

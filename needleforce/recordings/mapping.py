@@ -4,6 +4,7 @@ import json
 import sys
 import tomllib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -69,10 +70,8 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     names, unit, scale = text, None, 1.0
     head, colon, tail = names.rpartition(":")
     if colon:
-        try:
+        with suppress(ValueError):
             names, scale = head, float(tail)
-        except ValueError:
-            names = text
     head, colon, tail = names.rpartition(":")
     if colon and (unit := find_unit(tail, channel.units)):
         names = head
