@@ -28,17 +28,13 @@ class SampleError(ResidualError, ValueError):
     """A sample that must not be used: wrong shape, not finite, or time not advancing.
 
     Whoever raises it has left its state as it was before the call.
-    """
-
-
-class SuspectSampleError(SampleError):
-    """A sample of valid numbers that is no measurement: a spike, a frozen or a saturated torque.
 
     Attributes:
-        warning: Which of these, a `residual.SensorWarning`.
+        warning: Of valid numbers that are no measurement, why: a spike, a frozen or a saturated
+            torque.
     """
 
-    def __init__(self, message: str, warning: SensorWarning) -> None:
+    def __init__(self, message: str, warning: SensorWarning = SensorWarning.NONE) -> None:
         super().__init__(message)
         self.warning = warning
 

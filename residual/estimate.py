@@ -1,7 +1,7 @@
 """What comes out of the virtual sensor, and how far it may be trusted."""
 
 from enum import IntFlag, StrEnum
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,15 +106,15 @@ class WrenchEstimate(NamedTuple):
     model_mismatch: float = 0.0
     warnings: SensorWarning = SensorWarning.NONE
 
-
-def unknown_wrench(joints: int, components: int) -> WrenchEstimate:
-    """An estimate that knows nothing, for a first sample that is bad."""
-    nothing, residual, removed = np.zeros(3), np.zeros(joints), np.zeros(components)
-    unknown = np.diag(np.full(components, UNSEEN_STD**2))
-    for array in (nothing, residual, removed, unknown):
-        array.setflags(write=False)
-    vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, 0.0, residual
-    return WrenchEstimate(0.0, UNSEEN_STD, 0.0, UNSEEN_STD, *vectors)
+    @classmethod
+    def unknown(cls, joints: int, components: int) -> Self:
+        """An estimate that knows nothing, for a first sample that is bad."""
+        nothing, residual, removed = np.zeros(3), np.zeros(joints), np.zeros(components)
+        unknown = np.diag(np.full(components, UNSEEN_STD**2))
+        for array in (nothing, residual, removed, unknown):
+            array.setflags(write=False)
+        vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, 0.0, residual
+        return cls(0.0, UNSEEN_STD, 0.0, UNSEEN_STD, *vectors)
 
 
 INITIALIZING = "the filters have just started"
@@ -126,8 +126,4 @@ TARE_EXPIRED = (
 FORGOTTEN = (
     "a time step of minutes has come while free motion was recorded, a pause or a clock that was "
     "set; what was recorded before it is forgotten: move in free air again, then tare"
-)
-OTHER_KIND = (
-    "update() and update_external_torque() were mixed; a tare is of one kind of torque: keep to "
-    "one of the two, or start_tare_recording() first"
 )

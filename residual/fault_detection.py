@@ -12,19 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
-from residual.errors import Array, SuspectSampleError, named_joints
+from residual import stuck_signals as stuck
+from residual.errors import Array, SampleError, named_joints
 from residual.estimate import SensorWarning
 from residual.input_validation import ROUNDING_S, known_limits
-from residual.stuck_signals import (
-    LONGEST_USUAL_S,
-    MOST_SAMPLES,
-    NoiseProbe,
-    SingleSignalDetector,
-    StuckSignalDetector,
-    new_rows,
-    stands_out,
-    white_noise,
-)
+from residual.stuck_signals import NoiseProbe, SingleSignalDetector, StuckSignalDetector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -151,7 +143,7 @@ class FaultDetector:
                 before=np.zeros(size),
                 velocity=np.zeros(n),
                 alone=SingleSignalDetector(np.zeros(n), np.zeros(n), np.full(n, np.inf)),
-                probe=NoiseProbe(np.zeros((MOST_SAMPLES, size))),
+                probe=NoiseProbe(np.zeros((stuck.MOST_SAMPLES, size))),
             )
         )
 
@@ -180,7 +172,7 @@ class FaultDetector:
         """Judge a sample; what it is compared with changes only with `accept`.
 
         Returns whether its position has jumped and is accepted only because it stayed where it is;
-        `SuspectSampleError` for a spike, frozen signals or a saturated torque.
+        `SampleError` for a spike, frozen signals or a saturated torque.
         """
         memory = self.memory
         off = now - memory.last
@@ -196,7 +188,7 @@ class FaultDetector:
             frozen = ["position"] * (motion_repeats and memory.motion.is_stuck(dt_s))
             frozen += ["torque"] * (torque_repeats and memory.torque.is_stuck(dt_s))
             if frozen:
-                raise SuspectSampleError(
+                raise SampleError(
                     f"{' and '.join(frozen)} of all joints repeat bit for bit although they are "
                     "noisy; check the sensors and the connection",
                     SensorWarning.FROZEN,
@@ -237,36 +229,37 @@ class FaultDetector:
         """
         memory, speed = self.memory, np.abs(velocity)
         if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, LONGEST_USUAL_S)
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, stuck.LONGEST_USUAL_S)
         if memory.swept is None:
             return speed * dt_s
         # Forgets, so that noise of the velocity does not add up while an arm rests.
-        return memory.swept * max(1.0 - dt_s / LONGEST_USUAL_S, 0.0) + speed * dt_s
+        return memory.swept * max(1.0 - dt_s / stuck.LONGEST_USUAL_S, 0.0) + speed * dt_s
 
     def _learn(self, rows: Array) -> None:
         """The first half second, shape (m, size), is over: learn noise and resolution."""
         n, memory = self._joints, self.memory
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
-        memory.noise = np.concatenate([white_noise(new_rows(signal)) for signal in signals])
+        memory.noise = np.concatenate([stuck.white_noise(stuck.new_rows(each)) for each in signals])
         memory.probe = None
         self._set_gates(memory.noise)
-        torque = stands_out(rows[:, -n:])
+        torque = stuck.stands_out(rows[:, -n:])
         memory.torque.is_telling = bool(torque.all())
         memory.alone.learn(torque, memory.torque.usual_s)
         # Encoders may be too coarse for noise where velocities are not.
-        memory.motion.is_telling = bool(stands_out(rows[:, :-n]).reshape(-1, n).any(axis=0).all())
+        motion = stuck.stands_out(rows[:, :-n]).reshape(-1, n)
+        memory.motion.is_telling = bool(motion.any(axis=0).all())
 
     def _check_each(self) -> None:
         """Every so often: does one torque repeat by itself, is one near its limit?"""
         memory = self.memory
         torque = memory.last[-self._joints :]
-        stuck = memory.alone.check(torque, memory.age_s)
+        alone = memory.alone.check(torque, memory.age_s)
         memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
         memory.age_s = 0.0
         memory.warning = memory.question = ""
-        if stuck and not memory.torque.repeats:
-            memory.warning = f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
+        if alone and not memory.torque.repeats:
+            memory.warning = f"tau at {named_joints(alone)} repeats bit for bit: check its sensor"
         elif memory.torque.seems_stuck or memory.motion.seems_stuck:
             memory.warning = (
                 "all joints still repeat bit for bit; no longer held back, the arm may rest"
@@ -282,7 +275,7 @@ class FaultDetector:
         clipped = np.flatnonzero(load >= SATURATED_RATIO)
         if clipped.size:
             what = "it seems to be in mNm" if load.max() > MOST_LOAD else "the true one may be more"
-            raise SuspectSampleError(
+            raise SampleError(
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",
                 SensorWarning.SATURATED,
@@ -304,7 +297,7 @@ class FaultDetector:
         if memory.stayed_s >= STAYED_S - ROUNDING_S:
             return has_moved
         jumped = named_joints(np.flatnonzero(beyond.any(axis=0)))
-        raise SuspectSampleError(
+        raise SampleError(
             f"a signal jumped further than an arm can at {jumped}; held back unless it stays for "
             f"{STAYED_S:g} s",
             SensorWarning.SPIKE,

@@ -50,6 +50,8 @@ RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
 END = 4  # the last four at the end of the tick follow in the same order
 BEFORE, ROWS = 5, 9  # so many rows are known before the tick, and so many there are
+Motion = tuple[Matrix, Matrix]  # see `momentum_step`
+Joints = tuple[Matrix, Matrix, Vector]  # likewise
 
 
 @compiled
@@ -72,9 +74,7 @@ def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, h
         row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
-def _momentum_by_numpy(
-    motion: tuple[Array, Array], joints: tuple[Array, Array, Array], velocity: Array, rows: Array
-) -> None:
+def _momentum_by_numpy(motion: Motion, joints: Joints, velocity: Array, rows: Array) -> None:
     """`set_momentum` where nothing compiles."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
     directions.dot(momenta.ravel(), rows[MOMENTUM + END])
@@ -85,12 +85,7 @@ def _momentum_by_numpy(
 
 
 @compiled_or(_momentum_by_numpy)
-def set_momentum(
-    motion: tuple[Matrix, Matrix],
-    joints: tuple[Matrix, Matrix, Vector],
-    velocity: Vector,
-    rows: WrittenMatrix,
-) -> None:
+def set_momentum(motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix) -> None:
     """Write momentum p and C' dq at the end of a tick; arguments as of `momentum_step`."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
     for j in range(len(velocity)):
@@ -105,8 +100,8 @@ def set_momentum(
 @compiled
 def momentum_step(
     rows: WrittenMatrix,
-    motion: tuple[Matrix, Matrix],
-    joints: tuple[Matrix, Matrix, Vector],
+    motion: Motion,
+    joints: Joints,
     load: Vector,
     sample: Matrix,
     weights: Matrix,

@@ -105,8 +105,8 @@ class SampleStream:
     ) -> TorqueSample:
         """Take one sample; arguments as of `VirtualForceSensor.update`.
 
-        `SampleError` for a wrong shape, numbers that are not finite, or a velocity that comes and
-        goes, `SuspectSampleError` for a spike, frozen signals or a saturated torque; nothing has
+        `SampleError` for a wrong shape, numbers that are not finite, a velocity that comes and
+        goes, or, with a warning, for a spike, frozen signals or a saturated torque; nothing has
         then changed but what the fault detector knows of it.
         """
         if (dq is None) == self.has_velocity:
@@ -148,23 +148,18 @@ class SampleStream:
         residual = observer.step(found, dt_s)
         memory.age_s = 0.0 if dt_s > self._max_gap_s else memory.age_s + dt_s
         if memory.probe is not None:
-            self._learn_noise(memory.probe, observer, rows, q, last_s)
+            # Learn the velocity's noise from the first samples, then smooth the momentum.
+            samples = memory.probe.add(rows[0 if self._velocity is not None else 1], last_s)
+            if samples is not None:
+                noise = white_noise(samples)
+                if self._velocity is not None:
+                    # At rest a coarse encoder may show no noise; in motion its steps are not white.
+                    largest = np.full_like(noise, COARSE * noise.max())
+                    noise = largest * self._velocity.noise_per_position_noise(last_s)
+                observer.smooth_momentum(noise, q)
+                memory.probe = None
         settled = memory.age_s >= self._settling_s and memory.probe is None
         return _new(TorqueSample, (q, dq, found[2], residual, settled))
-
-    def _learn_noise(
-        self, probe: NoiseProbe, observer: MomentumObserver, rows: Array, q: Array, dt_s: float
-    ) -> None:
-        """Learn the velocity's noise from the first samples, then smooth the momentum."""
-        samples = probe.add(rows[0] if self._velocity is not None else rows[1], dt_s)
-        if samples is not None:
-            noise = white_noise(samples)
-            if self._velocity is not None:
-                # At rest a coarse encoder may show no noise; in motion its steps are not white.
-                largest = np.full_like(noise, COARSE * noise.max())
-                noise = largest * self._velocity.noise_per_position_noise(dt_s)
-            observer.smooth_momentum(noise, q)
-            self.memory.probe = None
 
     @property
     def warning(self) -> str:

@@ -90,8 +90,7 @@ class VelocityEstimator:
         ConfigurationError: For a setting that cannot work.
     """
 
-    SETTLING_LAGS = 10.0
-    """Lags after which the start has faded to 5e-4 of itself."""
+    SETTLING_LAGS = 10.0  # Lags after which the start has faded to 5e-4 of itself
 
     def __init__(
         self,

@@ -13,23 +13,8 @@ from residual.bias_estimator import BiasEstimator, BiasState
 from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
 from residual.consistency_checks import ConsistencyMonitor, MonitorState
-from residual.errors import (
-    Array,
-    SampleError,
-    SnapshotError,
-    SuspectSampleError,
-    TareError,
-    VelocityError,
-)
-from residual.estimate import (
-    INITIALIZING,
-    NOT_TARED,
-    OTHER_KIND,
-    SensorWarning,
-    Status,
-    WrenchEstimate,
-    unknown_wrench,
-)
+from residual.errors import Array, SampleError, SnapshotError, TareError, VelocityError
+from residual.estimate import INITIALIZING, NOT_TARED, SensorWarning, Status, WrenchEstimate
 from residual.input_validation import SampleClock, long_step
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.snapshot import robot_digest, settings_text, try_out
@@ -317,7 +302,10 @@ class VirtualForceSensor:
         try:
             if stream is None or stream.is_external != is_external:
                 if stream is not None and not self._offset.is_fresh:
-                    raise SampleError(OTHER_KIND)
+                    raise SampleError(
+                        "update() and update_external_torque() were mixed; a tare is of one kind "
+                        "of torque: keep to one of the two, or start_tare_recording() first"
+                    )
                 kind = {"is_external": is_external, "has_velocity": dq is not None}
                 stream = SampleStream(self._robot, self._config, **kind)
             elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
@@ -391,10 +379,8 @@ class VirtualForceSensor:
         self.rejected, self._refusal = self.rejected + 1, str(error)
         last = self._last
         if last is None:
-            last = unknown_wrench(self._robot.nv, COMPONENTS[self._config.mode])
+            last = WrenchEstimate.unknown(self._robot.nv, COMPONENTS[self._config.mode])
         else:
             self._clock.miss(dt_s)
-        warnings = last.warnings
-        if isinstance(error, SuspectSampleError):
-            warnings |= error.warning
+        warnings = last.warnings | error.warning
         return last._replace(status=Status.REJECTED, message=str(error), warnings=warnings)
