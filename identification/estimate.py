@@ -184,11 +184,6 @@ class Events(NamedTuple):
     retracted: Rupture | None = None
 
 
-def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
-    """How many layers have been traversed, those no longer kept included."""
-    return layers[-1].layer if layers else 0
-
-
 Sample = tuple[float, float, float, float, float, float, float, float, float, float]
 """A checked sample as a method gets it; every number is finite: time on the caller's clock, see
 `Identifier.update`; interval since the previous sample that was used, positive; depth, jumps

@@ -96,15 +96,9 @@ def as_scalar(value: Any) -> float | None:
 
 @compiled
 def _check_motion(
-    depth: float,
-    speed: float,
-    dt_s: float,
-    is_measured: bool,
-    memory: WrittenVector,
-    limits: Limits,
+    depth: float, speed: float, dt_s: float, is_measured: bool, m: WrittenVector, limits: Limits
 ) -> tuple[int, float]:
     """Compare depth with speed; returns the status and the time since the last sample used."""
-    m = memory
     gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
     # Of the time since the last depth, and since the last sample that was used.
     dt = dt_s + m[_PENDING]
@@ -189,9 +183,8 @@ def _density(memory: WrittenVector, gain: float) -> float:
 
 
 @compiled
-def _measure(memory: WrittenVector, k: int, value: float, noise: float) -> float:
+def _measure(m: WrittenVector, k: int, value: float, noise: float) -> float:
     """Use a measurement of depth (k = 0) or speed (1); returns the standardised innovation."""
-    m = memory
     own, other, n_own, n_other = _VAR_DEPTH + 2 * k, _VAR_SPEED - 2 * k, _NOISE_DEPTH, _NOISE_SPEED
     if k == 1:
         n_own, n_other = _NOISE_SPEED, _NOISE_DEPTH
@@ -230,10 +223,9 @@ def _learn_smooth_noise(
 
 @compiled
 def _fill_block(
-    memory: WrittenVector, depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool
+    m: WrittenVector, depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool
 ) -> None:
     """Add a sample to the block of means, and learn smooth noise from a full one."""
-    m = memory
     m[_FILLED] += dt_s
     m[_SAMPLES] += 1.0
     m[_DEPTH_SUM] += depth_m

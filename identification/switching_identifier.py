@@ -17,15 +17,7 @@ from identification import rupture_report as reports
 from identification import switching_update as samples
 from identification.config import MultilayerConfig
 from identification.disturbance_levels import BEATS, COLOUR_S, DisturbanceLevels, transitions
-from identification.estimate import (
-    Array,
-    Events,
-    LayerEstimate,
-    Rupture,
-    RuptureState,
-    Sample,
-    layers_traversed,
-)
+from identification.estimate import Array, Events, LayerEstimate, Rupture, RuptureState, Sample
 from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
 from identification.speed_trend import NO_TREND, follow_speed
 from identification.tissue_motion import TissueMotion
@@ -53,6 +45,7 @@ _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have ra
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
 _LAYERS, _RUPTURES = 4, 8  # added where the layer left, or ruptures, are to be reported first
+Noise = tuple[float, float, float]  # deviations of depth and speed; variance of force by motion
 
 
 class SwitchingState(NamedTuple):
@@ -362,7 +355,12 @@ class SwitchingMethod:
         self._keep(tuple(kept))
 
 
-def _block(time_s: float, memory: Array, before: float) -> tuple[Place, tuple[float, float, float]]:
+def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
+    """How many layers have been traversed, those no longer kept included."""
+    return layers[-1].layer if layers else 0
+
+
+def _block(time_s: float, memory: Array, before: float) -> tuple[Place, Noise]:
     """Means of a block that is full; noise of depth, speed, force by motion; the next begins."""
     *sums, _, _, _, _, jitter, speed_noise, _, _, _ = np.array(memory).tolist()
     filled, z, v, w, force, raw, by_motion = sums
@@ -403,11 +401,7 @@ def _predict(
 
 
 def _learn(
-    bank: BankMemory,
-    place: Place,
-    levels: DisturbanceLevels,
-    resumed: float,
-    noise: tuple[float, float, float],
+    bank: BankMemory, place: Place, levels: DisturbanceLevels, resumed: float, noise: Noise
 ) -> None:
     (depth_std, speed_std, by_motion), (best, fact) = noise, bank.likeliest
     damping = _damping(bank, place.depth)

@@ -9,22 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from identification import tissue_window as windows
 from identification.estimate import Array
 from identification.hypothesis_bank import Place
-from identification.tissue_window import (
-    BREATH,
-    CLEAR,
-    FAIR,
-    GOOD,
-    HEART,
-    SIZE,
-    SLOWEST_HEART,
-    STEP_S,
-    Fit,
-    Window,
-    displacement,
-    turned,
-)
+from identification.tissue_window import Fit, Window, displacement, turned
 
 _LEAST_S, _MARGIN = 2.5, 7
 """Least length of a window, and newest means left out: a release may have begun there."""
@@ -38,7 +26,7 @@ _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
 _STEPS, _STEPS_EACH = 8, 7  # Gauss-Newton steps of a fit, and of each start of one with two beats
 _SLOW, _SIZES = np.linspace(0.15, 0.45, 7), (0.7, 1.4)  # Breaths that those begin with
-_SCANNED = len(BREATH) + 2 * len(HEART)  # units of a search before the first fit
+_SCANNED = len(windows.BREATH) + 2 * len(windows.HEART)  # units of a search before the first fit
 _BOTH = 2 * _STEPS - 1 + len(_SLOW) * (1 + _STEPS_EACH)
 _DONE = _STEPS - 1, _BOTH, _BOTH + _STEPS
 """Units after those at which a fit is done: the heart alone, both, the breath alone."""
@@ -91,7 +79,7 @@ class TissueMotion(NamedTuple):
 
         The third is the part by which the motion just found is believed.
         """
-        slow = self.fit.beats[:, 0] < SLOWEST_HEART
+        slow = self.fit.beats[:, 0] < windows.SLOWEST_HEART
         left = (2.0 * self.fit.rms_N) ** 2
         part = min(max((time_s - self.since_s) / _BELIEF_S, 0.0), 1.0)
         return left * float((~slow).any()), left * float(slow.any()), part
@@ -103,7 +91,7 @@ class TissueMotion(NamedTuple):
         """
         window, until_s, fit = self.window, self.until_s, Fit()
         is_last = window[:, 0] >= self.from_s
-        if is_last.sum() >= _MARGIN + _LEAST_S / STEP_S:
+        if is_last.sum() >= _MARGIN + _LEAST_S / windows.STEP_S:
             window, fit = window[is_last], self.fit
             until_s = float(window[-_MARGIN, 0])
         from_s, since_s = time_s + _SETTLE_S, self.since_s
@@ -117,14 +105,14 @@ class TissueMotion(NamedTuple):
         means = (1.0, block.time_s, block.depth + place, block.speed + speed, block.force)
         sums = zip(self.filling, means, strict=True)
         filling = tuple(total + block.dt_s * mean for total, mean in sums)
-        if filling[0] < STEP_S * (1.0 - 1e-9):
+        if filling[0] < windows.STEP_S * (1.0 - 1e-9):
             return self._replace(filling=filling)
-        window = np.vstack((self.window[-SIZE + 1 :], np.array(filling[1:]) / filling[0]))
+        window = np.vstack((self.window[-windows.SIZE + 1 :], np.array(filling[1:]) / filling[0]))
         return self._replace(window=window, filling=_EMPTY)
 
     def is_due(self, time_s: float) -> bool:
         """Whether there is work to do: the window is long enough to be fitted."""
-        is_long = len(self.window) >= _MARGIN + _LEAST_S / STEP_S
+        is_long = len(self.window) >= _MARGIN + _LEAST_S / windows.STEP_S
         return is_long and (self.unit >= 0 or time_s >= self.next_s)
 
     def worked(self, time_s: float) -> "TissueMotion":
@@ -135,10 +123,10 @@ class TissueMotion(NamedTuple):
         if self.unit >= 0:
             return self._searched(window, time_s)
         if not self.is_known:
-            due = 0 if window.still > max(CLEAR, 0.1 * window.count) else -1
+            due = 0 if window.still > max(windows.CLEAR, 0.1 * window.count) else -1
             return self._replace(next_s=time_s + _CHECK_S, unit=due)
         fit = window.stepped(turned(self.fit, time_s), is_prior=True)
-        is_good = fit.error < min(GOOD * window.count, window.still)
+        is_good = fit.error < min(windows.GOOD * window.count, window.still)
         bad = 0 if is_good else self.bad + 1
         unit = 0 if bad >= _PATIENCE else -1
         if 0 < bad < _PATIENCE:  # it may be a rupture: noise does not grow yet
@@ -153,7 +141,7 @@ class TissueMotion(NamedTuple):
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
-        likely, unit = fit if fit.error < FAIR * window.count else Fit(), max(self.unit, 0)
+        likely, unit = fit if fit.error < windows.FAIR * window.count else Fit(), max(self.unit, 0)
         return self._replace(likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S)
 
     def _known(self, fit: Fit, time_s: float) -> "TissueMotion":
@@ -190,9 +178,10 @@ class TissueMotion(NamedTuple):
 
     def _scanned(self, window: Window) -> "TissueMotion":
         """Scan the next frequency: of breaths, of hearts, of hearts beside the best breath."""
-        n, m, unit = len(BREATH), len(HEART), self.unit
+        n, m, unit = len(windows.BREATH), len(windows.HEART), self.unit
         row = 0 if unit < n else 1 if unit < n + m else 2
-        hz = [[], [], [self.found[0, 1]]][row] + [HEART[(unit - n) % m] if row else BREATH[unit]]
+        scanned = windows.HEART[(unit - n) % m] if row else windows.BREATH[unit]
+        hz = [[], [], [self.found[0, 1]]][row] + [scanned]
         # With waves that grow many a slow one fits as well: what matters is where to begin.
         error, found = window.waves(np.array(hz))[1], self.found.copy()
         if unit in (0, n, n + m) or error < found[row, 0]:
@@ -209,7 +198,7 @@ class TissueMotion(NamedTuple):
         if tried.error < most and window.is_clear(tried):
             return self._replace(best=tried)
         is_likely = not (self.is_known or count) and len(tried.beats) == 2
-        is_likely &= tried.error < min(FAIR * window.count, self.likely.error)
+        is_likely &= tried.error < min(windows.FAIR * window.count, self.likely.error)
         return self._replace(likely=tried) if is_likely else self
 
     def _chosen(self, window: Window, time_s: float) -> "TissueMotion":
@@ -219,7 +208,7 @@ class TissueMotion(NamedTuple):
                 return state._replace(fit=best)
             # The law may have changed within the window, or the motion have ended: it begins anew.
             # Before it is full a breath may be missing, which wants all of it.
-            most = _LOST * window.count if len(self.window) == SIZE else math.inf
+            most = _LOST * window.count if len(self.window) == windows.SIZE else math.inf
             is_lost = self.fit.error > min(most, window.still)
             newer = self.window[len(self.window) // 2 :]
             new = TissueMotion(newer, until_s=self.until_s, from_s=self.from_s)

@@ -47,6 +47,7 @@ _UNLIKE = 1.5
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
 _OWN = 7  # unknowns that a layer has of its own
+Pair = tuple[Matrix, Matrix]
 
 
 class Fit(NamedTuple):
@@ -74,7 +75,7 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
 
 
 @compiled
-def _derivatives(beats: Matrix, time_s: Vector) -> tuple[Matrix, Matrix]:
+def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     """Derivatives of place and speed at n times by the five numbers of each beat, (5 beats, n)."""
     places, speeds = np.zeros((beats.size, len(time_s))), np.zeros((beats.size, len(time_s)))
     for k in range(len(beats)):
@@ -155,13 +156,7 @@ def _rows(
 
 
 @compiled
-def _changes(
-    contact: tuple[Matrix, Matrix],
-    courses: tuple[Matrix, Matrix],
-    one: Vector,
-    begin: int,
-    linear: Vector,
-) -> Matrix:
+def _changes(contact: Pair, courses: Pair, one: Vector, begin: int, linear: Vector) -> Matrix:
     """What m courses of depth and speed change of the force of the first, shape (n, m - 1)."""
     (w, g), (depths, speeds) = contact, courses
     forces = np.zeros((len(depths), len(one)))
@@ -173,12 +168,7 @@ def _changes(
 
 @compiled
 def _step(
-    rows: tuple[Matrix, Matrix],
-    error: Vector,
-    prior: Matrix,
-    stds: Vector,
-    pull: Vector,
-    damping: float,
+    rows: Pair, error: Vector, prior: Matrix, stds: Vector, pull: Vector, damping: float
 ) -> Vector:
     """Change of the motion's numbers by a Gauss-Newton step, damped as Levenberg does.
 
