@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
 from groundtruth import sensors
@@ -97,7 +98,7 @@ def simulate(
     chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
     plant_model = plant_named(plant)
     tool = NeedleTool()
-    mass_seed, sensor_seed, friction_seed = np.random.SeedSequence(seed).spawn(3)
+    mass_seed, sensor_seed, friction_seed = SeedSequence(seed).spawn(3)
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
     path = scenario_path(bodies.robot, chosen)
     # The zero of the scenario's motion is the surface.
@@ -126,11 +127,7 @@ def simulate(
 
 
 def _sense(
-    trace: ArmTrace,
-    time: Array,
-    limit_Nm: Array,
-    plant_model: PlantModel,
-    seed: np.random.SeedSequence,
+    trace: ArmTrace, time: Array, limit_Nm: Array, plant_model: PlantModel, seed: SeedSequence
 ) -> tuple[NDArray[np.intp], Signals]:
     """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
     clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))

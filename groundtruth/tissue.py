@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from groundtruth.errors import Array, TissueError
-from groundtruth.layers import Interface, Layer, interfaces
+from groundtruth.layers import Layer, interfaces
 
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
@@ -238,7 +238,7 @@ def collect_truth(
         friction_N=columns[:, 2],
         layer_friction_N=per_layer,
         layer=np.array([force.layer for force in forces], dtype=np.int64),
-        ruptures=tuple(_ruptures(law.interfaces, t_s, depth_m, columns[:, 1], per_layer)),
+        ruptures=tuple(_ruptures(law, t_s, depth_m, columns[:, 1], per_layer)),
         contact_s=contact_s,
         withdrawn_s=np.nan if np.isnan(contact_s) else withdrawn_s,
     )
@@ -254,16 +254,12 @@ def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
 
 
 def _ruptures(
-    boundaries: Sequence[Interface],
-    t_s: Array,
-    depth_m: Array,
-    tip_N: Array,
-    layer_friction_N: Array,
+    law: Tissue, t_s: Array, depth_m: Array, tip_N: Array, layer_friction_N: Array
 ) -> Iterator[Rupture]:
     """The ruptures in the order they happen, timed from the depth the needle went through."""
     friction_N = layer_friction_N.sum(axis=1)
     axial_N = tip_N + friction_N
-    for above, boundary in enumerate(boundaries):
+    for above, boundary in enumerate(law.interfaces):
         onset_s = _first_crossing_s(t_s, depth_m, boundary.onset_m)
         # A bare surface holds no force and is no rupture.
         if boundary.drop_N == 0.0 or np.isnan(onset_s):

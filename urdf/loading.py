@@ -14,14 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.description import build_model, check_description, read_description
-from urdf.errors import (
-    Array,
-    InputError,
-    MissingPackageError,
-    UnknownNameError,
-    finite_array,
-    read_only,
-)
+from urdf.errors import Array, InputError, MissingPackageError, UnknownNameError, finite_array
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import STANDARD_GRAVITY_M_S2, TOOL_FRAME, Robot, assemble_robot, rigid_motion
 
@@ -234,7 +227,7 @@ class SerialJoint:
         inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
         require_mass(inertia, owner)
         object.__setattr__(self, "placement", rigid_motion(self.placement, f"{owner} placement"))
-        object.__setattr__(self, "axis", read_only(axis / length))
+        object.__setattr__(self, "axis", finite_array(axis / length, (3,), f"{owner} axis"))
         object.__setattr__(self, "inertia", inertia)
 
 
