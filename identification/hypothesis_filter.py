@@ -88,8 +88,8 @@ FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
 LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # fraction of force a rupture releases; weight in an answer
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 1.4
-"""Speed of equal Coulomb and viscous friction [mm/s], 1.5 in gels, 7.5 in liver; the deviation of
-its logarithm is that of a third tissue from these two's mean: 1.5**0.5 of their own 1.14."""
+"""Speed of equal Coulomb and viscous friction [mm/s], and the deviation of its logarithm, a factor
+of 4: chosen, no measurement is known. The simulated gels have 1.5, the liver 20."""
 
 
 @compiled_or(lambda spread, row: spread @ row)

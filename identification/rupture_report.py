@@ -16,6 +16,7 @@ from identification.estimate import Array, LayerEstimate, Rupture
 from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
 from identification.switching_update import COULOMB, IDENTIFIED, LEFT_COULOMB, NO_ANSWER
 from identification.tissue_motion import TissueMotion
+from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
@@ -36,6 +37,9 @@ _STEADY = 0.9  # of the usual speed; slower, friction's dependence on the speed 
 _LEAST_TRUSTED = 1e-6  # Probability of all hypotheses that the answer's mean may rest on
 _RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed better, less noisy
 _LEAST_PROBABILITY = 0.3  # Total of all hypotheses with the last rupture, to say what it was
+_OF_MEAN, _OF_FACT = (law.RELEASED, law.KEPT, law.HELD, law.OFFSET), (law.KIND, law.IS_HELD)
+_OF_RECORD, _LAYER = (law.RUPTURE_S, law.RUPTURE_FORCE, law.LEAST_FORCE), int(law.LAYER)
+"""Indices for compiled code, which does not use constants of another file."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 
@@ -94,23 +98,38 @@ class Evaluation(NamedTuple):
     best: int  # number of ruptures of the likeliest of all
 
 
+@compiled
+def _beyond(
+    parts: tuple[Matrix, Matrix, Matrix, Vector, Vector],
+    known: float,
+    now: tuple[float, float, float],
+    places: tuple[tuple[int, int, int, int], tuple[int, int], tuple[int, int, int], int],
+) -> tuple[float, float, int]:
+    """The first three numbers of an `Evaluation`; `now`: time, force, least fall that is clear."""
+    (means, facts, records, weights, ruptures), (time_s, force, least) = parts, now
+    (released, kept, held, offset), (kind, is_held), (rupture_s, before, lowest), layer = places
+    # After a partial rupture part of the force is held: what has fallen is the rest.
+    is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
+    fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
+    fallen = np.minimum(fallen, records[:, before] - means[:, offset])  # At most all of the force
+    # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
+    is_undone = (time_s - records[:, rupture_s] > _LATE_S) & (records[:, before] <= force)
+    is_more = (ruptures > known) & (fallen > least) & ~is_undone
+    more, fewer = np.where(is_more, weights, 0.0), np.where(ruptures < known, weights, 0.0).sum()
+    if not is_more.any():
+        return 0.0, fewer, -1
+    pick = int(np.argmax(np.where(is_more, weights, -1.0)))
+    is_visible = records[pick, before] - records[pick, lowest] > _VISIBLE * least
+    return more.sum() if is_visible else 0.0, fewer, pick
+
+
 def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
     (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
-    facts, means, force = bank.facts, bank.means, bank.records[:, law.RUPTURE_FORCE]
-    # After a partial rupture part of the force is held: what has fallen is the rest.
-    is_partial = (facts[:, law.KIND] == law.LAYER) & (facts[:, law.IS_HELD] > 0.0)
-    held = np.where(is_partial, means[:, law.HELD], 0.0)
-    fallen = means[:, law.RELEASED] - means[:, law.KEPT] - held
-    fallen = np.minimum(fallen, force - means[:, law.OFFSET])  # at most the force there was
-    is_late = place.time_s - bank.records[:, law.RUPTURE_S] > _LATE_S
-    # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
-    is_undone = is_late & (force <= place.force)
-    is_more = (ruptures > known) & (fallen > least) & ~is_undone
-    pick = int(np.argmax(np.where(is_more, weights, -1.0))) if is_more.any() else -1
-    is_visible = force[pick] - bank.records[pick, law.LEAST_FORCE] > _VISIBLE * least
-    more, fewer = float(weights[is_more & is_visible].sum()), float(weights[ruptures < known].sum())
-    return Evaluation(more, fewer, pick, int(ruptures[np.argmax(weights)]))
+    parts = bank.means, bank.facts, bank.records, weights, ruptures
+    places = _OF_MEAN, _OF_FACT, _OF_RECORD, _LAYER
+    found = _beyond(parts, float(known), (place.time_s, place.force, least), places)
+    return Evaluation(*found, int(ruptures[weights.argmax()]))
 
 
 def speed_lag(depth_std: float, speed_std: float) -> float:
@@ -157,7 +176,7 @@ def rupture_of(
     `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
     """
     record = evidence.bank.records[pick]
-    since_s = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0)
+    since_s, ruptures = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0), evidence.ruptures[pick]
     return Rupture(
         layer=layer,
         alarm_s=alarm[0],
@@ -168,17 +187,12 @@ def rupture_of(
         speed_m_s=float(record[law.RUPTURE_SPEED]) / _MM,
         probability=min(probability, 1.0),
         contact_depth_m=float(record[law.CONTACT_MM]) / _MM,
-        partial_rupture_probability=partial_rupture_probability(
-            evidence, int(evidence.ruptures[pick])
-        ),
+        partial_rupture_probability=partial_rupture_probability(evidence, int(ruptures)),
     )
 
 
 def _weights_of(evidence: Evidence, known: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Probabilities of the hypotheses with `known` ruptures, of others 0, shape (n,).
-
-    And in which of all the tip pushes a membrane under the last layer.
-    """
+    """Probabilities of those with `known` ruptures, of others 0; which push a membrane; (n,)."""
     facts = evidence.bank.facts
     is_meeting = (facts[:, law.KIND] == law.MEMBRANE) & (facts[:, law.IS_HELD] > 0.0)
     return np.where(evidence.ruptures == known, evidence.weights, 0.0), is_meeting
@@ -217,49 +231,60 @@ def layer_left(
     if not weights.any():
         return None
     best = int(np.argmax(weights))
-    record = bank.records[best]
-    thickness = max(float(record[law.RUPTURE_MM] - record[law.PART_START]), 1e-3)
+    record = bank.records[best].tolist()
+    thickness = max(record[law.RUPTURE_MM] - record[law.PART_START], 1e-3) / _MM
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
-        value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2].tolist()
+        value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2]
         value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= IDENTIFIED * value
-    layer = LayerEstimate(
+    before = max(record[law.PART_FRICTION], 0.0)
+    own = before, fields["coulomb_N_per_m"], fields["viscous_Ns_per_m2"]
+    fields |= _friction(friction, own, thickness, rupture.speed_m_s)
+    return LayerEstimate(
         layer=rupture.layer,
         is_final=False,
-        start_depth_m=float(record[law.PART_START]) / _MM,
-        thickness_m=thickness / _MM,
+        start_depth_m=record[law.PART_START] / _MM,
+        thickness_m=thickness,
         rupture=rupture,
         force_drop_N=float(bank.means[best, law.RELEASED]),
         force_drop_std_N=math.sqrt(max(float(bank.spreads[best, law.RELEASED, law.RELEASED]), 0.0)),
-        friction_Ns_per_m2=0.0,
-        friction_identified=False,
-        friction_N=max(float(record[law.PART_FRICTION]), 0.0),
         **fields,  # type: ignore[arg-type]
     )
-    return with_friction(layer, *friction)
+
+
+def _friction(
+    friction: tuple[float, float], own: tuple[float, float, float], thickness_m: float, speed: float
+) -> dict[str, float | bool]:
+    """Fields of a layer that its friction and its deviation [N] say.
+
+    `own` are the friction known before, and its Coulomb and viscous part: those keep their ratio.
+    """
+    (mean, std), (before, coulomb, viscous) = friction, own
+    mean = max(mean, 0.0)
+    scale = mean / before if before > 0.0 else 1.0
+    per_length = 1.0 / (thickness_m * max(speed, 1e-6))
+    return {
+        "friction_N": mean,
+        "friction_std_N": std,
+        "friction_Ns_per_m2": per_length * mean,
+        "friction_std_Ns_per_m2": per_length * std,
+        "friction_identified": std <= IDENTIFIED * mean,
+        "coulomb_N_per_m": scale * coulomb,
+        "viscous_Ns_per_m2": scale * viscous,
+    }
 
 
 def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEstimate:
     """The same layer with its friction known better; Coulomb and viscous part in proportion."""
-    friction = max(friction, 0.0)
-    scale = friction / layer.friction_N if layer.friction_N > 0.0 else 1.0
-    per_length = 1.0 / (layer.thickness_m * max(layer.rupture.speed_m_s, 1e-6))
-    return replace(
-        layer,
-        friction_N=friction,
-        friction_std_N=std,
-        friction_Ns_per_m2=per_length * friction,
-        friction_std_Ns_per_m2=per_length * std,
-        friction_identified=std <= IDENTIFIED * friction,
-        coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
-        viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
-    )
+    own = layer.friction_N, layer.coulomb_N_per_m or 0.0, layer.viscous_Ns_per_m2 or 0.0
+    speed = layer.rupture.speed_m_s
+    return replace(layer, **_friction((friction, std), own, layer.thickness_m, speed))
 
 
 def partial_rupture_probability(evidence: Evidence, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
-    weights, _ = _weights_of(evidence, known)
+    weights = np.where(evidence.ruptures == known, evidence.weights, 0.0)
     total, was_partial = float(weights.sum()), evidence.bank.records[:, law.WAS_PARTIAL]
     return float(weights @ was_partial) / total if total > 0.0 else 0.0

@@ -394,9 +394,8 @@ class ConsistencyMonitor:
         is_off = self.state.widening * square > MOST_MISMATCH**2
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
-            axial = np.atleast_2d(self._wrench.kinematics.axial_jacobian)
-            now, before, *usual = change.torques
-            if unusual_change(axial, now - before, np.array(usual), BESIDE) > BESIDE:
+            axial, torques = self._wrench.kinematics.axial_jacobian[None], change.torques
+            if unusual_change(axial, torques[0] - torques[1], torques[2:], BESIDE) > BESIDE:
                 found |= SensorWarning.ARM_PUSHED
         reasons = [text for one, text in _REASONS.items() if one in found]
         message = "; ".join(filter(None, (last.message, *reasons)))
