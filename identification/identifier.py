@@ -1,6 +1,7 @@
 """The online identifier: one class in front of the methods."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -39,6 +40,8 @@ class Identifier:
     Depth grows into the tissue, speed is its rate, force is positive when tissue pushes back.
     Depths in what it reports have the zero of the depths it is given, see `estimate`.
     """
+
+    __copy__ = deepcopy  # A shallow copy would share what every sample changes
 
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         """Choose the method by its configuration.

@@ -2,6 +2,8 @@
 
 import os
 import secrets
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -21,7 +23,7 @@ def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> It
     if not stays:
         # A new file, under a name where nobody can plant a link.
         part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
-    stream = part.open("wb" if stays else "xb")
+    stream = _open_pipe(place) if place.is_fifo() else part.open("wb" if stays else "xb")
     try:
         yield stream
         stream.flush()
@@ -33,3 +35,14 @@ def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> It
             stream.close()
         if not stays:
             part.unlink(missing_ok=True)
+
+
+def _open_pipe(path: Path) -> BinaryIO:
+    """Wait for its reader; Ctrl-C ends that at once, whatever else it is taken for."""
+    if threading.current_thread() is not threading.main_thread():
+        return path.open("wb")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        return path.open("wb")
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -2,6 +2,7 @@
 
 import math
 import numbers
+from copy import deepcopy
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -143,6 +144,8 @@ class InsertionSession:
         residual.ConfigurationError: For settings of the sensor that cannot work.
         identification.IdentificationError: For settings of another kind of identifier.
     """
+
+    __copy__ = deepcopy  # A shallow copy would share what every sample changes
 
     def __init__(
         self,
@@ -289,6 +292,8 @@ class InsertionSession:
             raise SnapshotMismatchError(
                 f"expected a SessionSnapshot, got {type(snapshot).__name__}"
             )
+        if type(snapshot.plan) is not type(self._plan.memory) or len(snapshot.earlier) != 2:
+            raise SnapshotMismatchError("the snapshot is damaged: plan or checkpoints")
         if snapshot.speed_lag_s != self._speed_lag_s:
             raise SnapshotMismatchError(
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
@@ -318,7 +323,8 @@ class InsertionSession:
             for _ in range(3):
                 twin.update(*snapshot.travel[:2], 0.0, 1e-3)
             numbers = *snapshot.travel, snapshot.unused_s, snapshot.time_s, *np.ravel(snapshot.zero)
-            if np.shape(snapshot.zero) != (2, 3) or not np.isfinite(numbers).all():
+            shapes = np.shape(snapshot.zero), np.shape(snapshot.travel)
+            if shapes != ((2, 3), (4,)) or not np.isfinite(numbers).all() or snapshot.time_s < 0.0:
                 raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")
             return self._plan.read(snapshot.plan)
         except (IdentificationError, InsertionError):

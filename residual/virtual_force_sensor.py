@@ -69,6 +69,8 @@ class VirtualForceSensor:
         rejected: Bad samples since the last `reset`.
     """
 
+    __copy__ = deepcopy  # A shallow copy would share what every sample changes
+
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config = robot, config
         self._digest = robot_digest(robot)

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -17,7 +18,8 @@ from groundtruth import insert_needle
 from identification.log_replay import ReplayStream
 from needleforce.cli import main
 from needleforce.cli.force_replay import Replay
-from needleforce.cli.terminal import run_command
+from needleforce.cli.terminal import run_command, stop_request
+from needleforce.files import whole_file
 from needleforce.recordings import read_table, write_table
 
 PROGRAM = [sys.executable, "-m", "needleforce"]
@@ -196,6 +198,15 @@ def test_a_signal_before_there_is_a_log_ends_the_command(tmp_path, capsys, kind,
     if not has_writer:
         argv = ["force", str(pipe), "--no-tare", "--idle", "0.3"]
         assert "it is empty" in refusal(argv, capsys)
+
+
+def test_ctrl_c_ends_the_wait_for_the_reader_of_a_pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with stop_request() as is_asked:
+        threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt), whole_file(tmp_path / "pipe"):
+            pass
+        assert not is_asked()
 
 
 def _is_open(pid, path):

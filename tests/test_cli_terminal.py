@@ -153,6 +153,7 @@ def check(source, **outputs):
         ("other.csv", {"figure": "picture.gif"}, "cannot write picture.gif"),
         ("other.csv", {"figure": "no/where.svg"}, "there is no folder no"),
         ("log.csv", {"output": "t.csv"}, "it is a folder"),
+        ("log.csv", {"report": "r" * 300}, "File name too long"),
         ("log.csv", {"output": "bag.db3"}, "bags are written as MCAP; name it .mcap"),
     ],
     ids=str,

@@ -75,6 +75,10 @@ FAULTS = {
             "column 'spare' is empty and was left out",
         ),
     ),
+    "t,f\n0,1\n1,1_0\n": (  # 10 for Python, in a file rather damage
+        {"t": [0, 1], "f": [1, NAN]},
+        (f"column 'f': {NOT_NUMBERS}: 1 (first: line 3, '1_0')",),
+    ),
     "t,f\n0,1\n1\n2,3,4\n3,5\n": (
         {"t": [0, 3], "f": [1, 5]},
         ("rows without the header's 2 cells, left out: 2 (first: line 3 with 1)",),

@@ -163,6 +163,25 @@ def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path, rows, messag
         list(tables)
 
 
+@pytest.mark.parametrize("is_rotated", [True, False])
+def test_a_followed_file_that_was_renamed_or_removed_is_read_to_its_end_and_reported(
+    tmp_path, is_rotated
+):
+    path = tmp_path / "log.csv"
+    path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))
+    tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
+    next(tables)
+    with path.open("a") as log:
+        log.write("300,1\n")
+    path.rename(tmp_path / "log.1.csv")
+    if is_rotated:
+        path.write_text("t,f\n301,1\n")
+    last = []
+    with pytest.raises(FileAccessError, match="was renamed or removed while it was followed"):
+        last.extend(table.columns["t"][-1] for table in tables)
+    assert last[-1] == 300.0
+
+
 def test_names_from_a_file_stay_comments_in_the_mapping_of_it(tmp_path):
     evil = 'x\nrate_hz = 5\n[force]\ncolumns = "t"'
     path = tmp_path / "evil\nrate_hz = 6\n.npz"

@@ -119,6 +119,25 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
         VirtualForceSensor(lwr).restore(kept)
 
 
+@pytest.mark.parametrize(
+    "fields", [{"travel": (0.0, 0.0)}, {"earlier": ()}, {"plan": None}, {"time_s": -1e300}], ids=str
+)
+def test_a_snapshot_edited_in_memory_is_refused(fields):
+    session = InsertionSession(short_run().robot)
+    before = session.snapshot()
+    with pytest.raises(InsertionError, match="the snapshot is damaged"):
+        session.restore(stopped_after(IN_TISSUE)._replace(**fields))
+    assert same(session.snapshot(), before)
+
+
+def test_a_shallow_copy_shares_nothing():
+    session, rows = resumed_after(IN_TISSUE, 300)
+    twin, before = copy.copy(session), session.snapshot()
+    found = [twin.update(*row) for row in rows]
+    assert same(session.snapshot(), before)
+    assert all(same(session.update(*row), one) for row, one in zip(rows, found, strict=True))
+
+
 def written(folder):
     """A file, its envelope and the plain tree of its snapshot."""
     path = folder / "s"

@@ -150,7 +150,7 @@ def _mcap(part: str) -> Any:
     try:
         return import_module(f"mcap.{part}")
     except ImportError:
-        raise SettingError("MCAP needs: pip install 'needleforce[recordings]'") from None
+        raise SettingError("MCAP needs: pip install mcap") from None
 
 
 def read_events(path: str | Path) -> list[LoggedEvent]:

@@ -198,7 +198,7 @@ def _is_row(line: str) -> bool:
 
 def _number(cell: str) -> float | None:
     try:
-        return float(cell)
+        return None if "_" in cell else float(cell)  # 1_0 is Python's way to write 10
     except ValueError:
         return None
 

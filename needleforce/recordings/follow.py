@@ -37,7 +37,8 @@ class FollowOptions:
 def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
     """Read a file, or standard input if None; whoever waits for more gets at once what there is.
 
-    `FileAccessError` if it cannot be read, or was shortened or rewritten while it was followed.
+    `FileAccessError` if it cannot be read, or was shortened, rewritten, renamed or removed while it
+    was followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:
@@ -81,10 +82,13 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
 
 
 def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | None) -> None:
-    """Refuse a followed file that was truncated, also if it has grown again since."""
-    if tail is None:
+    """Refuse a followed file that was truncated, also if it has grown since, or is gone."""
+    if tail is None or path is None:
         return
-    if os.fstat(handle).st_size < done:
+    now = os.fstat(handle)
+    if now.st_size == done and not (path.exists() and os.path.samestat(path.stat(), now)):
+        raise FileAccessError(f"{path} was renamed or removed while it was followed; start again")
+    if now.st_size < done:
         raise FileAccessError(f"{path} has become shorter while it was followed")
     if os.pread(handle, len(tail), done - len(tail)) != tail:
         raise FileAccessError(f"{path} was written anew while it was followed; start again")

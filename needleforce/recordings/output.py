@@ -263,22 +263,24 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
     Nor may it harm the recording that is read, a file or a folder, which need not exist.
     """
     for (option, path), (other, place) in combinations(outputs.items(), 2):
-        if _overlap(path, place):
-            raise FileAccessError(
-                f"{option} and {other} both write to {path}; give each a place of its own"
-            )
+        with file_errors(path, "write"):
+            if _overlap(path, place):
+                raise FileAccessError(
+                    f"{option} and {other} both write to {path}; give each a place of its own"
+                )
     if source is None or not source.exists():
         return
     whole = source.resolve().parent
     is_part = source.is_file() and is_bag(source) and (whole / METADATA).exists()
     for path in outputs.values():
-        if path.exists() and path.samefile(source):
-            raise FileAccessError(f"cannot write {path}: it is the log itself; give another name")
-        if _overlap(path, whole if is_part else source):
-            raise FileAccessError(
-                f"cannot write {path}: it and the log {source} lie one inside the other; "
-                "give a place outside"
-            )
+        with file_errors(path, "write"):
+            if path.exists() and path.samefile(source):
+                why = "it is the log itself; give another name"
+            elif _overlap(path, whole if is_part else source):
+                why = f"it and the log {source} lie one inside the other; give a place outside"
+            else:
+                continue
+            raise FileAccessError(f"cannot write {path}: {why}")
 
 
 def _overlap(path: Path, other: Path) -> bool:
