@@ -36,7 +36,7 @@ def draw_identification(
     sensor's force, if another source is among them.
     """
     figures = RunFigures(job, folder)
-    on_ft = {item.method: item for item in found[0]}["default"]
+    on_ft = {item.method: item for item in found[0]}["ours"]
     _add_offline(figures, on_ft.signal, truth)
     # Without a published counterpart: the whole chain; of gels, for Table I, the F/T sensor.
     usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
@@ -51,7 +51,7 @@ def draw_identification(
         if figure and is_ft:
             kelvin_voigt = identify_as_run(tuned.signal, truth, commanded_m_s, config=PUBLISHED_KV)
         compared = Compared(
-            ours=by_method["default"],
+            ours=by_method["ours"],
             tuned=tuned,
             published=by_method["published"],
             kelvin_voigt=kelvin_voigt,

@@ -116,9 +116,9 @@ def measure_identification(item: Identified, truth: InsertionTruth) -> Iterator[
     # Table I: one layer that ruptures, and no membrane.
     if [rupture.layer for rupture in truth.ruptures] == [1]:
         values |= table_one(item, truth)
-    if (item.source, item.method) == ("ft", "default"):
+    if (item.source, item.method) == ("ft", "ours"):
         values |= offline_metrics(item.signal, truth)
-    if item.method == "default":
+    if item.method == "ours":
         values |= bound_metrics(item.signal, truth)
     for name, value in values.items():
         yield Measurement(item.source, item.method, name, value)

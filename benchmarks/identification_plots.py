@@ -21,7 +21,7 @@ LEAST_RUPTURE_PT = 4.0
 """A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
 WHOSE = {
-    "default": (palette.OURS, "ours"),
+    "ours": (palette.OURS, "ours"),
     "published": (palette.PUBLISHED, "published"),
     "published-as-run": (palette.PUBLISHED, "published"),
 }

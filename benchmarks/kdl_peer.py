@@ -157,10 +157,10 @@ Error = dict[str, float]
 
 def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
     """Errors on one insertion, from first contact to the end of the withdrawal."""
-    case = read_sensors(run, progress, ("default",))
+    case = read_sensors(run, progress, ("ours",))
     truth, signals = case.truth, case.signals
     gain_per_s = DEFAULT.slowest_gain_per_s
-    errors = {SENSOR: _rms(case.sessions["default"].reading.axial_N, truth)}
+    errors = {SENSOR: _rms(case.sessions["ours"].reading.axial_N, truth)}
     free = (truth.t_s > truth.zeroed_s - TARE_s) & (truth.t_s <= truth.zeroed_s)
     residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
     tared = replace(signals, tau_Nm=signals.tau_Nm + residual[free].mean(axis=0))

@@ -30,10 +30,10 @@ from residual import FrictionModel, MomentumObserver, SensorConfig, TareError
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
-METHODS: Mapping[Method, SensorConfig] = {"default": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
+METHODS: Mapping[Method, SensorConfig] = {"ours": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
 """Settings of the virtual sensor, by the name they are reported under."""
 IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
-    "default": MULTILAYER,
+    "ours": MULTILAYER,
     "published": PUBLISHED,
 }
 """Settings of the identification; one configuration each for every run."""
@@ -166,7 +166,7 @@ def ft_force(run: Run) -> ForceReading:
     resistance = -run.signals.ft_wrench[:, 2]
     free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
     axial_N, std_N = resistance - free.mean(), np.full(len(t_s), free.std())
-    return ForceReading(source="ft", method="default", axial_N=axial_N, std_N=std_N)
+    return ForceReading(source="ft", method="ours", axial_N=axial_N, std_N=std_N)
 
 
 def joint_residual(
@@ -261,7 +261,7 @@ def identify(
 ) -> Identified:
     """Run a method from the end of the tare to the end of the run; `result` if that was done.
 
-    `default` finds first contact by itself. `published` assumes it known, and is given it: the one
+    `ours` finds first contact by itself. `published` assumes it known, and is given it: the one
     thing of the ground truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
@@ -341,4 +341,4 @@ def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
     decay = np.exp(-GAIN_per_s * np.median(signals.dt_s))
     ideal = lfilter([0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0)
     worst = np.sqrt(np.mean((residual - ideal) ** 2, axis=0)).max()
-    return [Measurement("virtual", "default", "residual_rms_Nm", float(worst))]
+    return [Measurement("virtual", "ours", "residual_rms_Nm", float(worst))]

@@ -56,7 +56,7 @@ class Estimate(NamedTuple):
 
     kind: str
     source: str = "ft"
-    method: str = "default"
+    method: str = "ours"
 
 
 TUNED = Estimate("online", "ft", "published-as-run")

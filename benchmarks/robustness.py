@@ -85,11 +85,11 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
     if name in FT_ONLY:
         signal, truth = perturbed_needle(name, scenario, job.seed)
         as_run = identify_as_run(signal, truth, truth.speed_m_s)
-        found = [identify(signal, truth, "default"), as_run]
+        found = [identify(signal, truth, "ours"), as_run]
         return Findings(list(_events(found, truth)))
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5))
-    methods = METHODS if name in GROUPS["plants"] else ("default",)
+    methods = METHODS if name in GROUPS["plants"] else ("ours",)
     case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
     found = [item for source in identify_sources(case) for item in source]
     return Findings([*simulated_metrics(case), *_events(found, insertion_truth(run))])

@@ -19,8 +19,8 @@ from benchmarks import ResultsError, UnknownMetricError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
-Method = Literal["published", "published-as-run", "published-best-K", "default", "guess"]
-"""Whose method: as published, or ours. What does not depend on it stands under ``default``;
+Method = Literal["published", "published-as-run", "published-best-K", "ours", "guess"]
+"""Whose method: as published, or ours. What does not depend on it stands under ``ours``;
 ``guess`` is a rule of thumb that an identification worth having must beat.
 
 ``published`` has one setting and the measured speed, as ours. ``published-as-run`` is it as its

@@ -86,7 +86,7 @@ def frame_of(rows: Iterable[Row]) -> Frame:
     found = list(rows)
     columns = {name: [getattr(row, name) for row in found] for name in NAMES}
     frame = pd.DataFrame(columns, dtype=None if found else object)
-    ours = {"metric": _RMSE, "source": "virtual", "method": "default"}
+    ours = {"metric": _RMSE, "source": "virtual", "method": "ours"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
     best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})
     online, offline = ({"metric": CUMULATIVE.format(kind)} for kind in ("online", "offline"))
@@ -226,7 +226,7 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def _force_mark(group: Frame) -> str:
     """Whether every run of a scenario on a plant keeps the limits of its RMSE."""
     scenario, plant = group["scenario"].iloc[0], group["plant"].iloc[0]
-    ours = select(group, source="virtual", method="default")
+    ours = select(group, source="virtual", method="ours")
     kept = [
         target.is_met_by(value)
         for target in TARGETS
@@ -249,11 +249,12 @@ SHORT_OF = {
 
 def _shortfall(group: Frame) -> tuple[float, float]:
     """How much our fractions, means over runs, fall short of what they should be: worst, all."""
-    ours = select(group, method="default")
+    ours = select(group, method="ours")
     found = [
         best - select(ours, metric=name, source=source)["value"].mean()
         for name, best in SHORT_OF.items()
         for source in ("ft", "virtual")
+        if (source, name) != ("ft", "wrench_coverage_2sigma")  # not shown: the virtual sensor's
     ]
     short = [max(each, 0.0) for each in found if not math.isnan(each)]
     return max(short, default=0.0), sum(short)
@@ -352,7 +353,7 @@ def worst_rows(rows: Sequence[Row]) -> str:
 
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
-SUMMED = ("published", "published-best-K", "default")
+SUMMED = ("published", "published-best-K", "ours")
 
 
 def summary_table(rows: Sequence[Row]) -> ResultTable:
@@ -373,7 +374,7 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
             continue
         cells, is_better = _compared(line, wanted)
         is_met = met.get((line.metric, line.source, line.plant))
-        runs = str((wanted["method"] == "default").sum())
+        runs = str((wanted["method"] == "ours").sum())
         where = f"{line.scenarios}, {line.plant}"
         mark = NOTHING if is_met is None else met_mark(is_met)
         lines.append(((is_met is not False, is_better), (line.what, where, *cells, runs, mark)))

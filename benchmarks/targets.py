@@ -4,7 +4,7 @@ Columns of `targets.csv`: `metric`, `plant` and `source` as in the results; `sce
 groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the metric's unit;
 `statistic` of all runs must keep them; `relative_to` says that they hold for the ratio to the
 published method in the same run (``published where reported``: a run in which that method has no
-such number is left out); `what` is one line for people. All targets are for the method ``default``.
+such number is left out); `what` is one line for people. All targets are for the method ``ours``.
 """
 
 import math
@@ -44,7 +44,7 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     plant: str  # the plant model it applies to
     scenarios: tuple[str, ...] = ()  # the benchmarks it applies to; none for all
     source: str = "virtual"  # see `Source`
-    method: str = "default"  # see `Method`
+    method: str = "ours"  # see `Method`
     at_least: float = -math.inf  # lower limit, in the metric's unit
     at_most: float = math.inf  # upper limit
     statistic: Statistic = "worst"  # see `Statistic`

@@ -12,7 +12,7 @@ TEMPLATE = {
     "plant": "degraded",
     "seed": 0,
     "source": "virtual",
-    "method": "default",
+    "method": "ours",
     "metric": "wrench_rmse_N",
     "value": 0.1,
     "unit": "N",

@@ -99,7 +99,7 @@ def jobs_done(monkeypatch):
             raise KeyboardInterrupt
         if job.seed == 4:
             raise ZeroDivisionError
-        return Findings([Measurement("virtual", "default", "wrench_rmse_N", job.seed / 3.0)])
+        return Findings([Measurement("virtual", "ours", "wrench_rmse_N", job.seed / 3.0)])
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(runner, "BENCHMARKS", items)
@@ -148,7 +148,7 @@ def test_a_run_with_some_of_its_rows_is_done_again(changed, again, tmp_path, mon
 
     def pretend(job, progress):
         done.append(job.seed)
-        return Findings([Measurement("virtual", "default", name, job.seed) for name in names])
+        return Findings([Measurement("virtual", "ours", name, job.seed) for name in names])
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(runner, "BENCHMARKS", items)

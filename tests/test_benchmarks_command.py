@@ -23,8 +23,8 @@ def pretend(job, progress):
     if job.seed == 3:
         raise DataError("the third is broken")
     rmse = HARD_RMSE_N[job.benchmark]
-    found = ("default", "wrench_rmse_N", rmse), ("published", "wrench_rmse_N", 10.0 * rmse)
-    found += (("default", "residual_rms_Nm", 1e-9),)
+    found = ("ours", "wrench_rmse_N", rmse), ("published", "wrench_rmse_N", 10.0 * rmse)
+    found += (("ours", "residual_rms_Nm", 1e-9),)
     return Findings([Measurement("virtual", *each) for each in found])
 
 

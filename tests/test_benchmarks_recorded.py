@@ -28,7 +28,7 @@ def values(run, benchmark, data, **more):
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
     found = values(run_panda_real, "panda-real", recordings_dir)
     known = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
-    reached = [found["default", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
+    reached = [found["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
     assert [math.floor(100.0 * value) / 100.0 for value in reached] == pytest.approx(known)
 
 
@@ -38,26 +38,26 @@ def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir, t
     measured = run_panda_liver(job, silent).measurements
     found = {(item.source, item.method, item.metric): item.value for item in measured}
     rmse = "wrench_rmse_N"
-    assert found["virtual", "default", rmse] < 0.1 * found["virtual", "published", rmse]
+    assert found["virtual", "ours", rmse] < 0.1 * found["virtual", "published", rmse]
     # Turned round, the force would be off by twice its mean of 1.4 N.
-    assert abs(found["virtual", "default", "wrench_bias_N"]) < 1.0
+    assert abs(found["virtual", "ours", "wrench_bias_N"]) < 1.0
     assert list(tmp_path.glob("panda-liver-recording-1-*.svg"))
     # The force itself at the arm's uneven clock: as in liver-real.
-    assert found["ft", "default", "drop_recall"] == 1.0
-    assert found["ft", "default", "ruptures_at_drops"] > 0.8
+    assert found["ft", "ours", "drop_recall"] == 1.0
+    assert found["ft", "ours", "ruptures_at_drops"] > 0.8
     # Its drops are smaller than this arm's noise: what matters is that noise raises few alarms.
-    assert found["virtual", "default", "ruptures_per_insertion"] <= 3.0
+    assert found["virtual", "ours", "ruptures_per_insertion"] <= 3.0
     off = "enhanced_against_ft_rmse_N"
-    assert found["virtual", "default", off] < 0.3 * found["virtual", "published", off]
+    assert found["virtual", "ours", off] < 0.3 * found["virtual", "published", off]
     assert np.isfinite(list(found.values())).all()
 
 
 def test_the_weight_on_the_ur10e_is_found(recordings_dir):
     found = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
-    assert found["default", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
-    assert found["default", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
-    assert 1.05 < found["default", "torque_scale"] < 1.2
-    assert abs(found["default", "weight_error_pct"]) < 10.0
+    assert found["ours", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
+    assert found["ours", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
+    assert 1.05 < found["ours", "torque_scale"] < 1.2
+    assert abs(found["ours", "weight_error_pct"]) < 10.0
 
 
 @pytest.mark.parametrize("name", ["panda-real", "panda-liver", "ur10e-payload"])
@@ -127,16 +127,16 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
     by_key = values(run_liver_real, "liver-real", recordings_dir)
     assert 5.0 < by_key["guess", "pullout_error_median_pct"] < 30.0
     assert ("guess", "ruptures_per_insertion") not in by_key
-    assert by_key["default", "drop_recall"] > 0.5
-    assert 0.0 < by_key["default", "pullout_coverage_42mm"] <= 1.0
-    assert 0.0 <= by_key["default", "friction_above_force_at_rest"] < 0.2
+    assert by_key["ours", "drop_recall"] > 0.5
+    assert 0.0 < by_key["ours", "pullout_coverage_42mm"] <= 1.0
+    assert 0.0 <= by_key["ours", "friction_above_force_at_rest"] < 0.2
     assert ("published", "pullout_coverage_42mm") not in by_key  # it states no deviation
     assert np.isfinite(list(by_key.values())).all()
 
 
 def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):
     by_key = values(run_bovine_real, "bovine-real", recordings_dir)
-    assert by_key["default", "ruptures_missed"] == 0.0
-    assert by_key["default", "rupture_depth_error_mm"] < 1.0
+    assert by_key["ours", "ruptures_missed"] == 0.0
+    assert by_key["ours", "rupture_depth_error_mm"] < 1.0
     # Whatever else it reports is a drop of the curve, too.
-    assert by_key["default", "ruptures_without_drop"] == 0.0
+    assert by_key["ours", "ruptures_without_drop"] == 0.0

@@ -145,7 +145,7 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     text = page.read_text(encoding="utf-8")
     assert str(tmp_path) not in text
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
-    force, ruptures = "Axial force against the true one", "Online identification: ruptures"
+    force, ruptures = "Axial force against ground truth", "Online identification: ruptures"
     assert titles == ["Targets", force, ruptures]
     assert text.index("**missed**") < text.index("| met |")
     none = str(tmp_path / "no" / "p.md")

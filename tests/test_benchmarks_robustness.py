@@ -56,7 +56,7 @@ def test_the_robustness_of_a_sensor_is_measured_without_an_arm_where_that_is_eno
     job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
     found = run_robustness(job, silent).measurements
     assert {item.source for item in found} == {"ft"}
-    assert {item.method for item in found} == {"default", "published-as-run"}
+    assert {item.method for item in found} == {"ours", "published-as-run"}
     assert {"rupture_recall", "false_alarms"} <= {item.metric for item in found}
 
 

@@ -28,15 +28,15 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
     found = run_needle(job, SHORT, silent, is_drawn=False)
     by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
-    methods = {"default", "published", "published-as-run"}
+    methods = {"ours", "published", "published-as-run"}
     assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
-    assert by_key["ft", "default", "rupture_recall"] == 1.0
-    assert by_key["ft", "default", "rupture_precision"] == 1.0
-    assert by_key["ft", "default", "friction_error_worst_pct"] < 10.0
-    true = by_key["ft", "default", "cumulative_friction_true_Ns_per_m"]
+    assert by_key["ft", "ours", "rupture_recall"] == 1.0
+    assert by_key["ft", "ours", "rupture_precision"] == 1.0
+    assert by_key["ft", "ours", "friction_error_worst_pct"] < 10.0
+    true = by_key["ft", "ours", "cumulative_friction_true_Ns_per_m"]
     assert true == by_key["ft", "published", "cumulative_friction_true_Ns_per_m"] > 0.0
     assert ("ft", "published", "offline_rmse_ml_N") not in by_key
-    ml, kv = (by_key["ft", "default", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
+    ml, kv = (by_key["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
     assert 0.0 < ml < kv
     assert [drawing.shown.path.name for drawing in found.drawings] == [
         "short-needle-0-ft-published.svg",
@@ -63,23 +63,23 @@ def values(case):
 def test_the_ideal_arm_has_the_ideal_filter_the_true_force_and_known_lags():
     case = case_of("ideal")
     found = values(case)
-    assert found["virtual", "default", "residual_rms_Nm"] < 1e-6
+    assert found["virtual", "ours", "residual_rms_Nm"] < 1e-6
     # 68 g of needle are started and stopped: that much inertia is in the reading.
-    assert found["ft", "default", "wrench_rmse_N"] < 2e-3
-    assert abs(found["ft", "default", "wrench_lag_ms"]) < 5.0
+    assert found["ft", "ours", "wrench_rmse_N"] < 2e-3
+    assert abs(found["ft", "ours", "wrench_lag_ms"]) < 5.0
     assert found["virtual", "published", "wrench_lag_ms"] > 100.0
-    assert 0.0 < found["virtual", "default", "wrench_lag_ms"] < 50.0
+    assert 0.0 < found["virtual", "ours", "wrench_lag_ms"] < 50.0
     # A wrong sign would be seen: the error of the force turned round is twice the force.
     force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
     assert force > 0.05
-    assert found["virtual", "default", "wrench_rmse_N"] < 0.2 * force
+    assert found["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
 
 
 def test_equal_runs_give_equal_numbers_four_for_every_source_and_method():
     case = case_of("degraded")
     found = values(case)
     assert found == values(case)
-    for source, method in (("ft", "default"), ("virtual", "default"), ("virtual", "published")):
+    for source, method in (("ft", "ours"), ("virtual", "ours"), ("virtual", "published")):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(found[source, method, f"wrench_{name}"])
     assert len(found) == 18
@@ -169,7 +169,7 @@ def saw(t):
 
 def reading(axial, std=0.1):
     return ForceReading(
-        source="virtual", method="default", axial_N=axial, std_N=np.full(len(axial), std)
+        source="virtual", method="ours", axial_N=axial, std_N=np.full(len(axial), std)
     )
 
 

@@ -29,7 +29,7 @@ TRUTH = ForceTruth(
 GEL = Job(benchmark="gel-70-constant", plant="clean")
 
 
-ERRORS_N = {("virtual", "default"): 0.05, ("ft", "default"): 0.01, ("virtual", "published"): 0.2}
+ERRORS_N = {("virtual", "ours"): 0.05, ("ft", "ours"): 0.01, ("virtual", "published"): 0.2}
 STD_N = np.full(len(T), 0.1)
 READINGS = [
     ForceReading(source=source, method=method, axial_N=TRUTH.axial_N + error_N, std_N=STD_N)
@@ -62,7 +62,7 @@ def run():
     measured = {name: getattr(run, name) for name in ("t_s", "depth_m", "speed_m_s", "force_N")}
     truth, signal = insertion_truth(run), NeedleSignal(source="ft", **measured)
     commanded_m_s = SHORT.motion.speed_m_s(truth.t_s)
-    identified = [identify(signal, truth, method) for method in ("default", "published")]
+    identified = [identify(signal, truth, method) for method in ("ours", "published")]
     identified.append(identify_as_run(signal, truth, commanded_m_s))
     return SimpleNamespace(
         truth=truth, signal=signal, identified=identified, commanded_m_s=commanded_m_s

@@ -274,7 +274,7 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
     shaft friction was there during insertion. Methods see the insertion and the hold only.
     """
     data = job.recordings
-    by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "default": []}
+    by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "ours": []}
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
         whole = read_liver(data, index)
