@@ -11,7 +11,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from operator import is_
+from operator import is_, lt
 from typing import NamedTuple
 
 import numpy as np
@@ -147,12 +147,13 @@ def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
         return False
     if rates.size:
         missing = np.zeros(velocity.size)
-        missing[: rates.size] = rates - rows @ velocity
+        missing[: rates.size] = rates - np.dot(rows, velocity)
         triangle, step, failed = dgels(rows, missing)
         if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
             return False
         velocity += step
-    return bool(((bounds[0] < velocity) & (velocity < bounds[1])).all())
+    (lower, upper), found = bounds.tolist(), velocity.tolist()
+    return all(map(lt, lower, found)) and all(map(lt, found, upper))
 
 
 @compiled_or(_all_met)
@@ -285,10 +286,6 @@ class CommandStatus(StrEnum):
     SKIPPED = "skipped"  # sample or task no good, see `Command.reason`: braking without them
 
 
-_new = tuple.__new__  # Makes a named tuple in half the time, as there is one in every tick
-_OK, _SATURATED = CommandStatus.OK, CommandStatus.SATURATED
-
-
 class Command(NamedTuple):
     """Joint velocities for the coming cycle."""
 
@@ -311,12 +308,10 @@ class Controller:
     """
 
     def __init__(self, robot: Robot, limits: Limits, solve: Solver = hierarchical) -> None:
-        if limits.table.shape != (4, robot.nv):
-            raise SettingError(
-                f"limits of {limits.table.shape[1]} joints, the robot has {robot.nv}"
-            )
+        if (joints := limits.table.shape[1]) != robot.nv:
+            raise SettingError(f"limits of {joints} joints, the robot has {robot.nv}")
         self.tool = ToolState(robot)
-        self._limits, self._joints, self._solve = limits.table, robot.nv, solve
+        self._limits, self._joints, self._solve = limits.table, joints, solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks, self._numbers = list[Task](), Stack((), robot.nv)
         self._step_s = 1e-3
@@ -350,7 +345,14 @@ class Controller:
                 return self._skip("positions are not finite")
             self._step_s = min(dt_s, LONGEST_STEP_s)
             self.tool.update(q)
-            numbers = self._numbers_of(stack)
+            tasks = self._tasks  # the same tasks are known, whatever has changed in them
+            if len(stack) != len(tasks) or not all(map(is_, stack, tasks)):
+                has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
+                key = (has_wish, *[task.size for task in stack])
+                if key not in self._stacks:
+                    self._stacks[key] = Stack(stack, self._joints)
+                self._numbers, self._tasks = self._stacks[key], list(stack)
+            numbers = self._numbers
             numbers.fill(stack, self.tool)
             joint_bounds(self._limits, q, self.last_rad_s, self._step_s, numbers.bounds)
             if not stack:
@@ -358,18 +360,7 @@ class Controller:
             velocity, is_limited = self._solve(numbers)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._skip(f"{type(error).__name__}: {error}")
-        return self._send(velocity, _SATURATED if is_limited else _OK)
-
-    def _numbers_of(self, stack: Sequence[Task]) -> Stack:
-        """Room for the numbers of a stack; made when one of such tasks comes first."""
-        tasks = self._tasks  # the same tasks are known, whatever has changed in them
-        if len(stack) != len(tasks) or not all(map(is_, stack, tasks)):
-            has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
-            key = (has_wish, *[task.size for task in stack])
-            if key not in self._stacks:
-                self._stacks[key] = Stack(stack, self._joints)
-            self._numbers, self._tasks = self._stacks[key], list(stack)
-        return self._numbers
+        return self._send(velocity, CommandStatus.SATURATED if is_limited else CommandStatus.OK)
 
     def _skip(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
@@ -380,4 +371,4 @@ class Controller:
     def _send(self, velocity: Array, status: CommandStatus, reason: str = "") -> Command:
         velocity.setflags(write=False)
         self.last_rad_s = velocity
-        return _new(Command, (velocity, status, reason))
+        return Command(velocity, status, reason)

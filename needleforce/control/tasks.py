@@ -23,10 +23,12 @@ from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compil
 from urdf import Robot
 
 GAIN_PER_S = 30.0
-LONGEST_STEP_s = 0.02  # A sample that comes later moves the arm no more than this one
 """K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
 rounded to an encoder's steps they make the command rough."""
+LONGEST_STEP_s = 0.02  # A sample that comes later moves the arm no more than this one
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+# Of w x r, the matrix on w, linear in r. On small arrays `dot` takes half the time of ``@``.
+_CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1).reshape(9, 3)
 _NO_TURN = np.zeros(3)
 
 
@@ -140,7 +142,7 @@ def _tip_task(
     if gain_per_s != 0.0:
         error = np.zeros(6)
         error[:3], error[3:] = place - pose[:3, 3], turn
-        rates += gain_per_s * (selection @ error)
+        rates += gain_per_s * np.dot(selection, error)
 
 
 class Fixture(TipTask):
@@ -258,11 +260,10 @@ def _remote_centre(
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    x, y, z = arm = point - pose[:3, 3]
-    swing = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # w x arm, as a matrix on w
-    across = np.ascontiguousarray(pose[:3, :2].T)
-    np.dot(across, jacobian[:3] + swing @ jacobian[3:], rows)
-    rates[:] = gain_per_s * (across @ arm)
+    arm, across = point - pose[:3, 3], np.ascontiguousarray(pose[:3, :2].T)
+    swing = np.dot(_CROSS, arm).reshape(3, 3)  # w x arm, as a matrix on w
+    np.dot(across, jacobian[:3] + np.dot(swing, jacobian[3:]), rows)
+    rates[:] = gain_per_s * np.dot(across, arm)
 
 
 class AxialSpeed:
