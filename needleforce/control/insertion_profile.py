@@ -164,14 +164,8 @@ class InsertionProfile:
         is_going = now.is_moving and now.state.value != "dwell"  # which goes on from an insertion
         if is_going and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
-        self._follow_program(now.state.value)
-        self._last = self._step(now, dt_s, found, force_N)
-        self._asked_m += dt_s * self._last.speed_m_s
-        return self._last
-
-    def _follow_program(self, state: str) -> None:
-        """Strike out what has begun; a program that does not go on as planned ends."""
-        before, self._state = self._state, state
+        before, state = self._state, now.state.value
+        # Strike out what has begun; a program that does not go on as planned ends.
         has_begun = bool(self._program) and state.startswith(self._program[0])
         is_arrival = state == "idle" and self._last.event == "arrived"
         is_refused = before == "idle" and self._last.event != "" and not has_begun
@@ -180,6 +174,9 @@ class InsertionProfile:
             self._program = []
         elif has_begun:
             self._program = self._program[1:]
+        self._state, self._last = state, self._step(now, dt_s, found, force_N)
+        self._asked_m += dt_s * self._last.speed_m_s
+        return self._last
 
     def _step(self, now: Situation, dt_s: float, found: Estimate, axial_N: float) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m

@@ -11,6 +11,7 @@ from collections.abc import Collection, Iterable
 from contextlib import suppress
 from enum import StrEnum
 from importlib import import_module
+from io import BytesIO
 from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -161,21 +162,16 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
             they start anew where another session was appended. Or the file is no MCAP, or damaged.
         OSError: The file cannot be read.
     """
+    data, events = Path(path).read_bytes(), list[LoggedEvent]()
+    lines = data.splitlines()
     if Path(path).suffix == ".mcap":
-        reader = _mcap("reader")
-        try:
-            with Path(path).open("rb") as file:
-                # As written: the clock of a session that was appended begins anew.
-                wanted = {"topics": [MCAP_TOPIC], "log_time_order": False}
-                messages = reader.make_reader(file, validate_crcs=True).iter_messages(**wanted)
-                lines = [message.data for _, _, message in messages]
-        except OSError:
-            raise
+        mcap = _mcap("reader")
+        try:  # in the order written: the clock of a session that was appended begins anew
+            reader = mcap.make_reader(BytesIO(data), validate_crcs=True)
+            messages = reader.iter_messages(topics=[MCAP_TOPIC], log_time_order=False)
+            lines = [message.data for _, _, message in messages]
         except Exception as error:  # whatever the library makes of a damaged file
             raise SettingError(f"{path} is no MCAP file, or a damaged one: {error!r}") from error
-    else:
-        lines = Path(path).read_bytes().splitlines()
-    events: list[LoggedEvent] = []
     for number, line in enumerate(lines, 1):
         try:
             event = msgspec.json.decode(line, type=LoggedEvent)

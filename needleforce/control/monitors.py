@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleforce.control.errors import require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
+from needleforce.control.tasks import vector
 from residual.estimate import SensorWarning, Status
 from residual.input_validation import as_float
 
@@ -152,11 +153,8 @@ class Monitors:
             return ""
         position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
         try:
-            command = np.asarray(command, dtype=np.float64)
-            is_usable = command.shape == position.shape and bool(np.isfinite(command).all())
-        except (TypeError, ValueError):
-            is_usable = False
-        if not is_usable:
+            command = vector(command, len(position), "command")
+        except SettingError:
             return f"the command is {command!r:.80}, expected {len(position)} finite numbers"
         moved = 0.0 if self._position is None else position - self._position
         self._position = position

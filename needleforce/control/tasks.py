@@ -119,12 +119,9 @@ class TipTask:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        turn = self._missing_turn(tool) if self._turns else _NO_TURN
+        turn = pin.log3(self.rotation @ tool.pose[:3, :3].T) if self._turns else _NO_TURN
         goal = self.goal_m, turn, self.rate, self.gain_per_s
         _tip_task(tool.pose, tool.jacobian, self.selection, goal, rows, rates)
-
-    def _missing_turn(self, tool: ToolState) -> Array:
-        return pin.log3(self.rotation @ tool.pose[:3, :3].T)
 
 
 @compiled
@@ -218,7 +215,7 @@ class DecoupledMotion(TipTask):
         A longer time than `LONGEST_STEP_s` counts as that, one that is no positive number as none.
         """
         behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
-        behind_rad = np.linalg.norm(self._missing_turn(tool))
+        behind_rad = np.linalg.norm(pin.log3(self.rotation @ tool.pose[:3, :3].T))
         linear = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
         angular = vector(angular_rad_s, 3, "angular_rad_s") * (behind_rad < self.MOST_LAG_rad)
         self.rate = np.concatenate((linear, angular))

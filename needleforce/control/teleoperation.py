@@ -90,35 +90,27 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     return min(max(wanted_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
-class _Handle(NamedTuple):
-    """A sample of the device, checked."""
-
-    position_m: Array
-    velocity_m_s: Array
-    clutch: bool
-
-
-def _checked(sample: MasterSample | None) -> _Handle | None:
-    """A sample with a place and a velocity that a handle can have; else None."""
+def _along(axis: Array, sample: MasterSample | None) -> tuple[float, float, bool] | None:
+    """Place and speed along an axis, and the clutch; None if no handle can have such ones."""
     try:
         numbers = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
         clutch = bool(sample.clutch)  # type: ignore[union-attr]
     except (AttributeError, TypeError, ValueError):
         return None
-    is_sound = numbers.shape == (2, 3) and bool((np.abs(numbers) < _MOST).all())
-    return _Handle(numbers[0], numbers[1], clutch) if is_sound else None
+    if numbers.shape != (2, 3) or not (np.abs(numbers) < _MOST).all():
+        return None
+    return float(axis @ numbers[0]), float(axis @ numbers[1]), clutch
 
 
 class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
     Args:
-        axis: Direction of the handle that drives the needle inwards, shape (3,), unit length.
         motion_scale: Needle travel per travel of the handle.
     """
 
-    def __init__(self, axis: Array, motion_scale: float) -> None:
-        self._axis, self._scale = axis, motion_scale
+    def __init__(self, motion_scale: float) -> None:
+        self._scale = motion_scale
         self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m * motion_scale)
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
@@ -136,30 +128,27 @@ class DeviceSide:
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
-        self, sample: MasterSample | None, news: NeedlePacket | None, dt_s: float
+        self, handle: tuple[float, float, bool] | None, news: NeedlePacket | None, dt_s: float
     ) -> HandPacket:
         """Find the force to render, and return the packet to send.
 
-        Between samples both stay: then the energy through the port is known exactly.
+        Between samples of the handle, its place and speed inwards and the clutch, both stay: then
+        the energy through the port is known exactly.
         """
         self._since_s += dt_s
-        if sample is None and self._since_s < _HELD_S:
+        if handle is None:
+            if self._since_s >= _HELD_S:
+                self._coupled -= self._coupled * dt_s / (_COUPLING_S + dt_s)
+                if self.position_m is not None:  # the same packet again is no news
+                    self.release(self._rate_m_s * self._since_s)
             return self._packet
-        if sample is not None:
-            dt_s, self._since_s = min(self._since_s, _HELD_S), 0.0
-        is_coupled = sample is not None and bool(sample.clutch)
-        self._coupled += (float(is_coupled) - self._coupled) * dt_s / (_COUPLING_S + dt_s)
-        if sample is None:
-            if self.position_m is not None:  # the same packet again is no news
-                self.release(self._rate_m_s * self._since_s)
-            return self._packet
+        before_m, (position_m, told_m_s, is_coupled) = self.position_m, handle
+        dt_s, self._since_s, self.position_m = min(self._since_s, _HELD_S), 0.0, position_m
+        self._coupled += (is_coupled - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
-        before_m, position_m = self.position_m, float(self._axis @ sample.position_m)
-        self.position_m = position_m
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
-        is_still = self._still_s > _SILENCE_S
-        speed_m_s = 0.0 if is_still else float(self._axis @ sample.velocity_m_s)
+        speed_m_s = 0.0 if self._still_s > _SILENCE_S else told_m_s
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
         known_N, incoming_J = news or (0.0, 0.0)
@@ -271,7 +260,7 @@ class Teleoperation:
             raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
         self._axis, self._lines = direction / np.linalg.norm(direction), lines
-        self.device = DeviceSide(self._axis, motion_scale)
+        self.device = DeviceSide(motion_scale)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = self._ruptured_s = 0.0
@@ -304,7 +293,7 @@ class Teleoperation:
             self.shown_N = self._smoothed(estimate, dt_s)
         else:
             self.shown_N *= _FADE_S / (_FADE_S + dt_s)
-        sent = self.device.update(_checked(sample), self._from_needle, dt_s)
+        sent = self.device.update(_along(self._axis, sample), self._from_needle, dt_s)
         lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
         speed_m_s, answer = self.needle.update(arrived, self.shown_N, *travel, dt_s)
