@@ -97,21 +97,19 @@ def is_within(windows: tuple[Window, ...], t_s: float) -> bool:
 class Emulator(AbstractContextManager["Emulator"]):
     """A process that emulates a device; for the ``with`` statement.
 
+    Args:
+        work: Module-level function: takes a connection to this process and the settings; sends
+            what is `ready`, ends when something comes back, and returns counts.
+        settings: Passed on.
+
     Attributes:
         ready: What the device says when it is up: its ports.
+
+    Raises:
+        LinkError: It did not start.
     """
 
     def __init__(self, work: Callable[..., dict[str, Any]], *settings: Any) -> None:
-        """Start the process.
-
-        Args:
-            work: Module-level function: takes a connection to this process and the settings; sends
-                what is `ready`, ends when something comes back, and returns counts.
-            settings: Passed on.
-
-        Raises:
-            LinkError: It did not start.
-        """
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
         self._process = context.Process(target=_run, args=(other, work, settings), daemon=True)
@@ -126,20 +124,17 @@ class Emulator(AbstractContextManager["Emulator"]):
         self._process.kill()
         raise LinkError("the emulator has ended without an answer; its message stands above")
 
-    def counts(self) -> dict[str, Any]:
-        """What it has counted, once it has ended by itself, however long that takes."""
-        return self._counts(None)
+    def counts(self, wait_s: float | None = None) -> dict[str, Any]:
+        """What it has counted, once it has ended by itself, however long that takes if None."""
+        found = self._reply(wait_s)
+        self._process.join(START_s)
+        return found
 
     def stop(self) -> dict[str, Any]:
         """End it, unless it has ended by itself; what it has counted."""
         with suppress(ConnectionError):
             self._pipe.send("stop")
-        return self._counts(START_s)
-
-    def _counts(self, wait_s: float | None) -> dict[str, Any]:
-        found = self._reply(wait_s)
-        self._process.join(START_s)
-        return found
+        return self.counts(START_s)
 
     def __exit__(self, *error: object) -> None:
         self._process.kill()

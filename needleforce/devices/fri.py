@@ -92,10 +92,21 @@ class FriArm(DatagramLink):
     connection and no error, velocities given to `send` are integrated. The interface transmits no
     velocity: samples have ``dq_rad_s=None``. After `close` the controller goes to monitor mode.
 
+    Args:
+        host: Address of this machine on which the controller sends.
+        port: The port set in its configuration; 0 for any free one, see `address`.
+        peer: Address or name of the controller; others are dropped. None: who is valid first.
+        wait_s: A silence longer than this counts as an outage.
+        give_up_s: After so long without a valid measurement the samples end.
+        robot: The model of the arm, kept for those who need both.
+
     Attributes:
-        robot: The model of the arm that was given, for those who need both.
         state: Of the interface, of the last sample.
         quality: Of the connection, of the last sample.
+
+    Raises:
+        LinkError: The address cannot be bound, or the peer's name is unknown.
+        DeviceSettingError: A port or a time that cannot work.
     """
 
     def __init__(
@@ -108,20 +119,6 @@ class FriArm(DatagramLink):
         give_up_s: float = 10.0,
         robot: Any = None,
     ) -> None:
-        """Listen.
-
-        Args:
-            host: Address of this machine on which the controller sends.
-            port: The port set in its configuration; 0 for any free one, see `address`.
-            peer: Address or name of the controller; others are dropped. None: who is valid first.
-            wait_s: A silence longer than this counts as an outage.
-            give_up_s: After so long without a valid measurement the samples end.
-            robot: Kept as `robot`.
-
-        Raises:
-            LinkError: The address cannot be bound, or the peer's name is unknown.
-            DeviceSettingError: A port or a time that cannot work.
-        """
         if not 0.0 < wait_s <= min(give_up_s, MOST_WAIT_s):
             what = f"0 < wait_s <= give_up_s, and wait_s of at most {MOST_WAIT_s:g} s"
             raise DeviceSettingError(f"{wait_s=}, {give_up_s=}: expected {what}")
@@ -189,16 +186,11 @@ class FriArm(DatagramLink):
                 cycles = max(round((now_s - self._arrival_s) / period_s), 1)
         self.peer, self._arrival_s, self._after_s = self.sender, now_s, self._empty_s
         self._send_answer(found)
-        self.report.use(cycles, cycles * period_s)
-        yield ArmSample(
-            dt_s=cycles * period_s,
-            q_rad=found["position_rad"].astype(float),
-            dq_rad_s=None,
-            tau_Nm=found["torque_Nm"].astype(float),
-            external_Nm=found["external_Nm"].astype(float),
-            missed=cycles - 1,
-            accepts_commands=self._takes_commands(),
-        )
+        dt_s, is_moved = cycles * period_s, self._takes_commands()
+        self.report.use(cycles, dt_s)
+        signals = "position_rad", "torque_Nm", "external_Nm"
+        q, tau, external = (found[name].astype(float) for name in signals)
+        yield ArmSample(dt_s, q, None, tau, external, cycles - 1, accepts_commands=is_moved)
 
     def _send_answer(self, found: np.void) -> None:
         was_commanded = self._takes_commands()

@@ -24,16 +24,15 @@ LOST_s = 0.1  # After so long a silence the force is asked for again
 
 
 class HaplyMaster(Link):
-    """The device: an impedance device of three degrees of freedom."""
+    """An impedance device of three degrees of freedom; forces above `most_force_N` are shortened.
+
+    Raises:
+        MissingClientError: websockets is not installed.
+        LinkError: The service does not answer.
+        DeviceSettingError: A force that is not positive.
+    """
 
     def __init__(self, address: str = ADDRESS, *, most_force_N: float = 5.0) -> None:
-        """Connect to the service; forces above ``most_force_N`` are shortened to it.
-
-        Raises:
-            MissingClientError: websockets is not installed.
-            LinkError: The service does not answer.
-            DeviceSettingError: A force that is not positive.
-        """
         if not 0.0 < most_force_N < np.inf:
             raise DeviceSettingError(f"most_force_N={most_force_N!r}: expected a positive number")
         super().__init__()
@@ -42,9 +41,8 @@ class HaplyMaster(Link):
         try:
             self._socket = connect(address, max_size=1 << 20, open_timeout=5.0)
         except (OSError, self._gone) as error:
-            raise LinkError(
-                f"no haptic service at {address}: {error}; is it running, is a device plugged in?"
-            ) from error
+            what = f"no haptic service at {address}: {error}"
+            raise LinkError(f"{what}; is it running, is a device plugged in?") from error
         self._most_N, self._force_N, self._device = most_force_N, np.zeros(3), ""
         self._begin_s = self._last_s = self._asked_s = time.monotonic()
 
@@ -104,17 +102,13 @@ class HaplyMaster(Link):
             if not (np.isfinite(position).all() and np.isfinite(velocity).all()):
                 raise ValueError
             self._device = str(device["device_id"])
-            return MasterSample(t_s, position, velocity, _clutch(state))
+            grips = (grip for kind in GRIPS for grip in state.get(kind) or ())
+            buttons = (grip.get("state", {}).get("buttons", {}) for grip in grips)
+            clutch = next((bool(each["a"]) for each in buttons if "a" in each), True)
+            return MasterSample(t_s, position, velocity, clutch)
         except (ValueError, TypeError, LookupError, AttributeError):
             self.report.malformed += 1
             return None
-
-
-def _clutch(state: dict[str, Any]) -> bool:
-    """Button A of the first grip; True without one."""
-    grips = (grip for kind in GRIPS for grip in state.get(kind) or ())
-    buttons = (grip.get("state", {}).get("buttons", {}) for grip in grips)
-    return next((bool(each["a"]) for each in buttons if "a" in each), True)
 
 
 def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) -> dict[str, Any]:

@@ -70,9 +70,20 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
 class NetFT(DatagramLink):
     """The sensor: the newest reading, or a stream of all.
 
+    Args:
+        host: Address of the sensor, or its name.
+        port: Its port.
+        scale: Its counts, or the page that says them; None: the sensor's own page.
+        buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
+        listen_on: Address of this machine; None: loopback for a sensor there, else any.
+
     Attributes:
         scale: Counts per newton and per newton metre.
         status: Word of the last record; 0 when all is well.
+
+    Raises:
+        LinkError: The sensor's name is unknown, its page cannot be read, or no port is free.
+        DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
     """
 
     def __init__(
@@ -84,19 +95,6 @@ class NetFT(DatagramLink):
         buffered: bool = False,
         listen_on: str | None = None,
     ) -> None:
-        """Ask for the stream.
-
-        Args:
-            host: Address of the sensor, or its name.
-            port: Its port.
-            scale: Its counts, or the page that says them; None: the sensor's own page.
-            buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
-            listen_on: Address of this machine; None: loopback for a sensor there, else any.
-
-        Raises:
-            LinkError: The sensor's name is unknown, its page cannot be read, or no port is free.
-            DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
-        """
         host = resolved(host)
         page = scale or f"http://{host}/netftcalapi.xml"
         self.scale = read_scale(page) if isinstance(page, str) else page

@@ -51,15 +51,14 @@ class _VendorArm(ReadOnlyArm):
 
 
 class FrankaArm(_VendorArm):
-    """A Franka FER (Panda) through libfranka: 1 kHz; `external_Nm` is its own filtered estimate."""
+    """A Franka FER (Panda) through libfranka: 1 kHz; `external_Nm` is its own filtered estimate.
+
+    Raises:
+        MissingClientError: panda-python is not installed.
+        LinkError: The arm does not answer, or speaks another version.
+    """
 
     def __init__(self, host: str = LOOPBACK, *, robot: Any = None) -> None:
-        """Connect.
-
-        Raises:
-            MissingClientError: panda-python is not installed.
-            LinkError: The arm does not answer, or speaks another version.
-        """
         super().__init__(FRANKA_JOINTS, FRANKA_PERIOD_s, robot)
         library = client("panda_py.libfranka", "panda-python")
         try:
@@ -83,6 +82,11 @@ class UrArm(_VendorArm):
     """A UR e-Series arm through RTDE: 500 Hz; torques are motor currents times a constant.
 
     Without the constants there are currents only: see docs/panda.md for what a UR can give.
+
+    Raises:
+        MissingClientError: ur_rtde is not installed.
+        LinkError: The arm does not answer.
+        DeviceSettingError: Constants that are not six positive numbers, or no positive rate.
     """
 
     def __init__(
@@ -93,23 +97,14 @@ class UrArm(_VendorArm):
         rate_hz: float = 500.0,
         robot: Any = None,
     ) -> None:
-        """Connect.
-
-        Raises:
-            MissingClientError: ur_rtde is not installed.
-            LinkError: The arm does not answer.
-            DeviceSettingError: Constants that are not six positive numbers, or no positive rate.
-        """
         if not 0.0 < rate_hz < np.inf:
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
         super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
-        self._constant: Array | None = None
-        if torque_constant_Nm_A is not None:
-            self._constant = np.array(torque_constant_Nm_A, dtype=float)
-            if self._constant.shape != (UR_JOINTS,) or not (self._constant > 0.0).all():
-                raise DeviceSettingError(
-                    f"torque_constant_Nm_A={torque_constant_Nm_A!r}: expected six positive numbers"
-                )
+        given = torque_constant_Nm_A
+        self._constant = constant = None if given is None else np.array(given, dtype=float)
+        if constant is not None and (constant.shape != (UR_JOINTS,) or not (constant > 0.0).all()):
+            what = f"torque_constant_Nm_A={given!r}"
+            raise DeviceSettingError(f"{what}: expected six positive numbers")
         library = client("rtde_receive", "ur_rtde")
         try:
             self._arm = library.RTDEReceiveInterface(host, rate_hz, list(UR_SIGNALS))
