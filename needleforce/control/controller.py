@@ -3,8 +3,7 @@
     lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
 
 with limits of the joints and a wish w of theirs that comes last, zero or a posture (Kanoun et al.,
-IEEE T-RO 2011). Norms are of rows scaled to length one, so rows of one task count by how far joints
-move for them.
+IEEE T-RO 2011). Norms are of rows scaled to length one: a row counts by how far joints move for it.
 """
 
 import itertools
@@ -46,8 +45,7 @@ class Limits:
         margin_rad: Kept from the position limits, for what moves the arm besides the command.
 
     Attributes:
-        table: Lowest and highest position [rad], speed [rad/s] and acceleration [rad/s^2] of
-            every joint, shape (4, n).
+        table: Lowest, highest position [rad], speed [rad/s], acceleration [rad/s^2], shape (4, n).
 
     Raises:
         SettingError: A limit is missing, not positive, or above the robot's.
@@ -95,8 +93,8 @@ def joint_bounds(
     and l alike. The root is the fastest speed from which the arm, braking at a after this tick of
     T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the box the next tick has
     such a speed within reach of a again. Where noise or a push has moved the arm too close, the
-    clip lets the acceleration win: it brakes as hard as it may. Clipping keeps l <= u. Limits are
-    a `Limits.table`, bounds of shape (2, n), and nan where a position is.
+    clip lets it brake as hard as it may; l <= u. Limits are a `Limits.table`, bounds of shape
+    (2, n), and nan where a position is.
     """
     speed, rate = limits[SPEED], limits[ACCELERATION]
     change = rate * step_s - SLACK_rad_s

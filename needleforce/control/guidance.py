@@ -32,10 +32,8 @@ from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
 """T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
-LEFT, OPEN_s, CLOSE_s = 0.15, 0.05, 0.5
-"""z while a hand is felt, and times in which z falls and returns."""
-LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
-"""D per rad, for the seven joints of an LWR: 10 to 25 Ns/m at the hub."""
+LEFT, OPEN_s, CLOSE_s = 0.15, 0.05, 0.5  # z while a hand is felt, times in which it falls, returns
+LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)  # D per rad: 10 to 25 Ns/m at the hub
 STEADY_s, STEADY = 0.12, 0.9
 """Time of the means, and q_0: a hand that begins to lead stays above it, if not by much."""
 RISE_per_s, FADE_per_s, FIRST, MOST = 30.0, 4.0, 3.0, 50.0
@@ -71,9 +69,8 @@ class Guidance:
         self._damping = np.array(given, dtype=np.float64)
         is_positive = np.isfinite(self._damping).all() and (self._damping > 0.0).all()
         if self._damping.shape != (robot.nv,) or not is_positive:
-            raise SettingError(
-                f"damping is {given!r}, expected a positive number for each of {robot.nv} joints"
-            )
+            what = f"a positive number for each of {robot.nv} joints"
+            raise SettingError(f"damping is {given!r}, expected {what}")
         self._least_Nm = LEAST * known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
         self.reset()
 
@@ -117,19 +114,15 @@ class Guidance:
         self._wish = wish + kept * (self._wish - wish)
         if not self._beyond_Nm.any() and np.abs(self._wish).max() < REST_rad_s:
             self._wish = np.zeros_like(self._wish)
-        self._weigh(dt_s)
-        return JointVelocity(self._wish / self._heavy)
-
-    def _weigh(self, dt_s: float) -> None:
-        """Find c of the coming cycle."""
-        if not self._wish.any():  # nothing is felt, so the next motion is another one
+        if self._wish.any():
+            old = math.exp(-dt_s / STEADY_s)
+            self._seen = old * self._seen + 1.0 - old
+            self._mean = old * self._mean + (1.0 - old) * self._wish
+            self._power_W = old * self._power_W + (1.0 - old) * float(self._wish**2 @ self._damping)
+            steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
+            rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
+            self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
+        else:  # nothing is felt, so the next motion is another one
             self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0
             self._heavy = max(self._heavy, FIRST)
-            return
-        old = math.exp(-dt_s / STEADY_s)
-        self._seen = old * self._seen + 1.0 - old
-        self._mean = old * self._mean + (1.0 - old) * self._wish
-        self._power_W = old * self._power_W + (1.0 - old) * float(self._wish**2 @ self._damping)
-        steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
-        rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
-        self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
+        return JointVelocity(self._wish / self._heavy)

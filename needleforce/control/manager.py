@@ -101,16 +101,14 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
 
     Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown event.
     """
-    rules = [rule for rule in TABLE if rule.event == event]
+    rules = {name: rule for rule in TABLE if rule.event == event for name in rule.sources.split()}
     if not rules:
         raise SettingError(f"unknown event {event!r}, expected one of {', '.join(EVENTS)}")
-    for rule in rules:
-        if state in rule.sources.split():
-            missing = [REFUSALS[guard] for guard in rule.guards.split() if guard not in facts]
-            target = state if rule.target == "same" else State(rule.target)
-            return (state, missing[0]) if missing else (target, "")
-    sources = " ".join(rule.sources for rule in rules).split()
-    return state, f"{event} is not possible in {state}, only in {', '.join(sources)}"
+    if (rule := rules.get(state)) is None:
+        return state, f"{event} is not possible in {state}, only in {', '.join(rules)}"
+    missing = [REFUSALS[guard] for guard in rule.guards.split() if guard not in facts]
+    stays = missing or rule.target == "same"
+    return state if stays else State(rule.target), missing[0] if missing else ""
 
 
 class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}):
@@ -211,7 +209,6 @@ class Situation(NamedTuple):
 _ENTRY_MARGIN_M = 1e-3  # So far above the place of the first contact the needle counts as outside
 _LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time that passed here
 _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
-_SIGNALS = "q_rad", "dq_rad_s", "tau_Nm", "dt_s"
 
 
 class Manager:
@@ -224,8 +221,7 @@ class Manager:
     Args:
         session: Force sensor and identification, for the manager alone to update.
         limits: What stops a motion; without them nothing moves.
-        log: File for the events, one JSON object per line, appended to; None to keep them in
-            `events` only.
+        log: File to append the events to, one JSON object per line; None: `events` keeps them.
 
     Attributes:
         events: Events so far, refusals included. What could not be written, `Situation.reason` says
@@ -270,7 +266,8 @@ class Manager:
 
     def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
         """Take one sample of the arm and what came beside it; never raises for a bad one."""
-        signals: list[Any] = [getattr(sample, name, None) for name in _SIGNALS]
+        names = "q_rad", "dq_rad_s", "tau_Nm", "dt_s"
+        signals: list[Any] = [getattr(sample, name, None) for name in names]
         since_s = as_float(signals[-1])
         if 0.0 < since_s <= _LONGEST_STEP_S:
             self._step_s = since_s
@@ -359,7 +356,6 @@ class Manager:
             self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")
 
     def _facts(self) -> list[str]:
-        """What holds now, of `REFUSALS`."""
         holds = {
             "limit": self._limits is not None,
             "heartbeat": self._time_s - self._beat_s < _HEARTBEAT_S,

@@ -69,25 +69,21 @@ started in it, and what torques nobody saw did to the force fades within so many
 
 
 class Monitors:
-    """Watch every sample of a session, command and device; see `update`."""
+    """Watch every sample of a session, command and device; see `update`.
+
+    Attributes:
+        has_device: Whether the haptic device has sent something of late.
+        is_healthy: Whether no fault has been seen of late.
+        missed_s: Time for which the program, not the arm, was away.
+    """
 
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
         self._session, self._limits = session, limits
         self._bad_s, self._device_s, self._clear_s, self._step_s = 0.0, math.inf, math.inf, math.inf
         self._position: Array | None = None
         self._lateral_N = 0.0  # of the session, across the needle
-        self.missed_s = 0.0  # time for which the program, not the arm, was away
+        self.has_device, self.is_healthy, self.missed_s = False, True, 0.0
         self.enter("idle")
-
-    @property
-    def has_device(self) -> bool:
-        """Whether the haptic device has sent something of late."""
-        return self._device_s <= self._limits.device_s
-
-    @property
-    def is_healthy(self) -> bool:
-        """Whether no fault has been seen of late."""
-        return self._clear_s >= _CLEAR_S
 
     def enter(self, state: str) -> None:
         """A new state begins: commands and forces are compared with what they are now."""
@@ -108,6 +104,7 @@ class Monitors:
         since_s, lag_s = as_float(getattr(sample, "dt_s", None)), self._session.lag_s
         self._lateral_N = estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
+        self.has_device = self._device_s <= self._limits.device_s
         axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
         fault = f"no sample for {1e3 * since_s:.0f} ms"
         is_late = since_s > self._limits.late_s + self.missed_s
@@ -116,6 +113,7 @@ class Monitors:
             fault = self._signals(estimate, axial_N, step_s)
             fault = fault or self._commands(estimate, sample, beside, step_s)
         self._clear_s = 0.0 if fault else self._clear_s + step_s
+        self.is_healthy = self._clear_s >= _CLEAR_S
         if fault:
             return "fault", fault
         ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)

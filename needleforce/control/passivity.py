@@ -11,8 +11,7 @@ leaves than entered, some time before, at the other:
     out_M(t) ≤ in_S(t - T) + allowance,     out_S(t) ≤ in_M(t - T) + allowance
 
 (Ryu, Kwon & Hannaford 2004; Artigas, Ryu & Preusche 2010.) The port of a hand also keeps
-``out_M ≤ in_M``: whatever happens on the line or beyond it, the hand never gets more energy out
-than it has put in.
+``out_M ≤ in_M``: whatever happens elsewhere, a hand never gets more energy than it has put in.
 """
 
 import math
@@ -20,8 +19,7 @@ import math
 HANDLE_kg, MOST_DAMPING_Ns_m = 0.25, 150.0
 """Mass of the device's handle as a hand feels it, and largest damping shown at it."""
 HAND_J, HAND_W = 1e-3, 2e-3
-"""What the hand may get early: one that yields to a spring need not wait for the news that the
-spring has relaxed."""
+"""What the hand may get early: one that yields to a spring need not wait for the news of it."""
 FORCE_LAG_s = 0.015  # Of the virtual sensor's force, see `InsertionSession.lag_s`
 
 
@@ -53,8 +51,7 @@ class Port:
     def budget_J(self, incoming_J: float, dt_s: float) -> float:
         """What may still leave when a further time has passed, see the module.
 
-        An allowance that is not used does not grow: saved over a quiet insertion it would feed an
-        oscillation for seconds.
+        Unused allowance does not grow: after a quiet insertion it would feed seconds of swinging.
         """
         owed_J = self.out_J - incoming_J
         most_J = self._allowance_J + max(owed_J, 0.0)
@@ -73,9 +70,8 @@ def passive_part(leaving_J: float, budget_J: float) -> float:
 class HandPort(Port):
     """Observer and controller at the port where a device shows a force to a hand.
 
-    The force is first cut to what may leave in the coming interval. What must not leave because
-    the hand has not put it in is cut as if the device were free: the force f pushes a mass m
-    through v Δt - f Δt² / 2m, and
+    The force is first cut to what may leave in the coming interval. What the hand has not put in
+    is cut as if the device were free: the force f pushes a mass m through v Δt - f Δt² / 2m, and
 
         -f (v Δt - f Δt² / 2m) ≤ E     <=>     f ≤ (m / Δt) (v + √(v² + 2E / m))
 
@@ -97,9 +93,8 @@ class HandPort(Port):
     ) -> float:
         """The force to hold over the coming interval, positive against positive motion.
 
-        Given are what should be shown, the handle's place and rate, what has entered at the other
-        side, as far as known here, and two times: since the last call, and the longest until the
-        next one.
+        Given are what should be shown, the handle's place and rate, what is known to have entered
+        at the other side, and the times since the last call and, at most, until the next.
         """
         dt_s, ahead_s = times_s
         travel_m = position_m - self._position_m  # means nothing at first, when no force is held

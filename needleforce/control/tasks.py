@@ -54,8 +54,7 @@ class ToolState:
         """Move to a configuration, shape (n,)."""
         model, data, frame = self._model, self._data, self._frame_id
         jacobian = pin.computeFrameJacobian(model, data, q_rad, frame, _BASE_AXES)
-        # Of a single joint it comes as a vector.
-        self.jacobian: Array = jacobian if jacobian.ndim == 2 else jacobian[:, None]
+        self.jacobian: Array = jacobian.reshape(6, -1)  # of a single joint it comes as a vector
         self.pose: Array = pin.updateFramePlacement(model, data, frame).homogeneous
         self.q_rad = q_rad
 
@@ -200,8 +199,7 @@ class DecoupledMotion(TipTask):
         gain_per_s: K of both.
     """
 
-    MOST_LAG_m, MOST_LAG_rad = 5e-3, 0.05
-    """A wish waits for an arm that limits hold this far behind it."""
+    MOST_LAG_m, MOST_LAG_rad = 5e-3, 0.05  # A wish waits for an arm that limits hold so far back
 
     def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
         super().__init__(np.eye(6), gain_per_s)
@@ -230,8 +228,7 @@ class RemoteCentre:
         e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
 
     with N the tool's x and y axes, c the point: what the tool has there moves across the needle
-    towards it (after Aghakhani et al., ICRA 2013, without their extra unknown, the place of the
-    point along the needle).
+    towards it (after Aghakhani et al., ICRA 2013, without their unknown, its place on the needle).
 
     Args:
         point_m: The point c in the base, shape (3,).

@@ -225,8 +225,7 @@ class Teleoperation:
         axis: Direction of the handle, in the device's axes, that drives the needle inwards.
         motion_scale: Needle travel per travel of the handle, 0.1 to 1.
         force_scale: Force at the hand per force at the needle.
-        shown: Force at the tip; ``enhanced``, without the friction of layers already traversed; or
-            ``raw``, as measured.
+        shown: Force at the tip; ``enhanced``, less friction of layers traversed; ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle.
         lines: From the device to the needle, and back; None for no delay.
 
@@ -234,8 +233,7 @@ class Teleoperation:
         shown_N: The force that is to be felt, before scale, delay and passivity.
 
     Raises:
-        SettingError: A scale out of range, a limit that is not positive, an unknown force, or an
-            axis without a direction.
+        SettingError: A scale out of range, a limit not positive, an unknown force, a zero axis.
     """
 
     def __init__(
@@ -268,8 +266,7 @@ class Teleoperation:
     def reset(self) -> None:
         """Begin anew from where handle and needle are; accounts of energy go on.
 
-        Call it after a pause or a new zero of depth: else the needle makes up for all that the
-        hand has moved meanwhile.
+        Call it after a pause or a new zero of depth, or the needle makes up for the hand's motion.
         """
         self.device.release()
         self.needle.start_m = None
@@ -280,11 +277,9 @@ class Teleoperation:
         """Take the device's newest sample and the newest force; never raises.
 
         Args:
-            sample: Of the haptic device; None if it gave none; one of anything but numbers that a
-                handle can have counts as none.
+            sample: Of the haptic device, or None; one that no handle can have counts as none.
             estimate: Of the session: force and depth.
-            dt_s: Time since the last call; where it does not advance, the needle stands and the
-                force stays.
+            dt_s: Since the last call; if it does not advance, the needle stands, the force stays.
         """
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:
