@@ -21,10 +21,10 @@ LIMITS = {
     "product": (19_000, 98),
     "benchmarks": (6_500, 30),
     "tests": (12_961, 70),
-    "control": (2_277, 11),
+    "control": (2_218, 11),
     "anatomy": (1_540, 7),
     "scene": (700, 6),
-    "devices": (1_233, 7),
+    "devices": (1_198, 7),
 }
 """Most lines and files of Python: ceilings at today's size, lowered with every cut. Goals of the
 chain are 19,000, 6,500 and 13,000 lines; control 1,800, anatomy 1,000, scene 700, devices 1,200."""

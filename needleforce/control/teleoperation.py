@@ -142,13 +142,13 @@ class DeviceSide:
                 if self.position_m is not None:  # the same packet again is no news
                     self.release(self._rate_m_s * self._since_s)
             return self._packet
-        before_m, (position_m, told_m_s, is_coupled) = self.position_m, handle
+        before_m, (position_m, rate_m_s, is_coupled) = self.position_m, handle
         dt_s, self._since_s, self.position_m = min(self._since_s, _HELD_S), 0.0, position_m
         self._coupled += (is_coupled - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
-        speed_m_s = 0.0 if self._still_s > _SILENCE_S else told_m_s
+        speed_m_s = 0.0 if self._still_s > _SILENCE_S else rate_m_s
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
         self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
         known_N, incoming_J = news or (0.0, 0.0)

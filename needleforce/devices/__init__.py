@@ -2,8 +2,7 @@
 
 Whoever has no arm runs the same program against an emulator, which speaks the device's own protocol
 from a process of its own, or on the simulated arm. Links bind and connect to loopback unless an
-address is named. What is malformed, old or from elsewhere is counted in a `LinkReport` and never
-handed on.
+address is named. What is malformed, old or foreign is counted in a `LinkReport`, never handed on.
 
 Reading order: `proxy` (what a device offers, samples, reports), `fri` (KUKA LWR 4+), `rdt` (ATI Net
 F/T), `research_arms` (Franka, UR), `haptic`, `emulators`.

@@ -149,8 +149,7 @@ def _run(pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[
 class FriSettings:
     """What the emulated controller does.
 
-    Rows of the signals are sent one a cycle, over and over; commands move nothing but the commanded
-    position that is reported.
+    Rows of the signals are sent in turn, one a cycle; commands move only the reported command.
     """
 
     port: int  # to which it sends

@@ -1,8 +1,7 @@
 """KUKA LWR 4+ through the Fast Research Interface 1.0 of its controller (KRC2 lr).
 
 The controller sends a measurement of 916 bytes every cycle and wants a command of 376 bytes back
-within it. A cycle is answered before its sample is handed on: the answer carries the motion that
-was asked for in the cycle before.
+within it. A cycle is answered before its sample is handed on, with the motion asked for before.
 """
 
 from collections.abc import Iterator

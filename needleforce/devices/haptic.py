@@ -66,10 +66,7 @@ class HaplyMaster(Link):
         return found
 
     def render(self, force_N: ArrayLike) -> None:
-        """Force on the hand from now on [N], shape (3,); sent with the next state.
-
-        What is longer than the most is shortened, what is not finite is no force.
-        """
+        """Force on the hand [N], shape (3,), sent with the next state; zero if it is not finite."""
         force = np.array(force_N, dtype=float)
         if force.shape != (3,) or not np.isfinite(force).all():
             force = np.zeros(3)

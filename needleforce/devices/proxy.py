@@ -54,8 +54,7 @@ class ArmSample(NamedTuple):
         dt_s: Time since the previous sample, by the arm's own count of cycles.
         q_rad: Joint positions, shape (n,).
         dq_rad_s: Joint velocities, shape (n,); None where the interface has none.
-        tau_Nm: Measured joint torques behind the gears, with gravity, shape (n,); None where the
-            interface has none.
+        tau_Nm: Torques measured behind the gears, with gravity, shape (n,); None where it has none.
         external_Nm: The arm's own estimate of the external torques, shape (n,), or None.
         missed: Cycles since the previous sample that brought nothing valid.
         accepts_commands: Whether the arm would move now.
@@ -201,10 +200,9 @@ class DatagramLink(Link):
             self._socket.bind((host, port))
         except OSError as error:
             self._socket.close()
-            raise LinkError(
-                f"cannot listen on {host}:{port}: {error.strerror or error}; is another program "
-                "using the port, and is the address one of this machine?"
-            ) from error
+            what = f"cannot listen on {host}:{port}: {error.strerror or error}"
+            why = "is another program using the port, and is the address one of this machine?"
+            raise LinkError(f"{what}; {why}") from error
         self.address: tuple[str, int] = self._socket.getsockname()
         self._empty_s = monotonic()  # When last nothing waited to be read: what came, came later
 
