@@ -99,7 +99,7 @@ class Evaluation(NamedTuple):
 
 
 @compiled
-def _beyond(
+def _evaluate(
     parts: tuple[Matrix, Matrix, Matrix, Vector, Vector],
     known: float,
     now: tuple[float, float, float],
@@ -128,7 +128,7 @@ def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
     parts = bank.means, bank.facts, bank.records, weights, ruptures
     places = _OF_MEAN, _OF_FACT, _OF_RECORD, _LAYER
-    found = _beyond(parts, float(known), (place.time_s, place.force, least), places)
+    found = _evaluate(parts, float(known), (place.time_s, place.force, least), places)
     return Evaluation(*found, int(ruptures[weights.argmax()]))
 
 

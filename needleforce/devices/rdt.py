@@ -116,7 +116,7 @@ class NetFT(DatagramLink):
     def read(self) -> Array | None:
         """The newest wrench of all that have come: force [N], torque [Nm], shape (6,); else None.
 
-        Raises nothing: `report` counts what is malformed or old. Silent for 1 s, it is asked anew.
+        Raises nothing: `report` counts malformed and old ones. After 1 s of silence it asks anew.
         """
         found = None
         while self._is_open and (data := self._receive(0.0)) is not None:

@@ -18,7 +18,7 @@ from needleforce.scene.state_ring import Closing, SceneError, StateRing, view_ro
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-UPDATES_HZ, START_s = 34.0, 60.0  # timers that wake late leave thirty
+UPDATES_HZ, START_s = 34.0, 60.0  # timers wake late: thirty a second are promised
 
 
 class LiveView(Closing):
