@@ -12,9 +12,11 @@ from groundtruth.rig_arm import Servo, SimulatedArm
 from groundtruth.rig_contacts import Wall
 from groundtruth.rig_operator import random_operator
 from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, ruptures_felt, teleoperate
+from residual import DEFAULT, HAND_DRIVEN
 
 DELAYS_MS = (0, 10, 50)
 SERVOS: dict[str, Servo] = {"S": "stiff", "I": "impedance"}
+SENSORS = {"fri": HAND_DRIVEN}  # which sends no velocity
 CASES = (
     *(f"S tissue {delay}" for delay in DELAYS_MS),
     *(f"{servo} wall {delay}" for servo in SERVOS for delay in DELAYS_MS),
@@ -53,6 +55,7 @@ def _tissue(
         seed=seed,
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
+        sensor=SENSORS.get(plant, DEFAULT),
     )
     by = f"{delay_ms} ms"
     felt = ruptures_felt(run)
@@ -83,6 +86,7 @@ def _wall(
         shown="raw",
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
+        sensor=SENSORS.get(plant, DEFAULT),
     )
     least_mJ = 1e3 * run.least_energy_J
     what = f"port energy against 20 kN/m, raw force, {delay_ms} ms"

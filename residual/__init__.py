@@ -7,7 +7,7 @@ measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` an
 """
 
 from residual.bias_model import BiasPrior
-from residual.config import DEFAULT, PUBLISHED, SensorConfig
+from residual.config import DEFAULT, HAND_DRIVEN, PUBLISHED, SensorConfig
 from residual.errors import ConfigurationError, ResidualError, SampleError, SnapshotError, TareError
 from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
@@ -18,6 +18,7 @@ from residual.wrench_estimator import WrenchEstimator
 
 __all__ = [
     "DEFAULT",
+    "HAND_DRIVEN",
     "PUBLISHED",
     "BiasPrior",
     "ConfigurationError",

@@ -122,6 +122,10 @@ class SensorConfig:
 
 DEFAULT = SensorConfig()  # Ours
 
+HAND_DRIVEN = SensorConfig(gain_per_s=15.0, smooth_momentum=False)
+"""For a needle that a hand drives on an arm that sends no velocity: an unsteady motion then reads
+as a force where the momentum is smoothed. Later by 0.05 s than `DEFAULT`, and noisier at rest."""
+
 PUBLISHED = SensorConfig(
     gain_per_s=5.0,
     smooth_momentum=False,

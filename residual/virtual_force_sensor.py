@@ -72,8 +72,7 @@ class VirtualForceSensor:
     __copy__ = deepcopy  # A shallow copy would share what every sample changes
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
-        self._robot, self._config = robot, config
-        self._digest = robot_digest(robot)
+        self._robot, self._config, self._digest = robot, config, robot_digest(robot)
         SampleStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
@@ -219,9 +218,7 @@ class VirtualForceSensor:
         self._offset.reset()
         self._monitor.restore(MonitorState())
         self._followed = working_copy(np.zeros((3, self._wrench.size)))
-        self._follows = False
-        self._unchecked_s = 0.0
-        self._waiting = 2
+        self._follows, self._unchecked_s, self._waiting = False, 0.0, 2
 
     @property
     def filter_lag_s(self) -> float:
@@ -281,15 +278,13 @@ class VirtualForceSensor:
             self._stream = SampleStream(self._robot, self._config, **kind)
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
-        self.lag_s = state.lag_s
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
         self._followed, self._follows = working_copy(state.wrench), state.follows
-        self._unchecked_s = state.unchecked_s
-        self._waiting = state.waiting
+        self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
+        self._waiting, self._clock.missed_s = state.waiting, state.missed_s
         self._last, self.rejected = state.last, state.rejected
-        self._clock.missed_s = state.missed_s
         if state.last is not None:
             for value in state.last:
                 if isinstance(value, np.ndarray):  # it may be handed out again

@@ -9,6 +9,7 @@ from residual_signals import BIAS, external_torque_of, swing
 
 from residual import (
     DEFAULT,
+    HAND_DRIVEN,
     PUBLISHED,
     ConfigurationError,
     JointFriction,
@@ -167,6 +168,25 @@ def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(l
     plain = replace(smoothed, smooth_momentum=False)
     assert force_noise(lwr, smoothed, 0.005) < 0.5 * force_noise(lwr, plain, 0.005)
     assert force_noise(lwr, smoothed, 0.3) < 2.0 * force_noise(lwr, plain, 0.3)
+
+
+def worst_force_in_quick_free_motion(robot, config):
+    """Largest force read while an arm that sends no velocity, but coarse positions, swings."""
+    rng = np.random.default_rng(0)
+    sensor = VirtualForceSensor(robot, config)
+    for size in (0.02, 0.1):
+        _, q, _, tau = swing(robot, seconds=3.0, amplitude=size)
+        coarse = q + 1e-5 * rng.normal(size=q.shape)
+        rows = rows_of(coarse, None, tau)
+        found = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
+        if not sensor.tared:
+            sensor.tare()
+    return np.abs(found[500:]).max()
+
+
+def test_the_setting_for_hands_reads_less_force_in_quick_motion_without_velocity(lwr):
+    default = worst_force_in_quick_free_motion(lwr, DEFAULT)
+    assert worst_force_in_quick_free_motion(lwr, HAND_DRIVEN) < 0.5 * default
 
 
 SIX = np.ones(6)

@@ -241,9 +241,8 @@ def _guidance(progress: Progress) -> Shown:
             if arm.time_s > 4.0:
                 sensor.tare()
         else:
-            valid = wrench.status is Status.OK
-            sigma_Nm = sensor.residual_std_Nm
-            stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
+            felt, valid = (wrench.residual, sensor.residual_std_Nm), wrench.status is Status.OK
+            stack = [guidance.update(*felt, sample.dt_s, is_valid=valid)]
         arm.send(controller.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)
@@ -251,18 +250,14 @@ def _guidance(progress: Progress) -> Shown:
     moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
     yielded = int(np.argmax(moved > 0.5))
     rest = t_s > PUSH_END_S + 1.0
-    chart = _guidance_chart(t_s, force, moved)
+    drawn = ("push [N]", palette.READING, force), ("tip moved [mm]", palette.OURS, moved)
+    title = "Manual guidance\na push at the hub grows by 1 N/s, then lets go"
+    chart = Chart(title=title, x_label=palette.TIME, panels=_panels(t_s, *drawn))
     table = (
         ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
         ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
     )
     return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
-
-
-def _guidance_chart(t_s: np.ndarray, force: np.ndarray, moved: np.ndarray) -> Chart:
-    drawn = ("push [N]", palette.READING, force), ("tip moved [mm]", palette.OURS, moved)
-    title = "Manual guidance\na push at the hub grows by 1 N/s, then lets go"
-    return Chart(title=title, x_label=palette.TIME, panels=_panels(t_s, *drawn))
 
 
 DEMOS: dict[str, Callable[[Progress], Shown]] = {

@@ -17,12 +17,12 @@ from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture, Teleoperation
 from needleforce.control.teleoperation import Shown
+from residual import DEFAULT, SensorConfig
 
 TARE_STROKE_M, GAP_M, TARE_SPEED_M_S = 60e-3, 5e-3, 20e-3
 STANDOFF_M = TARE_STROKE_M + GAP_M
 HAND_STROKE_M, BACK_S = 0.15, 1.0
-JITTER_s, TICK_s = 5e-3, 1e-3
-SETTLE_S = 1.5
+JITTER_s, TICK_s, SETTLE_S = 5e-3, 1e-3, 1.5
 
 
 class HandPlan(NamedTuple):
@@ -101,10 +101,9 @@ class _Approach:
         if left_m > 2e-4:
             return float(min(TARE_SPEED_M_S * min(t_s / 0.3, 1.0), 8.0 * left_m))
         self._rest_s += TICK_s
-        if self._rest_s < 0.4:
-            return 0.0
-        self._session.tare()
-        return 0.0  # the estimate at hand still counts depth from before
+        if self._rest_s >= 0.4:
+            self._session.tare()
+        return 0.0  # after a tare the estimate at hand still counts depth from before
 
 
 def teleoperate(
@@ -115,10 +114,11 @@ def teleoperate(
     shown: Shown = "tip",
     delay_s: float = 0.0,
     operator: Callable[[Callable], Operator] = lambda wish: Operator(wish_m=wish),
+    sensor: SensorConfig = DEFAULT,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Teleinsertion:
     """Tare over a stroke, then let a hand drive the needle; the arm starts `STANDOFF_M` above."""
-    session, control = InsertionSession(arm.robot), Controller(arm.robot, Limits(arm.robot))
+    session, control = InsertionSession(arm.robot, sensor), Controller(arm.robot, Limits(arm.robot))
     control.tool.update(arm.home_rad)
     shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
