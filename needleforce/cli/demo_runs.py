@@ -123,7 +123,8 @@ def teleoperate(
     shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
     lines = tuple(DelayLine(delay_s, min(JITTER_s, delay_s), rng) for _ in range(2))
-    tele = Teleoperation(motion_scale=hand.scale, shown=shown, lines=(lines[0], lines[1]))
+    ways, lag_s = (lines[0], lines[1]), 1.0 / sensor.slowest_gain_per_s
+    tele = Teleoperation(motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=ways)
     master = HapticMaster(operator(lambda t: (0.0, 0.0, hand.at(t)[0])))
     approach, found, wanted_m, end_s = _Approach(session), Teleinsertion(), 0.0, np.inf
     for sample in arm:

@@ -311,8 +311,7 @@ class Controller:
         self.tool = ToolState(robot)
         self._limits, self._joints, self._solve = limits.table, joints, solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
-        self._tasks, self._numbers = list[Task](), Stack((), robot.nv)
-        self._step_s = 1e-3
+        self._tasks, self._numbers, self._step_s = list[Task](), Stack((), robot.nv), 1e-3
         self.reset()
 
     def reset(self, dq_rad_s: Array | None = None) -> None:

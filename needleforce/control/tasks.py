@@ -270,8 +270,7 @@ class AxialSpeed:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        rows[0] = tool.pose[:3, 2] @ tool.jacobian[:3]
-        rates[0] = self.speed_m_s
+        rows[0], rates[0] = tool.pose[:3, 2] @ tool.jacobian[:3], self.speed_m_s
 
 
 class JointVelocity:

@@ -29,10 +29,10 @@ Packet = TypeVar("Packet")
 
 _CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
 _SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
-# A delayed spring drives a hand, and so does friction that is not known yet, both the more the less
-# its motion is scaled down; and a hand springs forward when a membrane ruptures. So its motion is
-# damped, by so much at least and so much per scale, but not what lasts longer than so many seconds.
-_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S = 15.0, 50.0, 0.3
+# A delayed spring drives a hand (a stiffness k takes k T of damping away: more than the usual T is
+# made up for), and so does unknown friction, both the more the less its motion is scaled down; and
+# it springs forward at a rupture. So what is not steady is damped: at least so much, and per scale.
+_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S, _USUAL_LAG_S = 15.0, 50.0, 0.3, 0.015
 # Where both oscillate all the same, by 3 Hz or more, damping grows up to the port's: of means over
 # so long, twice the square of the mean is no swing, nor is what is slow.
 _SWING_S, _STEADIER, _CALM_m_s = 0.12, 2.0, 3e-3
@@ -106,12 +106,13 @@ class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
     Args:
-        motion_scale: Needle travel per travel of the handle.
+        motion_scale: Needle travel per travel of the handle, like the next of `Teleoperation`.
     """
 
-    def __init__(self, motion_scale: float) -> None:
-        self._scale = motion_scale
-        self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m * motion_scale)
+    def __init__(self, motion_scale: float, force_lag_s: float = _USUAL_LAG_S) -> None:
+        self._scale, late_s = motion_scale, max(force_lag_s - _USUAL_LAG_S, 0.0)
+        damping_Ns_m = _DAMPING_Ns_m + _STIFFEST_N_per_m * late_s
+        self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, damping_Ns_m * motion_scale)
         self.port = HandPort()
         self.position_m: float | None = None  # of the handle, until a reset
         self.force_N = 0.0  # to render, positive against insertion
@@ -198,7 +199,7 @@ class NeedleSide:
         """
         self._silent_s = self._silent_s + dt_s if news is self._last else 0.0
         self._last = news
-        wanted_m_s, incoming_J = 0.0, 0.0
+        wanted_m_s = incoming_J = 0.0
         if news is not None:
             if self.start_m is None or not news.is_coupled or self._silent_s >= _SILENCE_S:
                 self.start_m = depth_m - news.travel_m
@@ -227,6 +228,7 @@ class Teleoperation:
         force_scale: Force at the hand per force at the needle.
         shown: Force at the tip; ``enhanced``, less friction of layers traversed; ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle.
+        force_lag_s: Lag of the session's observer, one over its gain.
         lines: From the device to the needle, and back; None for no delay.
 
     Attributes:
@@ -244,6 +246,7 @@ class Teleoperation:
         force_scale: float = 1.0,
         shown: Shown = "tip",
         speed_limit_m_s: float = 0.02,
+        force_lag_s: float = _USUAL_LAG_S,
         lines: tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
     ) -> None:
         direction = vector(axis, 3, "axis")
@@ -251,14 +254,15 @@ class Teleoperation:
             raise SettingError(f"axis is {axis!r}, expected three numbers that are not all zero")
         if not 0.1 <= as_float(motion_scale) <= 1.0:
             raise SettingError(f"motion_scale is {motion_scale!r}, expected 0.1 to 1")
-        require_positive({"force_scale": force_scale, "speed_limit_m_s": speed_limit_m_s})
+        numbers = {"force_scale": force_scale, "speed_limit_m_s": speed_limit_m_s}
+        require_positive(numbers | {"force_lag_s": force_lag_s})
         if shown not in get_args(Shown):
             raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
         if lines is not None and not all(hasattr(line, "exchange") for line in lines):
             raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
         self._axis, self._lines = direction / np.linalg.norm(direction), lines
-        self.device = DeviceSide(motion_scale)
+        self.device = DeviceSide(motion_scale, force_lag_s)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self.shown_N = self._ruptured_s = 0.0
@@ -284,10 +288,8 @@ class Teleoperation:
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:
             return TeleopCommand(0.0, -self.device.force_N * self._axis)
-        if estimate.status is Status.OK:
-            self.shown_N = self._smoothed(estimate, dt_s)
-        else:
-            self.shown_N *= _FADE_S / (_FADE_S + dt_s)
+        faded_N, is_ok = _FADE_S / (_FADE_S + dt_s) * self.shown_N, estimate.status is Status.OK
+        self.shown_N = self._smoothed(estimate, dt_s) if is_ok else faded_N
         sent = self.device.update(_along(self._axis, sample), self._from_needle, dt_s)
         lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
