@@ -42,7 +42,7 @@ _FADE_S = 0.05  # a force that is not known any more fades
 # force is smooth, but never further from the known one, until a rupture shows at once for a while.
 # With travel it grows by the stiffness identified, at most so much: a force that grows is not late.
 _SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
-_RUPTURE_S, _AT_ONCE_S = 0.3, 0.02
+_RUPTURE_S, _AT_ONCE_S = 0.3, 0.014
 _COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
