@@ -8,15 +8,15 @@ from collections.abc import Iterator
 import numpy as np
 
 from benchmarks.control_study import Figure
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import Servo, SimulatedArm
 from groundtruth.rig_contacts import Wall
 from groundtruth.rig_operator import random_operator
 from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, ruptures_felt, teleoperate
-from residual import DEFAULT, HAND_DRIVEN
+from residual import DEFAULT, HAND_DRIVEN, SensorConfig
 
 DELAYS_MS = (0, 10, 50)
 SERVOS: dict[str, Servo] = {"S": "stiff", "I": "impedance"}
-SENSORS = {"fri": HAND_DRIVEN}  # which sends no velocity
 CASES = (
     *(f"S tissue {delay}" for delay in DELAYS_MS),
     *(f"{servo} wall {delay}" for servo in SERVOS for delay in DELAYS_MS),
@@ -26,6 +26,12 @@ SPEED_M_S, TRAVEL_M = 4e-3, 111e-3
 """The needle's speed if the hand had its will, and its travel: through the stack and beyond."""
 WALL_SPEED_M_S, PRESSED_M = 10e-3, 20e-3
 MOST_S = 90.0
+
+
+def _sensor(plant: str) -> SensorConfig:
+    """The setting for hands where the arm sends no velocity."""
+    sends_velocity = PLANT_MODELS[plant].velocity_noise_std_rad_s is not None
+    return DEFAULT if sends_velocity else HAND_DRIVEN
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -55,7 +61,7 @@ def _tissue(
         seed=seed,
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
-        sensor=SENSORS.get(plant, DEFAULT),
+        sensor=_sensor(plant),
     )
     by = f"{delay_ms} ms"
     felt = ruptures_felt(run)
@@ -86,7 +92,7 @@ def _wall(
         shown="raw",
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
-        sensor=SENSORS.get(plant, DEFAULT),
+        sensor=_sensor(plant),
     )
     least_mJ = 1e3 * run.least_energy_J
     what = f"port energy against 20 kN/m, raw force, {delay_ms} ms"

@@ -334,6 +334,7 @@ def test_line_keeps_the_order_and_the_newest_counts():
     [
         (lambda: Teleoperation(motion_scale=0.05), "motion_scale is 0.05, expected 0.1 to 1"),
         (lambda: Teleoperation(force_scale=-1.0), "force_scale is -1.0"),
+        (lambda: Teleoperation(force_lag_s=0.0), "force_lag_s is 0.0"),
         (lambda: Teleoperation(axis=(0.0, 0.0, 0.0)), "three numbers that are not all zero"),
         (lambda: Teleoperation(shown="all"), "expected 'tip', 'enhanced' or 'raw'"),
     ],
@@ -347,15 +348,30 @@ def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True
     return SimpleNamespace(position_m=position_m, velocity_m_s=velocity_m_s, clutch=clutch)
 
 
-@pytest.mark.parametrize(("hz", "least", "most"), [(1.0, 10.0, 50.0), (5.0, 60.0, 150.0)])
-def test_a_hand_that_swings_is_damped_more_than_one_that_springs_forward(hz, least, most):
-    tele, position_m, most_N = Teleoperation(motion_scale=0.2), 0.0, 0.0
+def damping_Ns_m(tele, hz):
+    """Most force per speed that a hand feels in free air, oscillating for half a second."""
+    position_m, most_N = 0.0, 0.0
     for angle in (2.0 * np.pi * hz * DT * np.arange(500)).tolist():
         speed_m_s = 0.02 * np.sin(angle)
         position_m += speed_m_s * DT
         now = handle((0.0, 0.0, position_m), (0.0, 0.0, speed_m_s))
         most_N = max(most_N, abs(tele.update(now, estimate(0.0), DT).force_N[2]))
-    assert least < most_N / 0.02 < most
+    return most_N / 0.02
+
+
+@pytest.mark.parametrize(("hz", "least", "most"), [(1.0, 10.0, 50.0), (5.0, 60.0, 150.0)])
+def test_a_hand_that_swings_is_damped_more_than_one_that_springs_forward(hz, least, most):
+    assert least < damping_Ns_m(Teleoperation(motion_scale=0.2), hz) < most
+
+
+def test_a_hand_whose_force_is_late_is_damped_more():
+    usual, sooner = (
+        damping_Ns_m(Teleoperation(motion_scale=1.0, **lag), 1.0)
+        for lag in ({}, {"force_lag_s": 5e-3})
+    )
+    late = damping_Ns_m(Teleoperation(motion_scale=1.0, force_lag_s=1.0 / 15.0), 1.0)
+    assert sooner == usual
+    assert late > 1.3 * usual
 
 
 @pytest.mark.parametrize("dt_s", [np.nan, np.inf, 0.0, -1e-3, -0.2, None, "x"])

@@ -171,13 +171,12 @@ def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(l
 
 
 def worst_force_in_quick_free_motion(robot, config):
-    """Largest force read while an arm that sends no velocity, but coarse positions, swings."""
+    """Largest force read while an arm that sends no velocity, but noisy positions, swings."""
     rng = np.random.default_rng(0)
     sensor = VirtualForceSensor(robot, config)
     for size in (0.02, 0.1):
         _, q, _, tau = swing(robot, seconds=3.0, amplitude=size)
-        coarse = q + 1e-5 * rng.normal(size=q.shape)
-        rows = rows_of(coarse, None, tau)
+        rows = rows_of(q + 1e-5 * rng.normal(size=q.shape), None, tau)
         found = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
         if not sensor.tared:
             sensor.tare()

@@ -241,8 +241,9 @@ def _guidance(progress: Progress) -> Shown:
             if arm.time_s > 4.0:
                 sensor.tare()
         else:
-            felt, valid = (wrench.residual, sensor.residual_std_Nm), wrench.status is Status.OK
-            stack = [guidance.update(*felt, sample.dt_s, is_valid=valid)]
+            valid = wrench.status is Status.OK
+            sigma_Nm = sensor.residual_std_Nm
+            stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
         arm.send(controller.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)

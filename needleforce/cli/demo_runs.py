@@ -122,9 +122,9 @@ def teleoperate(
     control.tool.update(arm.home_rad)
     shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
-    lines = tuple(DelayLine(delay_s, min(JITTER_s, delay_s), rng) for _ in range(2))
-    ways, lag_s = (lines[0], lines[1]), 1.0 / sensor.slowest_gain_per_s
-    tele = Teleoperation(motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=ways)
+    jitter_s, lag_s = min(JITTER_s, delay_s), 1.0 / sensor.slowest_gain_per_s
+    lines = DelayLine(delay_s, jitter_s, rng), DelayLine(delay_s, jitter_s, rng)
+    tele = Teleoperation(motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=lines)
     master = HapticMaster(operator(lambda t: (0.0, 0.0, hand.at(t)[0])))
     approach, found, wanted_m, end_s = _Approach(session), Teleinsertion(), 0.0, np.inf
     for sample in arm:

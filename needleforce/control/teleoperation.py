@@ -106,7 +106,7 @@ class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
     Args:
-        motion_scale: Needle travel per travel of the handle, like the next of `Teleoperation`.
+        motion_scale, force_lag_s: See `Teleoperation`.
     """
 
     def __init__(self, motion_scale: float, force_lag_s: float = _USUAL_LAG_S) -> None:
@@ -228,7 +228,7 @@ class Teleoperation:
         force_scale: Force at the hand per force at the needle.
         shown: Force at the tip; ``enhanced``, less friction of layers traversed; ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle.
-        force_lag_s: Lag of the session's observer, one over its gain.
+        force_lag_s: Lag of the session's observer, one over its gain; a later force is damped more.
         lines: From the device to the needle, and back; None for no delay.
 
     Attributes:
