@@ -31,7 +31,8 @@ LEAST_MM = 1.2  # least travel between two ruptures: about a needle diameter
 QUOTAS = (60, 8, 16, 6)
 """Most hypotheses kept: with a recent event, a membrane just met, older events, older membranes.
 What an event was shows only some tenths of a millimetre later; until then it is protected."""
-CAPACITY = sum(QUOTAS) + 90  # with the children of one step, before they are pruned
+KEPT = sum(QUOTAS)
+CAPACITY = KEPT + 90  # with the children of one step, before they are pruned
 NEGLIGIBLE = -30.0  # a hypothesis with a smaller logarithm of its weight is dropped
 _LIKELY = 25.0  # a parent's log weight is at most so far below the largest
 _OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
@@ -162,12 +163,7 @@ class BankMemory:
 def _events(
     fact: list[float], place: Place, chance: float, is_membrane_due: bool
 ) -> Iterator[tuple[int, float, bool, Array, float]]:
-    """What may happen to one hypothesis.
-
-    Yields:
-        Event, what the tip is in after it, whether some of its force stays, lengths of the
-        release, and the probability of each.
-    """
+    """Events, what the tip is in then, whether some of its force stays, release lengths, chance."""
     kind = fact[law.KIND]
     if kind == law.AIR:
         if fact[law.RUPTURES]:

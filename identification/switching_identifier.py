@@ -18,7 +18,7 @@ from identification import switching_update as samples
 from identification.config import MultilayerConfig
 from identification.disturbance_levels import BEATS, COLOUR_S, DisturbanceLevels, transitions
 from identification.estimate import Array, Events, LayerEstimate, Rupture, RuptureState, Sample
-from identification.hypothesis_bank import STEP_MM, Bank, BankMemory, Place, first_bank
+from identification.hypothesis_bank import KEPT, STEP_MM, Bank, BankMemory, Place, first_bank
 from identification.speed_trend import NO_TREND, follow_speed
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
@@ -186,7 +186,7 @@ class SwitchingMethod:
         """Begin hypotheses of what may have happened in the block's travel."""
         place = self._place
         begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-        is_fast = place.speed > _HALF * place.usual_speed
+        is_fast = place.speed > _HALF * place.usual_speed and self._bank.size <= KEPT
         if is_fast and begin.depth - self._spawned >= STEP_MM:
             left = self._levels.beside(self._tissue, place.time_s)
             moved = _tissue_speed(self._bank, place, left)
@@ -224,16 +224,28 @@ class SwitchingMethod:
             self._stage = _RUPTURES + (_BRANCH if is_advancing else _PRUNE)
             self._texture = self._texture.with_force(force, fresh if is_met else 0.0, v)
         else:
-            # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
-            is_rest = is_gap or own + self._tissue.at(clock_s)[1] < _HALF * usual
-            is_rest |= not self._tissue.is_known
-            self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
-            self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
+            self._pause(place, fresh, is_gap=is_gap)
         self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
         self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
         if not is_gap:
             self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
+
+    def _pause(self, place: Place, fresh: float, *, is_gap: bool) -> None:
+        """A block from which nothing is learnt: after a gap, at rest, in a channel already cut."""
+        self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
+        if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
+            # The needle went on: what happened half way, from the force that the likeliest says.
+            # The next block prunes: so far nothing speaks for or against it.
+            half_way, store = place.depth - 0.5 * place.speed * place.dt_s, self._bank.store
+            row = law.regressor(store[3][0], (half_way, place.speed, place.deflection))
+            self._place = place._replace(before=float(row @ store[0][0]))
+            self._branch()
+            return
+        # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
+        rate = self._tissue.at(place.time_s)[1] if self._tissue.is_known else -math.inf
+        is_rest = is_gap or place.speed + rate < _HALF * place.usual_speed
+        self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
 
     def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
         """The needle's own speed, less jitter; less the tissue's, if that moves."""
@@ -290,11 +302,7 @@ class SwitchingMethod:
         self._answer = working_copy(answer)
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:
-        """Whether the needle advances, and if the rupture was before a stop, far enough since.
-
-        A needle that does not advance ruptures nothing, and one that stopped lets the force fall:
-        once friction is back the force itself says what fell.
-        """
+        """Whether the needle advances, and far enough since a stop: friction is back."""
         since_mm = self._place.depth - float(bank.records[pick, law.RUPTURE_MM])
         resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
         return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)

@@ -359,6 +359,8 @@ class InsertionSession:
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             return self._skip(wrench, elapsed_s)
         if self._unused_s:
+            if sensor.recheck(wrench).warnings & _PUSHED:
+                return self._skip(wrench, elapsed_s)
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         _, _, depth_m, speed_m_s = travel
         time_s, force_N, std_N = self._time_s, wrench.axial_unsmoothed, wrench.axial_std

@@ -10,13 +10,7 @@ from bag_samples import START_NS, STEP_NS, TYPES, data_file, insertion_rows, joi
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleforce.recordings import (
-    FormatError,
-    RecordingError,
-    read_log,
-    read_table,
-    write_table,
-)
+from needleforce.recordings import FormatError, RecordingError, read_log, read_table, write_table
 from needleforce.recordings.bag_messages import read_messages
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.table import to_nanoseconds

@@ -20,14 +20,7 @@ pytest.importorskip("viser")
 from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy.plan_match import PlanState
 from needleforce.cli import main
-from needleforce.scene import (
-    PlanScene,
-    SceneError,
-    SlicerOutput,
-    StateRing,
-    Viewer,
-    open_viewer,
-)
+from needleforce.scene import PlanScene, SceneError, SlicerOutput, StateRing, Viewer, open_viewer
 from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
 from urdf import example_robot_path, load_example
 
@@ -58,12 +51,7 @@ def plan():
     box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float) * 0.05
     triangles = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]])
     surfaces = [
-        SimpleNamespace(
-            name=name,
-            colour=color,
-            vertices_m=box + shift,
-            triangles=triangles,
-        )
+        SimpleNamespace(name=name, colour=color, vertices_m=box + shift, triangles=triangles)
         for name, color, shift in (
             ("liver", (0.6, 0.2, 0.2), [-0.6, 0.0, 0.2]),
             ("rib", (0.9, 0.9, 0.9), [-0.6, 0.0, 0.1]),
