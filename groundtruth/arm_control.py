@@ -101,11 +101,8 @@ def drive(
 
 
 def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array]:
-    """Feed-forward torque, shape (n, 7), and mass matrices, shape (ceil(n / MASS_TICKS), 7, 7).
-
-    The feed-forward is the inverse dynamics at the middle of each tick with the mean acceleration
-    over it: a torque held over a tick sets the mean, not the value at its start.
-    """
+    """Feed-forward torque, shape (n, 7), and mass matrices, shape (ceil(n / MASS_TICKS), 7, 7)."""
+    # At the middle of each tick: a torque held over it sets the mean acceleration.
     q, dq = motion
     middles = zip(
         0.5 * (q[1:] + q[:-1]), 0.5 * (dq[1:] + dq[:-1]), np.diff(dq, axis=0) / TICK_s, strict=True

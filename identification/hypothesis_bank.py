@@ -32,7 +32,7 @@ QUOTAS = (60, 8, 16, 6)
 """Most hypotheses kept: with a recent event, a membrane just met, older events, older membranes.
 What an event was shows only some tenths of a millimetre later; until then it is protected."""
 KEPT = sum(QUOTAS)
-CAPACITY = KEPT + 90  # with the children of one step, before they are pruned
+CAPACITY = KEPT + 120  # with the children of two steps, before they are pruned
 NEGLIGIBLE = -30.0  # a hypothesis with a smaller logarithm of its weight is dropped
 _LIKELY = 25.0  # a parent's log weight is at most so far below the largest
 _OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD

@@ -166,7 +166,7 @@ class SwitchingMethod:
             return
         clock_s = sample[-1]
         if self._stage != _FOLLOW:
-            if self._stage == _BRANCH:
+            if self._stage == _BRANCH and self._bank.size <= KEPT:
                 self._branch()
             self._bank.prune(self._place)
             self._stage = self._after(clock_s)
@@ -186,7 +186,7 @@ class SwitchingMethod:
         """Begin hypotheses of what may have happened in the block's travel."""
         place = self._place
         begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-        is_fast = place.speed > _HALF * place.usual_speed and self._bank.size <= KEPT
+        is_fast = place.speed > _HALF * place.usual_speed
         if is_fast and begin.depth - self._spawned >= STEP_MM:
             left = self._levels.beside(self._tissue, place.time_s)
             moved = _tissue_speed(self._bank, place, left)
@@ -235,12 +235,17 @@ class SwitchingMethod:
         """A block from which nothing is learnt: after a gap, at rest, in a channel already cut."""
         self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
         if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
-            # The needle went on: what happened half way, from the force that the likeliest says.
-            # The next block prunes: so far nothing speaks for or against it.
-            half_way, store = place.depth - 0.5 * place.speed * place.dt_s, self._bank.store
-            row = law.regressor(store[3][0], (half_way, place.speed, place.deflection))
-            self._place = place._replace(before=float(row @ store[0][0]))
-            self._branch()
+            # The needle went on: something may have happened half way or near the end, dated alike,
+            # so that either may prove right without taking back an alarm. The next block prunes.
+            end_s, store = place.time_s + 0.5 * place.dt_s, self._bank.store
+            for ago_s in (0.5 * place.dt_s, 0.1 * place.dt_s):
+                scene = place.depth - place.speed * ago_s, place.speed, place.deflection
+                force = float(law.regressor(store[3][0], scene) @ store[0][0])
+                self._place = place._replace(time_s=end_s, dt_s=2.0 * ago_s, before=force)
+                self._branch()
+            is_new = store[4][:, law.RUPTURE_MM] > place.depth - fresh
+            store[4][is_new, law.RUPTURE_S] = end_s - ago_s
+            store[4][is_new, law.RUPTURE_MM] = scene[0]
             return
         # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
         rate = self._tissue.at(place.time_s)[1] if self._tissue.is_known else -math.inf
