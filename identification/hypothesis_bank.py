@@ -163,7 +163,7 @@ class BankMemory:
 def _events(
     fact: list[float], place: Place, chance: float, is_membrane_due: bool
 ) -> Iterator[tuple[int, float, bool, Array, float]]:
-    """Events, what the tip is in then, whether some of its force stays, release lengths, chance."""
+    """What may happen: event, what the tip is in then, if force stays, release lengths, chance."""
     kind = fact[law.KIND]
     if kind == law.AIR:
         if fact[law.RUPTURES]:

@@ -172,7 +172,7 @@ def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least
 
 @compiled
 def _density(memory: WrittenVector, gain: float) -> float:
-    """Spectral density of the acceleration: large where chance does not explain the innovations."""
+    """Spectral density of the acceleration: larger where innovations show a start or a stop."""
     surprise = max(abs(memory[_SURPRISE]), abs(memory[_SPEED_SURPRISE]))
     haste = max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
     return haste * _ACCELERATION_M2_PER_S3

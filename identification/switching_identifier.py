@@ -307,7 +307,7 @@ class SwitchingMethod:
         self._answer = working_copy(answer)
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:
-        """Whether the needle advances, and far enough since a stop: friction is back."""
+        """Whether the needle advances, and far enough since a stop, which lets the force fall."""
         since_mm = self._place.depth - float(bank.records[pick, law.RUPTURE_MM])
         resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
         return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)

@@ -166,7 +166,7 @@ class FreeMotionFit:
 
 
 def _walk_columns(age_s: Array, terms: int) -> Array:
-    """Karhunen and Loeve's sines of a random walk, zero at the end, 1/s; shape (blocks, terms)."""
+    """Random walk as sines of Karhunen and Loeve, zero at the tare's end; shape (blocks, terms)."""
     span_s = max(float(-age_s.min()), 1e-3)
     rate = (np.arange(terms) + 0.5) * np.pi / span_s
     return np.sqrt(2.0 / span_s) / rate * np.sin(-age_s[:, None] * rate)

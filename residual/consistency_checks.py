@@ -387,7 +387,7 @@ class ConsistencyMonitor:
     def recheck(self, last: WrenchEstimate, before: WrenchEstimate) -> WrenchEstimate:
         """The last estimate, with a warning if its torques, or their change, fit no needle force.
 
-        Meant for decisions that must not wait, not for every sample: a knock raises it, too. The
+        Meant for alarms and for the end of a gap, not for every sample: a knock raises it, too. The
         sample before must show it as well, since an arm that brakes hard raises it for one sample.
         """
         square = min(self._wrench.mismatch_squared(each.residual) for each in (last, before))
