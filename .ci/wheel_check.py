@@ -24,10 +24,14 @@ NAME = "needleforce"
 def check_files() -> None:
     """The wheel holds the licence, the robot and the type markers, and no tests."""
     shipped = [str(path) for path in files(NAME) or ()]
-    assert any(path.endswith("licenses/LICENSE") for path in shipped), "no LICENSE in the wheel"
+    assert any(path.endswith("licenses/LICENSE") for path in shipped), (
+        "no LICENSE in the wheel"
+    )
     assert metadata(NAME)["License-Expression"] == "Apache-2.0"
     assert "urdf/data/lwr4plus.urdf" in shipped
-    assert {f"needleforce/plots/{n}" for n in ("page.html", "chart.mplstyle")} <= set(shipped)
+    assert {f"needleforce/plots/{n}" for n in ("page.html", "chart.mplstyle")} <= set(
+        shipped
+    )
     for room in (
         "urdf",
         "residual",
@@ -69,7 +73,9 @@ def check_commands() -> None:
         [sys.executable, "-I", "-m", "needleforce", "identify", "--help"],
         [sys.executable, "-I", "-m", "residual", "--help"],
     ):
-        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        said = subprocess.run(
+            command, capture_output=True, text=True, check=True
+        ).stdout
         assert "LOG" in said, command
 
 

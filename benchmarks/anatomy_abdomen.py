@@ -14,7 +14,9 @@ RUNS = 20
 
 def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
     """Yield the errors on the analytic torso, and on the CT where it is there."""
-    places = {"analytic torso": None} | ({} if data is None else {"CT": data / CT_FOLDER})
+    places = {"analytic torso": None} | (
+        {} if data is None else {"CT": data / CT_FOLDER}
+    )
     for number, (name, folder) in enumerate(places.items()):
         errors = []
         for k in range(RUNS):
@@ -22,6 +24,10 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             progress((number + (k + 1) / RUNS) / len(places))
         by_plan, corrected = 1e3 * np.sqrt(np.mean(np.square(errors), axis=0))
         worst = 1e3 * float(np.max(errors, axis=0)[1])
-        yield Figure(f"{name}: tip from the target by the plan alone, rms", "", by_plan, "mm")
-        yield Figure(f"{name}: tip from the target, corrected, rms", "", corrected, "mm", 1.5)
+        yield Figure(
+            f"{name}: tip from the target by the plan alone, rms", "", by_plan, "mm"
+        )
+        yield Figure(
+            f"{name}: tip from the target, corrected, rms", "", corrected, "mm", 1.5
+        )
         yield Figure(f"{name}: the same, worst of {RUNS}", "", worst, "mm")

@@ -38,14 +38,21 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
                 if len(lines[-1]) == 1:
                     progress(float(line))
         if child.returncode:
-            raise BenchmarkError(f"reading the full-size volume ended with {child.returncode}")
+            raise BenchmarkError(
+                f"reading the full-size volume ended with {child.returncode}"
+            )
     seconds, gigabytes, structures, closed, worst, triangles = map(float, lines[-1])
     yield Figure("full size: voxels", "", 1e-6 * voxels, "million")
     yield Figure("full size: structures", "", structures, "")
     yield Figure("full size: reading and all surfaces", "", seconds, "s", MOST_S)
     yield Figure("full size: peak memory", "", gigabytes, "GB", MOST_GB)
     yield Figure(
-        "full size: watertight", "", 100.0 * closed / structures, "%", 100.0, at_least=True
+        "full size: watertight",
+        "",
+        100.0 * closed / structures,
+        "%",
+        100.0,
+        at_least=True,
     )
     yield Figure("full size: volume against voxels, worst", "", worst, "%", 0.1)
     yield Figure("full size: triangles", "", 1e-6 * triangles, "million")

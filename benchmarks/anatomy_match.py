@@ -76,12 +76,18 @@ def ruptures_of(seed: int) -> Found:
         for rupture in (found.rupture, found.retracted):
             if k > tare and rupture is not None:
                 depth = rupture.depth_m + zero
-                near = min(true.ruptures, key=lambda one: abs(one.onset_m - depth), default=None)
+                near = min(
+                    true.ruptures,
+                    key=lambda one: abs(one.onset_m - depth),
+                    default=None,
+                )
                 is_same = near is not None and abs(near.onset_m - depth) < SAME_m
                 layer = near.layer if near is not None and is_same else -1
                 is_retracted = rupture is found.retracted
                 contact = rupture.contact_depth_m + zero
-                events.append(Event(now.depth_m + zero, depth, layer, is_retracted, contact))
+                events.append(
+                    Event(now.depth_m + zero, depth, layer, is_retracted, contact)
+                )
     thickness = [layer.thickness_m for layer in run.scenario.layers]
     return Found(np.cumsum([0.0, *thickness]), events)
 
@@ -99,13 +105,34 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
         for one in found:
             for _ in range(PLANS):
                 _matched(one, case, rng, (offsets, right, inside))
-        rms_mm = 1e3 * float(np.sqrt(np.mean(np.square(offsets)))) if offsets else float("nan")
+        rms_mm = (
+            1e3 * float(np.sqrt(np.mean(np.square(offsets))))
+            if offsets
+            else float("nan")
+        )
         cover, least = float(np.mean(inside)), 95.0 if case.withheld else 97.0
         hits = 100.0 * float(np.mean(right))
-        yield Figure(f"plan, {case.name}: offset after three ruptures, rms", "", rms_mm, "mm", 0.8)
-        yield Figure(f"plan, {case.name}: right boundary", "", hits, "%", least, at_least=True)
-        yield Figure(f"plan, {case.name}: 95 % interval covers", "", cover, "", 0.93, at_least=True)
-        yield Figure(f"plan, {case.name}: 95 % interval covers, at most", "", cover, "", 0.98)
+        yield Figure(
+            f"plan, {case.name}: offset after three ruptures, rms",
+            "",
+            rms_mm,
+            "mm",
+            0.8,
+        )
+        yield Figure(
+            f"plan, {case.name}: right boundary", "", hits, "%", least, at_least=True
+        )
+        yield Figure(
+            f"plan, {case.name}: 95 % interval covers",
+            "",
+            cover,
+            "",
+            0.93,
+            at_least=True,
+        )
+        yield Figure(
+            f"plan, {case.name}: 95 % interval covers, at most", "", cover, "", 0.98
+        )
 
 
 def _matched(
@@ -116,7 +143,11 @@ def _matched(
 ) -> None:
     """Match one insertion with a plan that is drawn, and append what came of it."""
     offset = OFFSET_STD_m * float(rng.normal())
-    edges = one.boundaries_m - offset + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
+    edges = (
+        one.boundaries_m
+        - offset
+        + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
+    )
     if case.is_skin_right:
         edges[0] += offset
     if (np.diff(edges) <= 5e-4).any():

@@ -48,18 +48,31 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             torso = analytic_torso(rng)
             labels = scan_of(torso, spacing_mm, rng)
             layers_of(labels, *random_path(torso, rng))  # the first call imports
-            found += [measure_path(torso, labels, *random_path(torso, rng)) for _ in range(PATHS)]
+            found += [
+                measure_path(torso, labels, *random_path(torso, rng))
+                for _ in range(PATHS)
+            ]
             progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
         errors = np.array([error for one in found for error in one.errors_voxels])
         scores = np.abs([score for one in found for score in one.scores])
         right = float(100.0 * np.mean([one.is_right for one in found]))
         slow_ms = 1e3 * float(np.median([one.seconds for one in found]))
         yield Figure(
-            f"{name}: depth error, rms", "", float(np.sqrt(np.mean(errors**2))), "voxel", 0.15
+            f"{name}: depth error, rms",
+            "",
+            float(np.sqrt(np.mean(errors**2))),
+            "voxel",
+            0.15,
         )
-        yield Figure(f"{name}: sequence right", "", float(right), "%", 99.0, at_least=True)
         yield Figure(
-            f"{name}: paths with gaps or overlaps", "", sum(m.has_gaps for m in found), "", 0.0
+            f"{name}: sequence right", "", float(right), "%", 99.0, at_least=True
+        )
+        yield Figure(
+            f"{name}: paths with gaps or overlaps",
+            "",
+            sum(m.has_gaps for m in found),
+            "",
+            0.0,
         )
         yield Figure(f"{name}: time of a path, median", "", slow_ms, "ms", 5.0)
         yield Figure(
@@ -75,16 +88,24 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             "%",
         )
         found_percent = 100.0 * len(errors) / sum(one.crossings for one in found)
-        yield Figure(f"{name}: true crossings found, of any thickness", "", found_percent, "%")
+        yield Figure(
+            f"{name}: true crossings found, of any thickness", "", found_percent, "%"
+        )
 
 
-def scan_of(torso: Torso, spacing_mm: Sequence[float], rng: np.random.Generator) -> Labels:
+def scan_of(
+    torso: Torso, spacing_mm: Sequence[float], rng: np.random.Generator
+) -> Labels:
     """Label the torso on a grid that begins anywhere in a voxel."""
     spacing = 1e-3 * np.array(spacing_mm)
     shape = tuple(int(n) for n in np.ceil(2.0 * HALF_M / spacing))
     grid = Grid(shape, -HALF_M + rng.uniform(size=3) * spacing, np.diag(spacing))
-    structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
-    return Labels.of([torso.voxels(shape, grid.origin_m, grid.axes_m)], grid, structures)
+    structures = [
+        Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)
+    ]
+    return Labels.of(
+        [torso.voxels(shape, grid.origin_m, grid.axes_m)], grid, structures
+    )
 
 
 def random_path(
@@ -105,13 +126,16 @@ def layers_of(labels: Labels, entry_m: NDArray, target_m: NDArray) -> list[Layer
     return labels.layers_along(entry_m, target_m)
 
 
-def measure_path(torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray) -> Measured:
+def measure_path(
+    torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray
+) -> Measured:
     """Compare one path with the truth: every crossing found between the same two layers."""
     begin = perf_counter()
     layers = layers_of(labels, entry_m, target_m)
     seconds = perf_counter() - begin
     truth = [
-        item._replace(name=item.name or UNLABELLED) for item in torso.crossings(entry_m, target_m)
+        item._replace(name=item.name or UNLABELLED)
+        for item in torso.crossings(entry_m, target_m)
     ]
     voxel_m = float(np.cbrt(labels.grid.voxel_m3))
     errors, scores = [], []
@@ -119,8 +143,13 @@ def measure_path(torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArr
         errors.append(error_m / voxel_m)
         scores.append(error_m / std_m)
     ends = [layers[0].entry_m, *(layer.exit_m for layer in layers)]
-    begins = [*(layer.entry_m for layer in layers), float(np.linalg.norm(target_m - entry_m))]
-    gaps = not np.allclose(ends, begins, rtol=0.0, atol=1e-12) or bool(np.any(np.diff(ends) < 0.0))
+    begins = [
+        *(layer.entry_m for layer in layers),
+        float(np.linalg.norm(target_m - entry_m)),
+    ]
+    gaps = not np.allclose(ends, begins, rtol=0.0, atol=1e-12) or bool(
+        np.any(np.diff(ends) < 0.0)
+    )
     is_right = in_order(truth, layers, THICK_VOXELS * voxel_m)
     return Measured(errors, scores, is_right, gaps, len(truth) - 1, seconds)
 
@@ -144,7 +173,9 @@ def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) 
     )
 
 
-def matched(truth: Sequence[Stretch], layers: Sequence[Layer]) -> Iterator[tuple[float, float]]:
+def matched(
+    truth: Sequence[Stretch], layers: Sequence[Layer]
+) -> Iterator[tuple[float, float]]:
     """Yield error and stated deviation, in metres, of crossings between the same two layers.
 
     Of several such crossings the nearest counts.

@@ -69,7 +69,9 @@ def landmarks(count: int, rng: np.random.Generator) -> Array:
         angle = rng.uniform(-1.5, 1.5, count)
         height = rng.uniform(-0.8, 0.8, count)
         flat = np.sqrt(1.0 - height**2)
-        points = SKIN_m * np.column_stack((flat * np.sin(angle), -flat * np.cos(angle), height))
+        points = SKIN_m * np.column_stack(
+            (flat * np.sin(angle), -flat * np.cos(angle), height)
+        )
         apart = np.linalg.norm(points[:, None] - points[None], axis=-1) + np.eye(count)
         width = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1]
         if apart.min() > 0.05 and width > 0.04 * np.sqrt(count):
@@ -82,7 +84,10 @@ def pose(rng: np.random.Generator) -> Pose:
 
 
 def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
-    for name, is_known in (("deviation known", True), ("deviation from residuals", False)):
+    for name, is_known in (
+        ("deviation known", True),
+        ("deviation from residuals", False),
+    ):
         inside, error, stated = [], [], []
         for draw in range(LANDMARK_DRAWS):
             count = (3 if is_known else 4) + draw % (8 if is_known else 7)
@@ -124,9 +129,14 @@ def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
     for name, (word, spoil) in FAULTS.items():
         hits = 0
         for _ in range(REFUSAL_DRAWS):
-            model, (rotation, shift) = landmarks(int(rng.integers(4, 9)), rng), pose(rng)
+            model, (rotation, shift) = (
+                landmarks(int(rng.integers(4, 9)), rng),
+                pose(rng),
+            )
             if name == "collinear":
-                model = np.outer(rng.uniform(-0.15, 0.15, len(model)), rng.normal(size=3))
+                model = np.outer(
+                    rng.uniform(-0.15, 0.15, len(model)), rng.normal(size=3)
+                )
             robot = model @ rotation.T + shift + STD_m * rng.normal(size=model.shape)
             kept = slice(2) if name == "too few" else slice(None)
             try:
@@ -137,14 +147,20 @@ def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
         percent = 100.0 * hits / REFUSAL_DRAWS
         what = "accepted" if name == "good" else "refused by name"
         least = 100.0 if name == "good" else 99.0
-        yield Figure(f"landmarks {name}: {what}", "", percent, "%", least, at_least=True)
+        yield Figure(
+            f"landmarks {name}: {what}", "", percent, "%", least, at_least=True
+        )
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
     """Touches of a mesh's side that looks to the front, one in ten slipped off by 5 to 20 mm."""
-    area = mesh.area_faces * (1.0 if front is None else mesh.face_normals @ front > 0.15)
+    area = mesh.area_faces * (
+        1.0 if front is None else mesh.face_normals @ front > 0.15
+    )
     chosen = rng.choice(len(area), TOUCHES, p=area / area.sum())
-    points = np.einsum("nk,nkj->nj", rng.dirichlet([1, 1, 1], TOUCHES), mesh.triangles[chosen])
+    points = np.einsum(
+        "nk,nkj->nj", rng.dirichlet([1, 1, 1], TOUCHES), mesh.triangles[chosen]
+    )
     points = points + STD_m * rng.normal(size=points.shape)
     slipped = rng.random(TOUCHES) < OUTLIERS
     sign = rng.choice([-1.0, 1.0], (int(slipped.sum()), 1))
@@ -180,12 +196,21 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
         for _ in range(SYMMETRIC_FITS):
             points, truth = touch(part, None, rng), pose(rng)
             try:
-                fit_surface(surface, points @ truth[0].T + truth[1], rough(points, truth, rng))
+                fit_surface(
+                    surface, points @ truth[0].T + truth[1], rough(points, truth, rng)
+                )
             except RegistrationError:
                 refused += 1
         percent, is_good = 100.0 * refused / SYMMETRIC_FITS, "corner" in name
         limit = 0.0 if is_good else 99.0
-        yield Figure(f"touches of a {name}: refused", "", percent, "%", limit, at_least=not is_good)
+        yield Figure(
+            f"touches of a {name}: refused",
+            "",
+            percent,
+            "%",
+            limit,
+            at_least=not is_good,
+        )
 
 
 def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
@@ -197,7 +222,9 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
         turn = rng.uniform(*FAR_rad) * axis / np.linalg.norm(axis)
         off = truth[0] @ Rotation.from_rotvec(turn).as_matrix()
         middle = points.mean(axis=0)
-        shift = (truth[0] - off) @ middle + truth[1] + 0.03 * aside / np.linalg.norm(aside)
+        shift = (
+            (truth[0] - off) @ middle + truth[1] + 0.03 * aside / np.linalg.norm(aside)
+        )
         start = Registration(off, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
         try:
             found = fit_surface(model, points @ truth[0].T + truth[1], start)
@@ -218,7 +245,10 @@ def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figu
         center = truth_mesh.center_mass
         for number in range(FITS):
             front = rng.normal(size=3)
-            points, truth = touch(truth_mesh, front / np.linalg.norm(front), rng), pose(rng)
+            points, truth = (
+                touch(truth_mesh, front / np.linalg.norm(front), rng),
+                pose(rng),
+            )
             try:
                 robot = points @ truth[0].T + truth[1]
                 start, check = rough(points, truth, rng), number < CHECKED
@@ -240,7 +270,9 @@ def _quantile(values: list[float]) -> float:
     return float(np.quantile(values, 0.95))
 
 
-def truth_and_model(labels: Labels, name: str, rng: np.random.Generator) -> tuple[Any, Any]:
+def truth_and_model(
+    labels: Labels, name: str, rng: np.random.Generator
+) -> tuple[Any, Any]:
     """A smooth organ as a mesh [m], and the surface of its segmentation on another grid."""
     import trimesh
     from skimage.measure import marching_cubes
@@ -248,9 +280,13 @@ def truth_and_model(labels: Labels, name: str, rng: np.random.Generator) -> tupl
     step = float(labels.grid.spacing_m.min())
     field = gaussian_filter(np.pad(labels.mask(name), 4).astype(float), 1.0)
     fine = np.stack(
-        np.meshgrid(*(np.arange(0.0, size - 1, 1 / 3) for size in field.shape), indexing="ij")
+        np.meshgrid(
+            *(np.arange(0.0, size - 1, 1 / 3) for size in field.shape), indexing="ij"
+        )
     )
-    vertices, triangles, _, _ = marching_cubes(map_coordinates(field, fine, order=1), 0.5)
+    vertices, triangles, _, _ = marching_cubes(
+        map_coordinates(field, fine, order=1), 0.5
+    )
     mesh = trimesh.Trimesh(vertices * step / 3.0, triangles)
     if mesh.volume < 0.0:
         mesh.invert()
@@ -258,10 +294,16 @@ def truth_and_model(labels: Labels, name: str, rng: np.random.Generator) -> tupl
     middle = mesh.vertices.mean(axis=0)
     reach = np.linalg.norm(mesh.vertices - middle, axis=1).max() + 4.0 * step
     count = int(2.0 * reach / step)
-    origin = middle - turn @ np.full(3, 0.5 * (count - 1) * step) + step * rng.uniform(0.0, 1.0, 3)
+    origin = (
+        middle
+        - turn @ np.full(3, 0.5 * (count - 1) * step)
+        + step * rng.uniform(0.0, 1.0, 3)
+    )
     grid = Grid((count,) * 3, origin, step * turn)
     index = np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1)
     places = grid.points_m(index) / step
-    numbers = (map_coordinates(field, np.moveaxis(places, -1, 0), order=1) > 0.5).astype(np.uint8)
+    numbers = (
+        map_coordinates(field, np.moveaxis(places, -1, 0), order=1) > 0.5
+    ).astype(np.uint8)
     model = Labels.of([numbers], grid, [Structure.named(name, 1)])
     return mesh, model.surfaces()[name]

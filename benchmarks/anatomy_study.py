@@ -11,7 +11,13 @@ from pathlib import Path
 
 from benchmarks import UnknownIdError
 from benchmarks.benchmark import Progress
-from benchmarks.control_study import FIRST_SEED, JUDGED, ControlRow, Figure, write_control
+from benchmarks.control_study import (
+    FIRST_SEED,
+    JUDGED,
+    ControlRow,
+    Figure,
+    write_control,
+)
 from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "anatomy"
@@ -28,11 +34,15 @@ def run_anatomy(
     Raises:
         UnknownIdError: There is no such part.
     """
-    there = [part for part in (*PARTS, "fullsize") if find_spec(f"benchmarks.anatomy_{part}")]
+    there = [
+        part for part in (*PARTS, "fullsize") if find_spec(f"benchmarks.anatomy_{part}")
+    ]
     known = {PREFIX, *(f"{PREFIX}-{part}" for part in there)}
     wanted = set(ids)
     if unknown := wanted - known:
-        raise UnknownIdError(f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}")
+        raise UnknownIdError(
+            f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}"
+        )
     whole = {f"{PREFIX}-{part}" for part in PARTS} if PREFIX in wanted else set()
     asked = [part for part in there if f"{PREFIX}-{part}" in wanted | whole]
     seed, rows = FIRST_SEED if first_seed is None else first_seed, []
@@ -44,7 +54,17 @@ def run_anatomy(
         module = import_module(f"benchmarks.anatomy_{part}")
         for figure in module.measure(seed, data, update):
             value, target = float(figure.value), figure.target
-            row = (part, figure.what, "", JUDGED, value, figure.unit, target, figure.at_least, 1)
+            row = (
+                part,
+                figure.what,
+                "",
+                JUDGED,
+                value,
+                figure.unit,
+                target,
+                figure.at_least,
+                1,
+            )
             rows.append(ControlRow(*row))
     return rows
 
@@ -60,7 +80,9 @@ def anatomy_table(rows: Iterable[ControlRow]) -> ResultTable:
                 row.part,
                 row.what,
                 f"{row.value:.4g}",
-                "" if row.target is None else f"{'≥' if row.at_least else '≤'} {row.target:g}",
+                ""
+                if row.target is None
+                else f"{'≥' if row.at_least else '≤'} {row.target:g}",
                 row.unit,
                 "" if row.target is None else "met" if row.is_met else "missed",
             )

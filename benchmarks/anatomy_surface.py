@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 from benchmarks.anatomy_study import CT_FOLDER, Figure
 from benchmarks.benchmark import Progress
 from groundtruth.torso import Ellipsoid
-from needleforce.anatomy import Grid, Labels, Structure, Surface, read_labels, read_volume
+from needleforce.anatomy import (
+    Grid,
+    Labels,
+    Structure,
+    Surface,
+    read_labels,
+    read_volume,
+)
 
 ELLIPSOIDS = 12
 LEAST_VOXELS = 500
@@ -50,10 +57,17 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]
     yield Figure(f"{name}: volume against truth, worst", "", max(truth), "%", target)
     yield Figure(f"{name}: volume against voxels, worst", "", max(voxels), "%", 0.1)
     pooled = float(np.sqrt(np.mean(np.square(rms))))
-    yield Figure(f"{name}: distance from the surface, rms of all", "", pooled, "voxel", 0.1)
+    yield Figure(
+        f"{name}: distance from the surface, rms of all", "", pooled, "voxel", 0.1
+    )
     yield Figure(f"{name}: the same, worst ellipsoid", "", max(rms), "voxel")
     yield Figure(
-        f"{name}: watertight", "", float(100.0 * np.mean(closed)), "%", 100.0, at_least=True
+        f"{name}: watertight",
+        "",
+        float(100.0 * np.mean(closed)),
+        "%",
+        100.0,
+        at_least=True,
     )
 
 
@@ -74,7 +88,9 @@ def distance_rms_m(surface: Surface, body: Ellipsoid) -> float:
     a, b, c = (surface.vertices_m[surface.triangles[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     mixes = np.array([[2, 2, 2], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0
-    squares = sum(body.distance_m(x * a + y * b + z * c) ** 2 for x, y, z in mixes) / len(mixes)
+    squares = sum(
+        body.distance_m(x * a + y * b + z * c) ** 2 for x, y, z in mixes
+    ) / len(mixes)
     return float(np.sqrt(np.sum(squares * areas) / np.sum(areas)))
 
 
@@ -90,7 +106,14 @@ def _real_ct(folder: Path) -> Iterator[Figure]:
     found = labels.surfaces(judged).values()
     closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in found]))
     worst = max(_volume_error(labels, surface) for surface in found)
-    yield Figure(f"CT, {len(judged)} structures: watertight", "", closed, "%", 100.0, at_least=True)
+    yield Figure(
+        f"CT, {len(judged)} structures: watertight",
+        "",
+        closed,
+        "%",
+        100.0,
+        at_least=True,
+    )
     yield Figure("CT: volume against voxels, worst", "", worst, "%", 0.1)
     triangles = sum(len(surface.triangles) for surface in found)
     yield Figure("CT: triangles", "", triangles, "")
@@ -106,10 +129,16 @@ def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
                 place.parent.mkdir(exist_ok=True)
                 write_labels(image, place)
                 labels = read_labels(place, {1: "part"})
-                errors[name].append(1e3 * float(np.abs(labels.centroid_m("part") - truth_m).max()))
+                errors[name].append(
+                    1e3 * float(np.abs(labels.centroid_m("part") - truth_m).max())
+                )
     for name, found in errors.items():
         yield Figure(
-            f"centroid, {name}, {len(found)} orientations, worst", "", max(found), "mm", 1e-5
+            f"centroid, {name}, {len(found)} orientations, worst",
+            "",
+            max(found),
+            "mm",
+            1e-5,
         )
 
 
@@ -139,7 +168,12 @@ def write_labels(image: Any, path: Path) -> None:
 
     if path.suffix:
         if path.name.endswith(".seg.nrrd"):
-            for key, value in (("ID", "s1"), ("Name", "part"), ("LabelValue", "1"), ("Layer", "0")):
+            for key, value in (
+                ("ID", "s1"),
+                ("Name", "part"),
+                ("LabelValue", "1"),
+                ("Layer", "0"),
+            ):
                 image.SetMetaData(f"Segment0_{key}", value)
         SimpleITK.WriteImage(image, str(path))
         return

@@ -90,10 +90,16 @@ class Benchmark:
     title: str  # one line for people
     run: Callable[[Job, Progress], Findings]  # does a job of it
     needs: tuple[str, ...] = ()  # folders of recordings it reads; none for a simulation
-    seeds: int = 1  # how many recordings it has, one a seed; a simulation takes any seed
+    seeds: int = (
+        1  # how many recordings it has, one a seed; a simulation takes any seed
+    )
     is_default: bool = True  # whether it runs when nothing is named
-    plants: tuple[str, ...] = ("clean",)  # on which plants a simulation runs when none is named
-    possible: tuple[str, ...] = tuple(PLANT_MODELS)  # on which plants a simulation can run
+    plants: tuple[str, ...] = (
+        "clean",
+    )  # on which plants a simulation runs when none is named
+    possible: tuple[str, ...] = tuple(
+        PLANT_MODELS
+    )  # on which plants a simulation can run
     perturbs: bool = False  # whether its plants are names of perturbations
 
     @property

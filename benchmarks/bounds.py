@@ -27,7 +27,9 @@ AROUND_s = 0.15
 _FLOOR = 1e-6
 
 
-def reading_error_N(signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0) -> Array:
+def reading_error_N(
+    signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0
+) -> Array:
     """Reading less true force over the insertion, straight lines across the releases.
 
     The truth goes through the sensor's lag before it is taken off. One value for each sample of
@@ -95,15 +97,21 @@ def friction_bounds(
     tips = _tips(truth, exits)
     inside = truth.is_insertion
     depth = truth.depth_m[inside]
-    frictions = truth.layer_friction_N[inside][:, [rupture.layer - 1 for rupture in exits]]
-    columns = np.column_stack([depth, frictions, *(_tip_columns(depth, tip) for tip in tips)])
+    frictions = truth.layer_friction_N[inside][
+        :, [rupture.layer - 1 for rupture in exits]
+    ]
+    columns = np.column_stack(
+        [depth, frictions, *(_tip_columns(depth, tip) for tip in tips)]
+    )
     size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MOST_BLOCKS))
     blocks = _means(columns, size)
     depth, columns = blocks[:, 0], blocks[:, 1:]
     if is_white:
         covariance = np.var(error_N) / size * np.eye(len(depth))
     else:
-        covariance = toeplitz(autocovariance(_means(error_N[:, None], size)[:, 0], len(depth)))
+        covariance = toeplitz(
+            autocovariance(_means(error_N[:, None], size)[:, 0], len(depth))
+        )
     # Without releases and membranes being pushed in: what they do is no part of the model.
     kept = depth >= exits[-1].onset_m + MEASURED_m / 6.0
     for tip in tips:
@@ -162,7 +170,10 @@ LINE_s = 0.1
 
 
 def delay_bounds_s(
-    truth: InsertionTruth, ruptures: Sequence[Rupture], error_N: Array, lag_s: float = 0.0
+    truth: InsertionTruth,
+    ruptures: Sequence[Rupture],
+    error_N: Array,
+    lag_s: float = 0.0,
 ) -> list[float]:
     """Least mean delay after the onset of each release; inf where too little is released.
 
@@ -177,7 +188,9 @@ def delay_bounds_s(
     needed_nats = np.log(np.maximum(INTERVAL_s / delays, math.e))
     found = []
     for rupture in ruptures:
-        course = np.concatenate((np.zeros(before), release_course_N(truth, rupture, within)))
+        course = np.concatenate(
+            (np.zeros(before), release_course_N(truth, rupture, within))
+        )
         course = lagging(course, tick * np.arange(float(len(course))), lag_s)
         # Kullback-Leibler divergence gathered up to each sample, noise of that covariance.
         nats = 0.5 * np.cumsum(np.square(solve_triangular(factor, course, lower=True)))

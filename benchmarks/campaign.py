@@ -48,7 +48,9 @@ def run_jobs(
         BenchmarkError: The cluster cannot be reached or is lost.
     """
     if results is not None and (results.is_dir() or not results.parent.is_dir()):
-        raise ResultsError(f"cannot write {results}: not a file in a folder that there is")
+        raise ResultsError(
+            f"cannot write {results}: not a file in a folder that there is"
+        )
     order = {job: index for index, job in enumerate(jobs)}
     found = _earlier(results, order) if results is not None and is_resumed else {}
     left = [job for job in jobs if order[job] not in found]

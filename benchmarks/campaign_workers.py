@@ -7,7 +7,13 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    CancelledError,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -82,7 +88,9 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     # Ctrl-C reaches the whole group: workers end without a traceback each, the parent reports.
     ended = (signal.SIGINT, signal.SIG_DFL)
     context = get_context("spawn")
-    pool = ProcessPoolExecutor(processes, context, initializer=signal.signal, initargs=ended)
+    pool = ProcessPoolExecutor(
+        processes, context, initializer=signal.signal, initargs=ended
+    )
     try:
         yield pool
     except BaseException:
@@ -157,5 +165,7 @@ def _on_cluster(
                     yield order[future.key], future.result()
             yield from ((index, alone(index)) for index in lost)
         except (CancelledError, OSError) as error:
-            why = f"lost the cluster at {address}; --resume goes on with what was written"
+            why = (
+                f"lost the cluster at {address}; --resume goes on with what was written"
+            )
             raise BenchmarkError(why) from error

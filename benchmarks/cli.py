@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from benchmarks.runner import Plan
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
-EXTRAS = dict.fromkeys(("rich", "mujoco", "matplotlib", "pandas", "psutil"), "bench") | {
-    "distributed": "cluster"
-}
+EXTRAS = dict.fromkeys(
+    ("rich", "mujoco", "matplotlib", "pandas", "psutil"), "bench"
+) | {"distributed": "cluster"}
 """Which extra brings a package that may be missing."""
 FAILURE = 1
 """Exit code of a command that has done its work, and found what the help names."""
@@ -61,7 +61,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             app.help_print([])
             return USAGE
         try:
-            code = app(tokens, exit_on_error=False, print_error=False, result_action="return_value")
+            code = app(
+                tokens,
+                exit_on_error=False,
+                print_error=False,
+                result_action="return_value",
+            )
         except BenchmarkError as error:
             raise CommandError(str(error)) from error
         except ModuleNotFoundError as error:
@@ -103,7 +108,12 @@ def list_benchmarks() -> None:
         heads=("ID", "", "what", "needs"),
         align="LLlL",
         lines=tuple(
-            (item.id, "*" if item.is_default else "", item.title, needs[item.is_recorded])
+            (
+                item.id,
+                "*" if item.is_default else "",
+                item.title,
+                needs[item.is_recorded],
+            )
             for item in BENCHMARKS.values()
         ),
         caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, "
@@ -188,15 +198,21 @@ def run(
     return FAILURE if failed or missed else 0
 
 
-def _check_kept(kept: Kept, workers: Workers, *, is_drawn: bool, is_apart: bool) -> None:
+def _check_kept(
+    kept: Kept, workers: Workers, *, is_drawn: bool, is_apart: bool
+) -> None:
     if kept.resume and (kept.json is None or is_apart):
-        raise BenchmarkError("--resume goes on with the file of --json; not control or anatomy")
+        raise BenchmarkError(
+            "--resume goes on with the file of --json; not control or anatomy"
+        )
     if workers.cluster and is_drawn:
         raise BenchmarkError("--report draws on this machine: use it without --cluster")
 
 
 def _plant_names(plant: Sequence[str]) -> list[str]:
-    names = [name.strip() for given in plant for name in given.split(",") if name.strip()]
+    names = [
+        name.strip() for given in plant for name in given.split(",") if name.strip()
+    ]
     if plant and not names:
         raise BenchmarkError("--plant: expected at least one name")
     return names
@@ -216,7 +232,9 @@ def _run_apart(
 
     if any(name.startswith("anatomy") for name in ids):
         if workers.cluster:
-            raise BenchmarkError("anatomy runs in this process: use it without --cluster")
+            raise BenchmarkError(
+                "anatomy runs in this process: use it without --cluster"
+            )
         with progress_bar("anatomy") as update:
             return show_anatomy(run_anatomy(ids, seeds[0], data, update), to)
     work = control_jobs(ids, plants, *seeds)
@@ -232,13 +250,18 @@ def _timed(
 
     begin_s = perf_counter()
     with progress_of(len(plan.jobs)) as update:
-        outcomes = run_jobs(plan.jobs, workers, update, kept.json, is_resumed=kept.resume)
+        outcomes = run_jobs(
+            plan.jobs, workers, update, kept.json, is_resumed=kept.resume
+        )
     console.print(f"{len(plan.jobs)} runs in {perf_counter() - begin_s:.0f} s")
     return outcomes, [row for outcome in outcomes for row in outcome.rows]
 
 
 def _print_outcomes(
-    console: "Console", rows: Sequence["Row"], outcomes: Sequence["Outcome"], skipped: Sequence[str]
+    console: "Console",
+    rows: Sequence["Row"],
+    outcomes: Sequence["Outcome"],
+    skipped: Sequence[str],
 ) -> bool:
     """Print tables, what failed and what was left out; returns whether anything failed."""
     from benchmarks.tables import result_tables
@@ -276,7 +299,9 @@ def compare(old: Path, new: Path) -> int:
     if changed:
         console.print(comparison_table(changed).rich())
     counts = Counter(item.change for item in found)
-    console.print(", ".join(f"{counts[change]} {change}" for change in Change if counts[change]))
+    console.print(
+        ", ".join(f"{counts[change]} {change}" for change in Change if counts[change])
+    )
     return FAILURE if any(item.is_failure for item in found) else 0
 
 
@@ -312,15 +337,21 @@ def results(
     command = " ".join(["python -m benchmarks results", *(path.name for path in files)])
     try:
         if page is not None:
-            page.write_text(results_page(rows, f"{command} --page {page.name}"), encoding="utf-8")
+            page.write_text(
+                results_page(rows, f"{command} --page {page.name}"), encoding="utf-8"
+            )
         if readme is not None:
             text = readme.read_text(encoding="utf-8")
-            readme.write_text(fill(text, summary_block(rows, command)), encoding="utf-8")
+            readme.write_text(
+                fill(text, summary_block(rows, command)), encoding="utf-8"
+            )
         if limits is not None:
             text = limits.read_text(encoding="utf-8")
             limits.write_text(fill(text, worst_rows(rows)), encoding="utf-8")
     except OSError as error:
-        raise ResultsError(f"cannot read or write {error.filename}: {error.strerror}") from error
+        raise ResultsError(
+            f"cannot read or write {error.filename}: {error.strerror}"
+        ) from error
     new_console().print(summary_table(rows).rich())
 
 
@@ -417,11 +448,18 @@ def stream_recordings(
         folder: Where the files lie meanwhile.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.long_runs import LEAST_SECONDS, RECORDINGS, measure_stream, stream_table
+    from benchmarks.long_runs import (
+        LEAST_SECONDS,
+        RECORDINGS,
+        measure_stream,
+        stream_table,
+    )
     from benchmarks.tables import new_console
 
     if seconds < LEAST_SECONDS:
-        raise BenchmarkError(f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half")
+        raise BenchmarkError(
+            f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half"
+        )
     cases = list(product(RECORDINGS, format or [".csv"]))
     with progress_of(len(cases)) as update:
         speeds = [

@@ -25,7 +25,12 @@ BONE_N = {5.0: 0.3, 20.0: 4.0}
 LIMIT_N, OPEN_N = 2.0, 20.0
 """Force limit against bone, and one that no tissue here reaches."""
 SIDE_N, SIDE_MS, LOST_MM = 2.0, 60.0, 0.5
-LOST = {"torques": "tau_Nm", "positions": "q_rad", "samples": "sample", "commands": "command"}
+LOST = {
+    "torques": "tau_Nm",
+    "positions": "q_rad",
+    "samples": "sample",
+    "commands": "command",
+}
 STRUCK_M, LOST_S = 15e-3, 0.3
 """Depth, from the tare, at which a side force or a loss begins; and how long a loss takes."""
 SIDE_MM_S, AT_REST_M_S = 5.0, 1e-3
@@ -34,7 +39,12 @@ with a soft servo goes on to settle."""
 LAYERS = 3
 
 CASES = (
-    *(f"{s} rupture {by} {v:g}" for s in SERVOS for by in TRAVEL_MM for v in TRAVEL_MM[by]),
+    *(
+        f"{s} rupture {by} {v:g}"
+        for s in SERVOS
+        for by in TRAVEL_MM
+        for v in TRAVEL_MM[by]
+    ),
     *(f"{s} bone {v:g}" for s in SERVOS for v in BONE_N),
     *(f"{s} side" for s in SERVOS),
     *(f"{s} lost {what}" for s in SERVOS for what in LOST),
@@ -48,10 +58,16 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
         return _rupture(servo, rest[0], float(rest[1]), plant, seed)
     if kind == "bone":
         return _bone(servo, float(rest[0]), plant, seed)
-    return _side(servo, plant, seed) if kind == "side" else _lost(servo, rest[0], plant, seed)
+    return (
+        _side(servo, plant, seed)
+        if kind == "side"
+        else _lost(servo, rest[0], plant, seed)
+    )
 
 
-def _rupture(servo: str, sensor: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
+def _rupture(
+    servo: str, sensor: str, mm_s: float, plant: str, seed: int
+) -> Iterator[Figure]:
     layer = 1 + seed % LAYERS
     rig = SimulatedArm(
         "stack-glove-constant", plant, seed, servo=SERVOS[servo], standoff_m=STANDOFF_M
@@ -62,18 +78,30 @@ def _rupture(servo: str, sensor: str, mm_s: float, plant: str, seed: int) -> Ite
         pass
     by = f"{sensor}, {mm_s:g} mm/s"
     truth = rig.tissue_truth()
-    ends = [rupture for rupture in truth.ruptures if rupture.onset_s < (run.ended_s or np.inf)]
+    ends = [
+        rupture
+        for rupture in truth.ruptures
+        if rupture.onset_s < (run.ended_s or np.inf)
+    ]
     found = len(ends) - layer
     yield Figure(f"stopped with no rupture, {by}", servo, float(found < 0), "runs", 0.0)
     yield Figure(
-        f"rupture passed by, {by}", servo, float(found > 0 or not run.ended_s), "runs", 0.0
+        f"rupture passed by, {by}",
+        servo,
+        float(found > 0 or not run.ended_s),
+        "runs",
+        0.0,
     )
     if found == 0 and run.ended_s:
         start = round(1e3 * ends[-1].onset_s)
         depths_m = rig.depths_m[start:]
         travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-        yield Figure(f"past a rupture, {by}", servo, travel_mm, "mm", TRAVEL_MM[sensor][mm_s])
-        yield Figure(f"stop after a rupture, {by}", servo, 1e3 * run.ended_s - start, "ms")
+        yield Figure(
+            f"past a rupture, {by}", servo, travel_mm, "mm", TRAVEL_MM[sensor][mm_s]
+        )
+        yield Figure(
+            f"stop after a rupture, {by}", servo, 1e3 * run.ended_s - start, "ms"
+        )
 
 
 def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
@@ -84,7 +112,9 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     for _ in run:
         deepest_m = max(deepest_m, wall.penetration_m)
     over_N = wall.stiffness_N_per_m * deepest_m - LIMIT_N
-    yield Figure(f"over {LIMIT_N:g} N on bone, {mm_s:g} mm/s", servo, over_N, "N", BONE_N[mm_s])
+    yield Figure(
+        f"over {LIMIT_N:g} N on bone, {mm_s:g} mm/s", servo, over_N, "N", BONE_N[mm_s]
+    )
 
 
 def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -95,12 +125,18 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     run = _in_gel(servo, plant, seed, SIDE_MM_S, [hand])
     moving_s = 0.0
     for now in run:
-        if np.isinf(pushed_s[0]) and now.state == "insertion" and now.estimate.depth_m > STRUCK_M:
+        if (
+            np.isinf(pushed_s[0])
+            and now.state == "insertion"
+            and now.estimate.depth_m > STRUCK_M
+        ):
             pushed_s[0] = run.rig.time_s
         if abs(run.rig.truth.speed_m_s) > AT_REST_M_S:
             moving_s = run.rig.time_s
     stop_ms = 1e3 * (moving_s - pushed_s[0])
-    yield Figure(f"stopped after {SIDE_N:g} N from the side", servo, stop_ms, "ms", SIDE_MS)
+    yield Figure(
+        f"stopped after {SIDE_N:g} N from the side", servo, stop_ms, "ms", SIDE_MS
+    )
 
 
 def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:

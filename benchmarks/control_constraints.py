@@ -77,7 +77,9 @@ class ClosedLoop:
         plant_model = PLANT_MODELS[self.plant]
         self.rig = SimulatedArm(
             self.scenario,
-            with_kinematic_error(plant_model) if self.has_kinematic_error else plant_model,
+            with_kinematic_error(plant_model)
+            if self.has_kinematic_error
+            else plant_model,
             self.seed,
             servo=SERVOS[self.servo],
             contacts=self.contacts,
@@ -88,7 +90,10 @@ class ClosedLoop:
         self.control.tool.update(np.mean(still[len(still) // 2 :], axis=0))
 
     def run(
-        self, seconds: float, stack: Callable[[float], Sequence[Task]], error: Callable[[], float]
+        self,
+        seconds: float,
+        stack: Callable[[float], Sequence[Task]],
+        error: Callable[[], float],
     ) -> Array:
         """Errors at all samples of some time under a stack that depends on it."""
         start_s, found = self.rig.time_s, []
@@ -136,14 +141,18 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
 def _trocar_and_force(seed: int) -> list[Contact]:
     """The trocar, and 1 N on the tip that comes up while the arm settles."""
     side = across(seed)
-    force = HandOnArm(at="tip", force_N=lambda t_s: min(t_s / (0.5 * SETTLE_s), 1.0) * side)
+    force = HandOnArm(
+        at="tip", force_N=lambda t_s: min(t_s / (0.5 * SETTLE_s), 1.0) * side
+    )
     return [Trocar(behind_tip_m=BEHIND_TIP_m), force]
 
 
 def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle."""
     error, off = _circle(
-        ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed))
+        ClosedLoop(
+            servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
+        )
     )
     most = {"S": 0.01, "I": 0.05}[servo]
     yield Figure("RCM on a circle, max", servo, MILLI * error.max(), "mm", most)
@@ -158,7 +167,9 @@ def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
     )
     worst = MILLI * _circle(test)[0].max()
-    yield Figure("RCM, kinematic error, max (90 %)", servo, worst, "mm", 0.2, quantile=0.9)
+    yield Figure(
+        "RCM, kinematic error, max (90 %)", servo, worst, "mm", 0.2, quantile=0.9
+    )
 
 
 def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -170,7 +181,9 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         return 30.0 * min(phase / PUSH_s, max((1.0 - phase) / PUSH_s, 0.0), 1.0) * side
 
     contacts = [*_trocar_and_force(seed), HandOnArm(at="elbow", force_N=push)]
-    error, _ = _circle(ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts))
+    error, _ = _circle(
+        ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts)
+    )
     most = {"S": 0.05, "I": 1.0}[servo]
     yield Figure("RCM, 30 N on the elbow, max", servo, MILLI * error.max(), "mm", most)
 
@@ -178,7 +191,9 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle by the published recursion."""
     contacts = _trocar_and_force(seed)
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts, solver=published)
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, contacts=contacts, solver=published
+    )
     worst = MILLI * _circle(test)[0].max()
     yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
 
@@ -199,13 +214,17 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
         user.rate = speed * inwards + wish * aside
         return (fixture, user, posture) if with_fixture else (user, posture)
 
-    error = test.run(seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis))
+    error = test.run(
+        seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis)
+    )
     return error, float((rig.truth.tip_m - line_m) @ axis)
 
 
 def fixture(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """100 mm of stack-glove along the fixture, and without it."""
-    new = partial(ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant")
+    new = partial(
+        ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
+    )
     error, travel = _insertion(new())
     most = {"S": 0.02, "I": 0.05}[servo]
     yield Figure("fixture, user sideways, max", servo, MILLI * error.max(), "mm", most)
@@ -220,14 +239,20 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     side = across(seed + 3)
 
     def push(t_s: float) -> Array:
-        return (5.0 if t_s > SETTLE_s and math.floor(t_s - SETTLE_s) % 2 else 0.0) * side
+        return (
+            5.0 if t_s > SETTLE_s and math.floor(t_s - SETTLE_s) % 2 else 0.0
+        ) * side
 
     hand = HandOnArm(at="hub", force_N=push)
     scenario = "stack-glove-constant"
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand])
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand]
+    )
     error, _ = _insertion(test)
     most = {"S": 0.25, "I": 0.35}[servo]
-    yield Figure("fixture, 5 N steps at the hub, max", servo, MILLI * error.max(), "mm", most)
+    yield Figure(
+        "fixture, 5 N steps at the hub, max", servo, MILLI * error.max(), "mm", most
+    )
     yield Figure("fixture, 5 N steps at the hub, rms", servo, MILLI * _rms(error), "mm")
 
 
@@ -244,12 +269,18 @@ def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same by the published recursion: what is left of the travel, too."""
     scenario = "stack-glove-constant"
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, scenario=scenario, solver=published)
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, scenario=scenario, solver=published
+    )
     error, travel = _insertion(test)
     worst = MILLI * error.max()
     yield Figure("fixture, published recursion, max", servo, worst, "mm")
     yield Figure(
-        "fixture, published recursion, travel of 100 mm", servo, MILLI * travel, "mm", at_least=True
+        "fixture, published recursion, travel of 100 mm",
+        servo,
+        MILLI * travel,
+        "mm",
+        at_least=True,
     )
 
 
@@ -268,7 +299,9 @@ def _turn(test: ClosedLoop) -> float:
         return motion, posture
 
     error = test.run(
-        TURN_s + 0.5, stack, lambda: float(np.linalg.norm(test.rig.truth.tip_m - start_m))
+        TURN_s + 0.5,
+        stack,
+        lambda: float(np.linalg.norm(test.rig.truth.tip_m - start_m)),
     )
     return error.max() / TURN_rad
 
@@ -276,13 +309,21 @@ def _turn(test: ClosedLoop) -> float:
 def decoupled(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The turn about the tip."""
     found = MILLI * _turn(ClosedLoop(servo=servo, plant=plant, seed=seed))
-    yield Figure("decoupled turn, tip", servo, found, "mm/rad", {"S": 0.02, "I": 0.1}[servo])
+    yield Figure(
+        "decoupled turn, tip", servo, found, "mm/rad", {"S": 0.02, "I": 0.1}[servo]
+    )
 
 
 def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same on an arm with kinematic error."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
-    yield Figure("decoupled turn, kinematic error, tip", servo, MILLI * _turn(test), "mm/rad", 1.0)
+    yield Figure(
+        "decoupled turn, kinematic error, tip",
+        servo,
+        MILLI * _turn(test),
+        "mm/rad",
+        1.0,
+    )
 
 
 def _rms(error: Array) -> float:

@@ -30,14 +30,21 @@ Change = Callable[[int, ArmSample, ArmSample], ArmSample]
 """What becomes of sample k of a fault; given as well: the last one before it."""
 
 
-def _torque(k: int, now: ArmSample, before: ArmSample, *, value: float | None = None) -> ArmSample:
+def _torque(
+    k: int, now: ArmSample, before: ArmSample, *, value: float | None = None
+) -> ArmSample:
     tau = now.tau_Nm.copy()
     tau[SHOULDER] = before.tau_Nm[SHOULDER] if value is None else value
     return now._replace(tau_Nm=tau)
 
 
 def _spike(
-    k: int, now: ArmSample, before: ArmSample, *, q_rad: float = 0.0, tau_Nm: float = 0.0
+    k: int,
+    now: ArmSample,
+    before: ArmSample,
+    *,
+    q_rad: float = 0.0,
+    tau_Nm: float = 0.0,
 ) -> ArmSample:
     if k % 100:
         return now
@@ -89,8 +96,14 @@ LOSSES = {
     "100 ms lost": (0.1, "stops"),
     "500 ms lost": (0.5, "stops"),
 }
-OTHERS = ("commands refused, 500 ms", "haptic device gone", f"payload {1e3 * UNKNOWN_KG:g} g wrong")
-CASES = tuple(f"{servo} {fault}" for servo in SERVOS for fault in (*SIGNALS, *LOSSES, *OTHERS))
+OTHERS = (
+    "commands refused, 500 ms",
+    "haptic device gone",
+    f"payload {1e3 * UNKNOWN_KG:g} g wrong",
+)
+CASES = tuple(
+    f"{servo} {fault}" for servo in SERVOS for fault in (*SIGNALS, *LOSSES, *OTHERS)
+)
 
 
 class Led(Insertion):
@@ -115,7 +128,10 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
         standoff_m=STANDOFF_M,
         duration_s=15.0,
     )
-    plan, limits = InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M), SafetyLimits(axial_N=OPEN_N)
+    plan, limits = (
+        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M),
+        SafetyLimits(axial_N=OPEN_N),
+    )
     kind, known = Insertion, rig.robot
     if fault == OTHERS[1]:
         kind = Led
@@ -131,7 +147,9 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
     yield Figure("fastest with a fault", servo, seen.fastest_mm_s, "mm/s", MOST_MM_S)
     if math.isfinite(seen.struck_s):
         depth_m = rig.depths_m[round(1e3 * seen.struck_s) :]
-        course_m = 0.0 if expected == "stops" else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
+        course_m = (
+            0.0 if expected == "stops" else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
+        )
         ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
         yield Figure(f"{fault}: further than it should", servo, ahead_mm, "mm", LOST_MM)
 

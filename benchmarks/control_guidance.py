@@ -20,7 +20,15 @@ from benchmarks.control_study import Figure
 from benchmarks.methods import on_lwr
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
-from needleforce.control import AxialSpeed, Controller, Fixture, Guidance, Limits, Posture, Task
+from needleforce.control import (
+    AxialSpeed,
+    Controller,
+    Fixture,
+    Guidance,
+    Limits,
+    Posture,
+    Task,
+)
 from residual import DEFAULT, Status, VirtualForceSensor
 
 Array = NDArray[np.float64]
@@ -103,7 +111,10 @@ class GuidedArm:
             wrench = self.sensor.update(*sample[1:], sample.dt_s)
             is_valid = wrench.status is Status.OK
             wish = guidance.update(
-                wrench.residual, self.sensor.residual_std_Nm, sample.dt_s, is_valid=is_valid
+                wrench.residual,
+                self.sensor.residual_std_Nm,
+                sample.dt_s,
+                is_valid=is_valid,
             )
             self.rig.send(self.control.update(sample, [*self._above, wish]).dq_rad_s)
             now_s = self.rig.time_s - self.begin_s
@@ -115,7 +126,9 @@ class GuidedArm:
 def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
     """The figures of one case."""
     what, servo, *at = case.split()
-    run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[what]
+    run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[
+        what
+    ]
     yield from run(servo, plant, seed, *at)
 
 
@@ -128,8 +141,14 @@ def _across(seed: int) -> Array:
 def _drift(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     arm = GuidedArm(servo, plant, seed)
     # The command that ended the stroke is braked first.
-    found = [np.abs(arm.control.last_rad_s).max() for now_s in arm.run(DRIFT_s) if now_s > 0.1]
-    yield Figure("fastest command in 60 s without a hand", servo, float(max(found)), "rad/s", 0.0)
+    found = [
+        np.abs(arm.control.last_rad_s).max()
+        for now_s in arm.run(DRIFT_s)
+        if now_s > 0.1
+    ]
+    yield Figure(
+        "fastest command in 60 s without a hand", servo, float(max(found)), "rad/s", 0.0
+    )
 
 
 def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
@@ -143,7 +162,9 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     for stiffness in (HAND_N_per_m, STIFFEST_N_per_m[servo]):
         arm = GuidedArm(servo, plant, seed)
         arm.hand.stiffness_N_per_m = stiffness
-        arm.hand.path_m = lambda time_s: SPEED_m_s * max(time_s - begin_s - 0.1, 0.0) * across
+        arm.hand.path_m = lambda time_s: (
+            SPEED_m_s * max(time_s - begin_s - 0.1, 0.0) * across
+        )
         led = np.array([arm.hand.applied_N for now_s in arm.run(1.4) if now_s > 0.6])
         if stiffness == HAND_N_per_m:
             mean_N = float(np.linalg.norm(led, axis=1).mean())
@@ -164,19 +185,30 @@ def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]
         arm.hand.path_m = lambda time_s, way=direction, begin_s=begin_s: (
             0.02 * min(max(time_s - begin_s, 0.0) / 0.4, 1.0) * way
         )
-        stretch = np.array([arm.hand.stretch_m for now_s in arm.run(2.5) if now_s > REST_s])
+        stretch = np.array(
+            [arm.hand.stretch_m for now_s in arm.run(2.5) if now_s > REST_s]
+        )
         furthest_m = max(furthest_m, float(np.linalg.norm(stretch, axis=1).max()))
         worst_m = max(worst_m, float(np.ptp(stretch[-500:], axis=0).max()))
     by = f"hand of {stiffness:.0f} N/m, {at}"
     yield Figure(f"swing in a {by}", servo, 1e3 * worst_m, "mm", 1e3 * SWING_m)
-    yield Figure(f"furthest from a resting {by}", servo, 1e3 * furthest_m, "mm", 1e3 * AWAY_m)
+    yield Figure(
+        f"furthest from a resting {by}", servo, 1e3 * furthest_m, "mm", 1e3 * AWAY_m
+    )
 
 
 def _tissue(servo: str, plant: str, seed: int) -> Iterator[Figure]:
-    across, arm = _across(seed), GuidedArm(servo, plant, seed, scenario="stack-glove-constant")
+    across, arm = (
+        _across(seed),
+        GuidedArm(servo, plant, seed, scenario="stack-glove-constant"),
+    )
     truth, begin_s = arm.rig.truth, arm.begin_s
     entry_m = truth.tip_m - truth.depth_m * truth.rotation[:, 2]
-    arm.hand.force_N = lambda time_s: SIDE_N * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across
+    arm.hand.force_N = lambda time_s: (
+        SIDE_N * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across
+    )
     worst_m = max(arm.rig.distance_to_axis_m(entry_m) for _ in arm.run(2.0))
     target = 1.0 if servo == "S" else 1.3
-    yield Figure("in tissue, 10 N across: axis at the entry", servo, 1e3 * worst_m, "mm", target)
+    yield Figure(
+        "in tissue, 10 N across: axis at the entry", servo, 1e3 * worst_m, "mm", target
+    )

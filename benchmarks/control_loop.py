@@ -61,7 +61,9 @@ class Insertion:
         with_ft: bool = False,
         known: Robot | None = None,
     ) -> None:
-        session = InsertionSession(rig.robot if known is None else known, on_lwr(DEFAULT))
+        session = InsertionSession(
+            rig.robot if known is None else known, on_lwr(DEFAULT)
+        )
         self.rig, self.manager = rig, Manager(session, limits)
         self._profile, self._with_ft = InsertionProfile(plan), with_ft
         self._identifier, self._free_N, self._zero_N = Identifier(), list[float](), 0.0
@@ -85,7 +87,9 @@ class Insertion:
                 manager.request(step.event)
             if now.estimate.status is not Status.REJECTED or now.state is State.FAULTED:
                 stack = [line, AxialSpeed(step.speed_m_s), posture]
-                command = control.update(sample, [] if now.state is State.FAULTED else stack)
+                command = control.update(
+                    sample, [] if now.state is State.FAULTED else stack
+                )
                 dq_rad_s = command.dq_rad_s
             # A sample that was rejected moves nothing: the last command stands until a fault.
             beside = Beside(rig.send(dq_rad_s), dq_rad_s)
@@ -110,7 +114,9 @@ class Insertion:
         self._zero_N = self._zero_N or float(np.mean(self._free_N))
         return reading_N - self._zero_N
 
-    def _identified(self, now: Situation, dt_s: float, axial_N: float | None) -> tuple[Any, ...]:
+    def _identified(
+        self, now: Situation, dt_s: float, axial_N: float | None
+    ) -> tuple[Any, ...]:
         """What the program is given beside the situation."""
         if axial_N is None:
             return ()

@@ -56,7 +56,9 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
     if plant == "clean":
         rng = np.random.default_rng(seed)
         robot = load_lwr(payload=NeedleTool())
-        yield from {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}[case](robot, rng)
+        yield from {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}[case](
+            robot, rng
+        )
 
 
 class RandomStacks:
@@ -103,7 +105,10 @@ class RandomStacks:
 
 
 def solved(
-    stacks: RandomStacks, tasks: Sequence[Task], last: Array, solve: Solver = hierarchical
+    stacks: RandomStacks,
+    tasks: Sequence[Task],
+    last: Array,
+    solve: Solver = hierarchical,
 ) -> tuple[Stack, Array]:
     """Numbers of the first levels of a stack, and the velocity that serves them."""
     stack = Stack(tasks, last.size)
@@ -124,7 +129,9 @@ def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
             _, full = solved(stacks, tasks, last, solver)
             for count in range(1, len(tasks)):
                 stack, alone = solved(stacks, tasks[:count], last, solver)
-                leak = float(np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max())
+                leak = float(
+                    np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max()
+                )
                 worst[is_singular] = max(worst[is_singular], leak)
         for leak, where in zip(worst, ("regular", "near singular"), strict=True):
             what = f"leak into higher tasks, {solver.__name__}, {where}"
@@ -163,14 +170,18 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     for index in range(CASCADES):
         tasks, last = stacks.draw(bool(index % 2))
         stack, whole = solved(stacks, tasks, last)
-        configuration = pink.Configuration(robot.model, robot.create_data(), stacks.tool.q_rad)
+        configuration = pink.Configuration(
+            robot.model, robot.create_data(), stacks.tool.q_rad
+        )
         above = np.zeros((0, whole.size))
         for rows, rates, velocity in _levels(stack, whole):
             free, level = _free(above), Rows(rows, rates)
             above = np.vstack((above, rows))
             if not free.size:
                 break
-            room = np.array([np.fmin(stack.bounds[0] - velocity, 0.0), stack.bounds[1] - velocity])
+            room = np.array(
+                [np.fmin(stack.bounds[0] - velocity, 0.0), stack.bounds[1] - velocity]
+            )
             room[1] = np.fmax(room[1], 0.0)
             qp = pink.build_ik(configuration, [level], 1.0, 1e-12, [])
             problem = qpsolvers.Problem(
@@ -186,10 +197,20 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
                 gain = float(np.linalg.norm(missing) - np.linalg.norm(better))
                 worst[index % 2] = max(worst[index % 2], gain)
             unsolved += found.x is None
-            bound[index % 2] = max(bound[index % 2], _most_gain(missing, rows, free, room))
+            bound[index % 2] = max(
+                bound[index % 2], _most_gain(missing, rows, free, room)
+            )
     for k, where in enumerate(("regular", "near singular")):
-        yield Figure(f"better in a cascade of QPs, {where}", "", worst[k], "rad/s", 1e-5)
-        yield Figure(f"better than ours at most, by duality, {where}", "", bound[k], "rad/s", 1e-5)
+        yield Figure(
+            f"better in a cascade of QPs, {where}", "", worst[k], "rad/s", 1e-5
+        )
+        yield Figure(
+            f"better than ours at most, by duality, {where}",
+            "",
+            bound[k],
+            "rad/s",
+            1e-5,
+        )
     yield Figure("levels that the cascade's solver left unsolved", "", unsolved, "")
 
 
@@ -245,7 +266,10 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
             stacks.tool.update(q)
             tasks = stacks.tasks()
         elapsed_s, dt_s, seen = _hostile_sample(q, rng)
-        last_step_s, step_s = step_s, min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else step_s
+        last_step_s, step_s = (
+            step_s,
+            min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else step_s,
+        )
         q = q + elapsed_s * before
         dq = control.update(ArmSample(dt_s, seen, None, seen), tasks).dq_rad_s
         silent += not np.isfinite(dq).all()
@@ -255,8 +279,12 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
         before = dq
     units = ("rad", "rad/s", "rad/s a tick")
-    for what, value, unit in zip(("position", "speed", "acceleration"), over, units, strict=True):
-        yield Figure(f"hostile ticks: beyond the limit of {what}", "", float(value), unit, 0.0)
+    for what, value, unit in zip(
+        ("position", "speed", "acceleration"), over, units, strict=True
+    ):
+        yield Figure(
+            f"hostile ticks: beyond the limit of {what}", "", float(value), unit, 0.0
+        )
     yield Figure("hostile ticks without an answer", "", silent, "", 0.0)
 
 

@@ -46,7 +46,9 @@ class _Loop:
 
     def _goal(self, t_s: float) -> NDArray[np.float64]:
         angle = self._rate * t_s
-        return self._start_m + RADIUS_M * np.array((math.cos(angle) - 1.0, math.sin(angle), 0.0))
+        return self._start_m + RADIUS_M * np.array(
+            (math.cos(angle) - 1.0, math.sin(angle), 0.0)
+        )
 
     def command(self, sample: ArmSample, k: int) -> NDArray[np.float64]:
         """Joint velocities after sample k."""
@@ -54,7 +56,9 @@ class _Loop:
         return self.control.update(sample, self._stack).dq_rad_s
 
 
-def _recorded(period_s: float, progress: Callable[[float], None]) -> tuple[_Loop, list[ArmSample]]:
+def _recorded(
+    period_s: float, progress: Callable[[float], None]
+) -> tuple[_Loop, list[ArmSample]]:
     """Samples of an arm that has gone round, and a new loop for it."""
     arm = SimulatedArm(plant="clean", duration_s=SECONDS)
     loop, samples = _Loop(arm, period_s), []
@@ -102,7 +106,9 @@ def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
     }
 
 
-def control_speed_report(progress: Callable[[float], None]) -> tuple[list[ResultTable], bool]:
+def control_speed_report(
+    progress: Callable[[float], None],
+) -> tuple[list[ResultTable], bool]:
     """The table, and whether all targets are met."""
     subjects = _subjects(progress)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
@@ -121,13 +127,19 @@ def control_speed_report(progress: Callable[[float], None]) -> tuple[list[Result
     for name in subjects:
         numbers = f"{medians[name]:.1f}", f"{tails[name]:.1f}", f"{ratios[name]:.1f}"
         target, is_met = targets.get(name, ("", None))
-        lines.append((name, *numbers, target, "" if is_met is None else met_mark(is_met)))
+        lines.append(
+            (name, *numbers, target, "" if is_met is None else met_mark(is_met))
+        )
     table = ResultTable(
         title="Cost of a tick of control",
         heads=("what", "median\nus", "99.9 %\nCPU us", "ratio", "target", ""),
         align="LrrrlL",
         lines=tuple(lines),
         caption=f"{len(again)} ticks each, taking turns; remote centre, tip, posture; "
-        + (f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"),
+        + (
+            f"compiled by {COMPILER}"
+            if COMPILER
+            else "plain Python: no numba, the extra `fast`"
+        ),
     )
     return [table], all(is_met for _, is_met in targets.values())

@@ -100,7 +100,9 @@ def control_jobs(
     """
     known = {PREFIX, *(f"{PREFIX}-{part}" for part in PARTS)}
     if unknown := set(ids) - known:
-        raise UnknownIdError(f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}")
+        raise UnknownIdError(
+            f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}"
+        )
     asked = [part for part in PARTS if {PREFIX, f"{PREFIX}-{part}"} & set(ids)]
     asked = [part for part in asked if find_spec(f"benchmarks.control_{part}")]
     cases = [(part, case) for part in asked for case in _module(part).CASES]
@@ -151,7 +153,15 @@ def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
             value = math.nan
         rows.append(
             ControlRow(
-                part, what, servo, plant, value, unit, first.target, first.at_least, len(seeds[key])
+                part,
+                what,
+                servo,
+                plant,
+                value,
+                unit,
+                first.target,
+                first.at_least,
+                len(seeds[key]),
             )
         )
     return rows
@@ -175,7 +185,10 @@ def control_table(rows: Iterable[ControlRow]) -> ResultTable:
         lines=tuple(
             (
                 *key[:3],
-                *(f"{found[plant].value:.3g}" if plant in found else "" for plant in plants),
+                *(
+                    f"{found[plant].value:.3g}" if plant in found else ""
+                    for plant in plants
+                ),
                 _target(next(iter(found.values()))),
                 key[3],
                 _evaluation(found.get(JUDGED)),
@@ -188,7 +201,9 @@ def control_table(rows: Iterable[ControlRow]) -> ResultTable:
 
 
 def _target(row: ControlRow) -> str:
-    return "" if row.target is None else f"{'≥' if row.at_least else '≤'} {row.target:g}"
+    return (
+        "" if row.target is None else f"{'≥' if row.at_least else '≤'} {row.target:g}"
+    )
 
 
 def _evaluation(row: ControlRow | None) -> str:
@@ -213,6 +228,8 @@ def write_control(path: Path, rows: Iterable[ControlRow]) -> None:
         met = None if row.target is None else row.is_met
         lines.append(json.dumps(row._asdict() | {"value": value, "met": met}))
     try:
-        path.write_text('{"rows": [\n  ' + ",\n  ".join(lines) + "\n]}\n", encoding="utf-8")
+        path.write_text(
+            '{"rows": [\n  ' + ",\n  ".join(lines) + "\n]}\n", encoding="utf-8"
+        )
     except OSError as error:
         raise ResultsError(f"cannot write {path}: {error.strerror}") from error

@@ -45,7 +45,12 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
 
 
 def _tissue(
-    servo: str, delay_ms: int, plant: str, seed: int, scale: float, rng: np.random.Generator
+    servo: str,
+    delay_ms: int,
+    plant: str,
+    seed: int,
+    scale: float,
+    rng: np.random.Generator,
 ) -> Iterator[Figure]:
     arm = SimulatedArm(
         "stack-glove-constant",
@@ -66,8 +71,17 @@ def _tissue(
     by = f"{delay_ms} ms"
     felt = ruptures_felt(run)
     alarms = len(run.alarms_s) - sum(np.isfinite(item.delay_s) for item in felt)
-    found = float(np.mean([np.isfinite(item.delay_s) for item in felt])) if felt else 0.0
-    yield Figure(f"port energy in tissue, {by}", servo, 1e3 * run.least_energy_J, "mJ", -0.1, True)
+    found = (
+        float(np.mean([np.isfinite(item.delay_s) for item in felt])) if felt else 0.0
+    )
+    yield Figure(
+        f"port energy in tissue, {by}",
+        servo,
+        1e3 * run.least_energy_J,
+        "mJ",
+        -0.1,
+        True,
+    )
     yield Figure(f"master-slave drift, {by}", servo, 1e3 * abs(run.drift_m), "mm", 1.0)
     membranes = felt[:2] or [None]
     for name, target in (("shown_drop", 0.85), ("raw_drop", None)):
@@ -81,7 +95,12 @@ def _tissue(
 
 
 def _wall(
-    servo: str, delay_ms: int, plant: str, seed: int, scale: float, rng: np.random.Generator
+    servo: str,
+    delay_ms: int,
+    plant: str,
+    seed: int,
+    scale: float,
+    rng: np.random.Generator,
 ) -> Iterator[Figure]:
     wall = Wall(distance_m=STANDOFF_M)
     arm = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])

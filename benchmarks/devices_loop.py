@@ -26,7 +26,12 @@ from groundtruth import simulate
 from needleforce import InsertionSession
 from needleforce.cli.live_recorder import Recorder, leave_real_time
 from needleforce.devices import ArmSample, FriArm
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri, take_real_time
+from needleforce.devices.emulators import (
+    Emulator,
+    FriSettings,
+    emulate_fri,
+    take_real_time,
+)
 from urdf import Robot
 
 SCENARIO, PLANT = "gel-25-constant", "fri"
@@ -39,7 +44,9 @@ QUANTILES = (50.0, 99.0, 99.9, 100.0)
 def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
     """Run the loop, alone and, if wanted, with the scene and with a recorder beside it."""
     if not 0.0 < seconds < inf:
-        raise BenchmarkError(f"--loop {seconds:g}: expected a positive number of seconds")
+        raise BenchmarkError(
+            f"--loop {seconds:g}: expected a positive number of seconds"
+        )
     run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
     kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
     lines, notes = [], list[str]()
@@ -51,7 +58,14 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
     return ResultTable(
         title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, {is_real_time} "
         "real-time priority",
-        heads=("loop", "what", *quantiles, "overruns", "missed", "answered in the cycle"),
+        heads=(
+            "loop",
+            "what",
+            *quantiles,
+            "overruns",
+            "missed",
+            "answered in the cycle",
+        ),
         align="LL" + (len(quantiles) + 3) * "r",
         lines=tuple(lines),
         caption="".join(notes),
@@ -88,7 +102,10 @@ def _beside(
             )
     elif kind == RECORDER:
         names = robot.joint_names
-        with TemporaryDirectory() as at, Recorder(Path(at) / "loop.mcap", names) as recorder:
+        with (
+            TemporaryDirectory() as at,
+            Recorder(Path(at) / "loop.mcap", names) as recorder,
+        ):
             yield lambda _, sample: recorder.put(sample)
     else:
         yield lambda *_: None
@@ -115,7 +132,9 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
             except TimeoutError:
                 continue
             packed = message[16 : 16 + int.from_bytes(message[8:16], "little")]
-            if b"tip force" not in zstandard.decompress(packed, max_output_size=1 << 28):
+            if b"tip force" not in zstandard.decompress(
+                packed, max_output_size=1 << 28
+            ):
                 continue
             updates += 1
             if updates == 1:  # what came before it was the whole scene
@@ -124,7 +143,9 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
         pipe.send(((updates - 1) / passed_s, 100.0 * (used_s() - before_s) / passed_s))
 
 
-def _one(run: Any, seconds: float, kind: str, notes: list[str]) -> list[tuple[str, ...]]:
+def _one(
+    run: Any, seconds: float, kind: str, notes: list[str]
+) -> list[tuple[str, ...]]:
     signals, cycles = run.signals, round(1e3 * seconds) + WARM_UP
     arm, session = FriArm(port=0, give_up_s=0.5), InsertionSession(run.robot)
     settings = FriSettings(

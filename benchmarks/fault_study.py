@@ -105,11 +105,17 @@ def judge(
 def is_finite(value: object) -> bool:
     """Whether every number in a nested result is finite."""
     if isinstance(value, np.ndarray | float):
-        return math.isfinite(value) if isinstance(value, float) else bool(np.isfinite(value).all())
+        return (
+            math.isfinite(value)
+            if isinstance(value, float)
+            else bool(np.isfinite(value).all())
+        )
     if isinstance(value, tuple):
         return all(map(is_finite, value))
     slots = getattr(type(value), "__slots__", ())
-    return all(is_finite(getattr(value, name)) for name in slots if hasattr(value, name))
+    return all(
+        is_finite(getattr(value, name)) for name in slots if hasattr(value, name)
+    )
 
 
 def late(force_N: Array, *, with_velocity: bool = True) -> Array:
@@ -159,7 +165,10 @@ class FaultStudy:
 
     def _go_on(self, session: InsertionSession, first: int, last: int) -> list[float]:
         stream = FaultStream.of_run(self.run, first, last, self.run.truth.axial_N)
-        return [e.wrench.axial for e in feed(session, stream, with_velocity=self._with_velocity)]
+        return [
+            e.wrench.axial
+            for e in feed(session, stream, with_velocity=self._with_velocity)
+        ]
 
     def results(self) -> Iterator[FaultResult]:
         """Every fault's result, in the order of the table."""
@@ -185,7 +194,9 @@ class FaultStudy:
         ):
             yield self._result(name, stream, start)
 
-    def _result(self, name: str, stream: FaultStream, start: SessionSnapshot) -> FaultResult:
+    def _result(
+        self, name: str, stream: FaultStream, start: SessionSnapshot
+    ) -> FaultResult:
         session = InsertionSession(self.run.robot, on_lwr(DEFAULT))
         session.restore(start)
         found = feed(session, stream, with_velocity=self._with_velocity)
@@ -199,8 +210,13 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
     run = simulate(scenario, PLANT, 0)
     tare, count = tare_index(run), len(run.signals.t_s)
     session = InsertionSession(run.robot, UNSMOOTHED)
-    whole = FaultStream.of_run(run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity))
-    parts = [FaultStream.of_run(run, *at, whole.reference_N) for at in ((0, tare), (tare, count))]
+    whole = FaultStream.of_run(
+        run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity)
+    )
+    parts = [
+        FaultStream.of_run(run, *at, whole.reference_N)
+        for at in ((0, tare), (tare, count))
+    ]
     found = feed(session, parts[0], with_velocity=with_velocity)
     session.tare()
     found += feed(session, parts[1], with_velocity=with_velocity)
@@ -250,7 +266,10 @@ def wrong_payload(run: Run) -> FaultResult:
     inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
     lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
     session = InsertionSession(run.robot.with_payload(lighter), UNSMOOTHED)
-    feed(session, FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))))
+    feed(
+        session,
+        FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))),
+    )
     session.tare()
     return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
 
@@ -276,7 +295,14 @@ def fault_table(results: Sequence[FaultResult]) -> ResultTable:
     """For the terminal, and for docs/loop.md."""
     return ResultTable(
         title="Faults in a running insertion",
-        heads=("fault", "worst error, N", "in σ", "recovered after", "reported to the caller", ""),
+        heads=(
+            "fault",
+            "worst error, N",
+            "in σ",
+            "recovered after",
+            "reported to the caller",
+            "",
+        ),
         align="LrrrLL",
         lines=tuple(
             (

@@ -24,7 +24,9 @@ PERIOD_s = 1e-3
 class FaultStream:
     """m samples of an arm with n joints, and what the force would be without the fault."""
 
-    dt_s: Array  # time since the sample before, as the caller would report it, shape (m,)
+    dt_s: (
+        Array  # time since the sample before, as the caller would report it, shape (m,)
+    )
     q_rad: Array  # positions, shape (m, n)
     dq_rad_s: Array  # velocities, shape (m, n)
     tau_Nm: Array  # torques, shape (m, n)
@@ -33,7 +35,9 @@ class FaultStream:
     stop: int = 0  # first sample after it
 
     @classmethod
-    def of_run(cls, run: Run, first: int, last: int, reference_N: Array) -> "FaultStream":
+    def of_run(
+        cls, run: Run, first: int, last: int, reference_N: Array
+    ) -> "FaultStream":
         """The samples of a run from ``first`` to before ``last``; the reference is of all."""
         sent, part = run.signals, slice(first, last)
         assert sent.dq_rad_s is not None
@@ -84,11 +88,15 @@ def lost(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
     kept = np.r_[0:at, last : len(stream.dt_s)]
     dt_s = stream.dt_s.copy()
     dt_s[last] += dt_s[at:last].sum()
-    parts = {name: getattr(stream, name)[kept] for name in SERIES} | {"dt_s": dt_s[kept]}
+    parts = {name: getattr(stream, name)[kept] for name in SERIES} | {
+        "dt_s": dt_s[kept]
+    }
     return replace(stream, **parts, start=at, stop=at + 1)
 
 
-def jittering_clock(stream: FaultStream, at: int, *, samples: int, std_s: float) -> FaultStream:
+def jittering_clock(
+    stream: FaultStream, at: int, *, samples: int, std_s: float
+) -> FaultStream:
     """Time stamps that are off at random."""
     bad = stream.copy(at, at + samples)
     error = np.zeros(len(bad.dt_s) + 1)
@@ -107,7 +115,9 @@ def repeated_stamps(stream: FaultStream, at: int, *, samples: int) -> FaultStrea
     return bad
 
 
-def backward_stamp(stream: FaultStream, at: int, *, back_s: float, returns: bool) -> FaultStream:
+def backward_stamp(
+    stream: FaultStream, at: int, *, back_s: float, returns: bool
+) -> FaultStream:
     """The clock goes back once, and comes forward again or goes on from there."""
     bad = stream.copy(at, at + 1)
     bad.dt_s[at] = -back_s
@@ -117,7 +127,12 @@ def backward_stamp(stream: FaultStream, at: int, *, back_s: float, returns: bool
 
 
 def spike(
-    stream: FaultStream, at: int, *, q_rad: float = 0.0, tau_Nm: float = 0.0, times: int = 1
+    stream: FaultStream,
+    at: int,
+    *,
+    q_rad: float = 0.0,
+    tau_Nm: float = 0.0,
+    times: int = 1,
 ) -> FaultStream:
     """Single samples that are far off, a tenth of a second apart."""
     where = at + 100 * np.arange(times)
@@ -167,11 +182,15 @@ def loaded(
     """A force on the tool beside that of the tissue, for some samples."""
     bad, part = stream.copy(at, at + samples), slice(at, at + samples)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    bad.tau_Nm[part] -= force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[part], axes)[:, :3]
+    bad.tau_Nm[part] -= (
+        force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[part], axes)[:, :3]
+    )
     return bad
 
 
-def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> FaultStream:
+def detour(
+    run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array
+) -> FaultStream:
     """A motion in free air to a pose and back, before a stream that starts at rest in free air.
 
     The fault ends when the arm is back. Torques are those of the true arm, with the sensors' noise
@@ -188,24 +207,34 @@ def detour(run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array) -> 
     model = lwr_bodies(run.tool, level, np.random.default_rng(mass_seed)).model()
     # It begins at rest: the first torque is that of gravity.
     tau = inverse_dynamics(model, q, dq, ddq)
-    tau += stream.tau_Nm[:20].mean(axis=0) - tau[0] - (fraction > 1.0 - 1e-9)[:, None] * stop_Nm
+    tau += (
+        stream.tau_Nm[:20].mean(axis=0)
+        - tau[0]
+        - (fraction > 1.0 - 1e-9)[:, None] * stop_Nm
+    )
     rng = np.random.default_rng(0)
     made = FaultStream(
         dt_s=np.full(len(q), PERIOD_s),
         q_rad=q + level.position_noise_std_rad * rng.normal(size=q.shape),
-        dq_rad_s=dq + (level.velocity_noise_std_rad_s or 0.0) * rng.normal(size=q.shape),
+        dq_rad_s=dq
+        + (level.velocity_noise_std_rad_s or 0.0) * rng.normal(size=q.shape),
         tau_Nm=tau + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape),
         reference_N=np.zeros(len(q)),
         stop=len(q),
     )
-    joined = {name: np.concatenate((getattr(made, name), getattr(stream, name))) for name in SERIES}
+    joined = {
+        name: np.concatenate((getattr(made, name), getattr(stream, name)))
+        for name in SERIES
+    }
     return replace(made, **joined)
 
 
 def _there_and_back() -> tuple[Array, Array, Array]:
     """Fraction of the way and its first two derivatives: quintic out, a stay, quintic back."""
     t_s = np.arange(0.0, 2.0 * TRAVEL_S + STAY_S, PERIOD_s, dtype=np.float64)
-    out, back = (Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S))
+    out, back = (
+        Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S)
+    )
     fraction, rate = np.subtract(out.evaluate(t_s), back.evaluate(t_s))
     return fraction, rate, np.gradient(rate, PERIOD_s)
 
@@ -269,7 +298,9 @@ def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
         moves.append((profile, seconds, to_m - at_m))
         at_m = to_m
     strokes = chain_strokes(_TOP_M, moves)
-    ends = {name: stroke.end_s for (name, *_), stroke in zip(_STROKES, strokes, strict=True)}
+    ends = {
+        name: stroke.end_s for (name, *_), stroke in zip(_STROKES, strokes, strict=True)
+    }
     motion = Motion(
         strokes=strokes,
         tare_end_s=ends["tared"],
@@ -279,4 +310,6 @@ def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
     )
     title = "70 % gel: stopped, reversed, withdrawn, inserted again"
     scenario = Scenario(id="troubled", title=title, layers=(gel(70),), motion=motion)
-    return scenario, {name: (ends[begin], ends[end]) for name, (begin, end) in PARTS.items()}
+    return scenario, {
+        name: (ends[begin], ends[end]) for name, (begin, end) in PARTS.items()
+    }

@@ -47,7 +47,9 @@ class RunFigures:
         """
         job, (figure, letter) = self.job, panel
         number = f"figure-{figure}-" if figure else ""
-        path = self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
+        path = (
+            self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
+        )
         shown = save_page_figure(
             replace(chart, title=self._title(f"{figure}{letter}", chart.title)),
             path,
@@ -55,12 +57,18 @@ class RunFigures:
             caption=caption,
             is_alone=is_alone,
         )
-        self.saved.append(Drawing(figure=figure, panel=letter, job=job, shown=shown, facts=facts))
+        self.saved.append(
+            Drawing(figure=figure, panel=letter, job=job, shown=shown, facts=facts)
+        )
 
     def _title(self, number: str, what: str) -> str:
         """What is shown, and below it of which run."""
         run = f"{self.job.benchmark}, {self.job.where}"
-        return f"Figure {number}: {what}\n{run}" if number else f"{what}\n{run}".capitalize()
+        return (
+            f"Figure {number}: {what}\n{run}"
+            if number
+            else f"{what}\n{run}".capitalize()
+        )
 
 
 STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
@@ -97,15 +105,23 @@ def force_chart(
             label = f"{name}, RMSE {rmse_N(item, truth, truth.axial_N):.3f} N"
             forces.append(Curve(style=style, x=x, y=y, label=label))
             std = item.std_N[shown] if style is palette.OURS else None
-            errors.append(Curve(style=style, x=x, y=y - true, std=std, band_label="ours, ± 2 std"))
+            errors.append(
+                Curve(style=style, x=x, y=y - true, std=std, band_label="ours, ± 2 std")
+            )
     forces.append(Curve(style=palette.TRUE_PART, x=x, y=true, label="true force"))
-    limit = _error_limit([curve for curve in errors if curve.style is not palette.OTHER_SENSOR])
+    limit = _error_limit(
+        [curve for curve in errors if curve.style is not palette.OTHER_SENSOR]
+    )
     return Chart(
         title=title,
         x_label=palette.INSERTION_TIME if over == "time" else palette.DEPTH,
         panels=(
             Panel(y_label=palette.FORCE, curves=tuple(forces), height=1.6),
-            Panel(y_label=palette.FORCE_ERROR, curves=_thin(errors), limits=(-limit, limit)),
+            Panel(
+                y_label=palette.FORCE_ERROR,
+                curves=_thin(errors),
+                limits=(-limit, limit),
+            ),
         ),
         x_limits=(float(x.min()), float(x.max())),
         height_in=3.6,
@@ -116,7 +132,9 @@ def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
     """Errors differ: the quieter one lies on the noisier one, and lines are thin."""
     ordered = sorted(errors, key=lambda curve: curve.style is not palette.OURS)
     dark = replace(palette.OTHER_DASHED, dash="-")
-    styles = [dark if one.style is palette.OTHER_SENSOR else one.style for one in ordered]
+    styles = [
+        dark if one.style is palette.OTHER_SENSOR else one.style for one in ordered
+    ]
     return tuple(
         replace(curve, style=replace(style, width_pt=0.7))
         for curve, style in zip(ordered, styles, strict=True)
@@ -163,7 +181,9 @@ def force_figures(
     return tuple(figures.saved)
 
 
-def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -> tuple[Fact, ...]:
+def _facts(
+    scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]
+) -> tuple[Fact, ...]:
     by_key = {(item.source, item.method): item for item in readings}
     if len(by_key) < len(STYLES):
         return ()
@@ -174,9 +194,15 @@ def _facts(scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]) -
     is_within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
     within = f"{100.0 * np.mean(is_within):.1f}"
     values = {
-        "RMSE against the F/T sensor [N]": [f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both],
-        "RMSE against the true force [N]": [f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both],
-        "delay behind the true force [ms]": [f"{delay_ms:.0f}" for delay_ms in delays_ms],
+        "RMSE against the F/T sensor [N]": [
+            f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both
+        ],
+        "RMSE against the true force [N]": [
+            f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both
+        ],
+        "delay behind the true force [ms]": [
+            f"{delay_ms:.0f}" for delay_ms in delays_ms
+        ],
         "true force within 2 stated standard deviations [%]": ["none stated", within],
     }
     heads = ("published, here", "ours, here")

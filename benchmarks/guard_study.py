@@ -34,9 +34,16 @@ LEARNT_s = 0.8
 def sensed(motion: Motion, rng: np.random.Generator) -> Motion:
     """The motion as the sensors of the plant `clean` see it."""
     level = PLANT_MODELS["clean"]
-    q, dq = measured_position(motion[0], level, rng), measured_velocity(motion[1], level, rng)
+    q, dq = (
+        measured_position(motion[0], level, rng),
+        measured_velocity(motion[1], level, rng),
+    )
     assert dq is not None
-    return q, dq, motion[2] + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape)
+    return (
+        q,
+        dq,
+        motion[2] + np.array(level.torque_noise_std_Nm) * rng.normal(size=q.shape),
+    )
 
 
 def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
@@ -62,7 +69,10 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     """A motion of a few centimetres a second."""
-    middle, omega = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv), rng.uniform(0.2, 0.6, robot.nv)
+    middle, omega = (
+        MIDDLE + rng.uniform(-0.5, 0.5, robot.nv),
+        rng.uniform(0.2, 0.6, robot.nv),
+    )
     phase = omega * PERIOD_s * np.arange(count)[:, None]
     q, dq = middle + 0.05 * np.sin(phase), 0.05 * omega * np.cos(phase)
     return q, dq, inverse_dynamics(robot.model, q, dq, -0.05 * omega**2 * np.sin(phase))
@@ -115,7 +125,11 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     """How many samples of a motion the sensor would not use."""
-    stream, missed_s, count = SampleStream(robot, DEFAULT, has_velocity=has_velocity), 0.0, 0
+    stream, missed_s, count = (
+        SampleStream(robot, DEFAULT, has_velocity=has_velocity),
+        0.0,
+        0,
+    )
     for q, dq, tau in zip(*motion, strict=True):
         try:
             stream.update(q, dq if has_velocity else None, tau, PERIOD_s + missed_s)
@@ -133,7 +147,9 @@ def main() -> int:
         for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
             rng = np.random.default_rng(seed)
             motion = sensed(make(robot, rng, SAMPLES), rng)
-            found += sum(held_back(robot, motion, has_velocity=one) for one in (True, False))
+            found += sum(
+                held_back(robot, motion, has_velocity=one) for one in (True, False)
+            )
         sys.stdout.write(f"{name}: {found} of {2 * RUNS * SAMPLES} samples held back\n")
         total += found
     return int(total > 0)

@@ -6,7 +6,11 @@ from pathlib import Path
 
 from benchmarks.benchmark import Drawing, Fact, Job
 from benchmarks.force_plots import RunFigures
-from benchmarks.identification_metrics import enhanced_metrics, identify_as_run, offline_metrics
+from benchmarks.identification_metrics import (
+    enhanced_metrics,
+    identify_as_run,
+    offline_metrics,
+)
 from benchmarks.identification_plots import (
     SENSORS,
     Compared,
@@ -16,7 +20,11 @@ from benchmarks.identification_plots import (
     true_friction,
 )
 from benchmarks.methods import ForceReading, Identified, cumulative_friction_Ns_per_m
-from benchmarks.published_figures import ENHANCED_FIGURES, OFFLINE_PANELS, PublishedFigure
+from benchmarks.published_figures import (
+    ENHANCED_FIGURES,
+    OFFLINE_PANELS,
+    PublishedFigure,
+)
 from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from benchmarks.targets import GELS
 from identification import PUBLISHED_KV, PublishedConfig
@@ -49,7 +57,9 @@ def draw_identification(
         is_ft, number = source == "ft", figure.number if figure else ""
         kelvin_voigt = None
         if figure and is_ft:
-            kelvin_voigt = identify_as_run(tuned.signal, truth, commanded_m_s, config=PUBLISHED_KV)
+            kelvin_voigt = identify_as_run(
+                tuned.signal, truth, commanded_m_s, config=PUBLISHED_KV
+            )
         compared = Compared(
             ours=by_method["ours"],
             tuned=tuned,
@@ -64,7 +74,9 @@ def draw_identification(
     return tuple(figures.saved)
 
 
-def _add_offline(figures: RunFigures, signal: NeedleSignal, truth: InsertionTruth) -> None:
+def _add_offline(
+    figures: RunFigures, signal: NeedleSignal, truth: InsertionTruth
+) -> None:
     """Both models on the F/T sensor's force, where that scenario is published so."""
     scenario = figures.job.benchmark
     if scenario not in OFFLINE_PANELS:
@@ -89,7 +101,10 @@ def _add_offline(figures: RunFigures, signal: NeedleSignal, truth: InsertionTrut
 
 
 def _add_enhanced(
-    figures: RunFigures, figure: PublishedFigure | None, truth: InsertionTruth, compared: Compared
+    figures: RunFigures,
+    figure: PublishedFigure | None,
+    truth: InsertionTruth,
+    compared: Compared,
 ) -> None:
     """The forces by each method."""
     source, tuned, ft = compared.ours.source, compared.tuned, compared.ft
@@ -100,7 +115,9 @@ def _add_enhanced(
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
     title = f"friction compensation by the published method, {sensor}"
     figures.add(
-        enhanced_chart(title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed),
+        enhanced_chart(
+            title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed
+        ),
         f"{source}-published",
         panel=(number, "a" if number else ""),
         alt=f"{alt}published method",
@@ -135,8 +152,14 @@ def _add_parameters(
     )
 
 
-def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -> tuple[Fact, ...]:
-    heads = ("published, tuned, here", "published, one setting, here", "ours, one setting, here")
+def _facts(
+    figure: PublishedFigure, truth: InsertionTruth, compared: Compared
+) -> tuple[Fact, ...]:
+    heads = (
+        "published, tuned, here",
+        "published, one setting, here",
+        "ours, one setting, here",
+    )
     items = (compared.tuned, compared.published, compared.ours)
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
     ruptures = [_ruptures(item, truth) for item in items]
@@ -145,8 +168,16 @@ def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -
     left = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
     lines = (
         (f"ruptures detected (true: {len(truth.ruptures)})", figure.ruptures, ruptures),
-        (f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]", figure.friction, sums),
-        ("remaining force after the last rupture [% of the axial force]", figure.remaining, left),
+        (
+            f"cumulative friction in the end (true: {steps[-1]:.0f}) [Ns/m]",
+            figure.friction,
+            sums,
+        ),
+        (
+            "remaining force after the last rupture [% of the axial force]",
+            figure.remaining,
+            left,
+        ),
     )
     return tuple(
         Fact(what=what, published=published, here=tuple(zip(heads, texts, strict=True)))
@@ -156,6 +187,8 @@ def _facts(figure: PublishedFigure, truth: InsertionTruth, compared: Compared) -
 
 def _ruptures(item: Identified, truth: InsertionTruth) -> str:
     """Those of the insertion; in the withdrawal there are none to find."""
-    inside = [alarm.alarm_s for alarm in item.alarms if alarm.alarm_s <= truth.insertion_end_s]
+    inside = [
+        alarm.alarm_s for alarm in item.alarms if alarm.alarm_s <= truth.insertion_end_s
+    ]
     times = ", ".join(f"{alarm_s - truth.tare_end_s:.1f}" for alarm_s in inside)
     return f"{len(inside)}, at {times} s" if inside else "none"

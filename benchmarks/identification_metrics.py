@@ -75,7 +75,10 @@ def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
     starts = [(truth.contact_s, 0.0), *ends[:-1]]
     return [
         LayerSpan(
-            start_s=start_s, start_depth_m=start_m, thickness_m=end_m - start_m, rupture_s=end_s
+            start_s=start_s,
+            start_depth_m=start_m,
+            thickness_m=end_m - start_m,
+            rupture_s=end_s,
         )
         for (start_s, start_m), (end_s, end_m) in zip(starts, ends, strict=True)
     ]
@@ -97,7 +100,10 @@ def identify_as_run(
     Best is the one with most ruptures found less false alarms, which they saw in the force.
     """
     quiet = replace(signal, speed_m_s=commanded_m_s)
-    tried = [identify(quiet, truth, method, replace(config, sigma1_N=each)) for each in SIGMA1_N]
+    tried = [
+        identify(quiet, truth, method, replace(config, sigma1_N=each))
+        for each in SIGMA1_N
+    ]
 
     def merit(item: Identified) -> int:
         matching = match(truth.ruptures, item.alarms)
@@ -106,7 +112,9 @@ def identify_as_run(
     return max(tried, key=merit)
 
 
-def measure_identification(item: Identified, truth: InsertionTruth) -> Iterator[Measurement]:
+def measure_identification(
+    item: Identified, truth: InsertionTruth
+) -> Iterator[Measurement]:
     """Measure one method on one signal.
 
     What the models can explain offline depends on neither method nor estimated force: it is stated
@@ -167,7 +175,9 @@ def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
     onset.
     """
     onsets_s = [rupture.onset_s for rupture in ruptures]
-    pairs = nearest_pairs(onsets_s, [alarm.alarm_s for alarm in alarms], EARLY_s, LATE_s)
+    pairs = nearest_pairs(
+        onsets_s, [alarm.alarm_s for alarm in alarms], EARLY_s, LATE_s
+    )
     taken = set(pairs.values())
     return Matching(
         found=tuple((ruptures[i], alarms[pairs[i]]) for i in sorted(pairs)),
@@ -220,7 +230,9 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
     if hard:
         delay = [alarm.alarm_s - rupture.onset_s for rupture, alarm in hard]
         timing = [abs(alarm.rupture_s - rupture.onset_s) for rupture, alarm in hard]
-        travel = [truth.depth_m[alarm.sample] - rupture.onset_m for rupture, alarm in hard]
+        travel = [
+            truth.depth_m[alarm.sample] - rupture.onset_m for rupture, alarm in hard
+        ]
         values["rupture_delay_ms"] = 1e3 * float(np.median(delay))
         values["rupture_timing_error_ms"] = 1e3 * float(np.median(timing))
         values["detection_depth_error_mm"] = 1e3 * float(np.median(travel))
@@ -256,7 +268,9 @@ def layer_frictions(
         true_N += rupture.layer_friction_N
         if rupture.layer == 0 or not is_visible(rupture):
             continue
-        following = ruptures[k + 1].onset_s - EARLY_s if k + 1 < len(ruptures) else math.inf
+        following = (
+            ruptures[k + 1].onset_s - EARLY_s if k + 1 < len(ruptures) else math.inf
+        )
         until_s = max(min(rupture.onset_s + LATE_s, following), rupture.end_s)
         mine = [alarm for alarm in alarms if begin_s < alarm.alarm_s <= until_s]
         was_seen = any(alarm.alarm_s >= rupture.onset_s - EARLY_s for alarm in mine)
@@ -268,15 +282,21 @@ def layer_frictions(
     return found
 
 
-def _layer_friction(true_N: float, found: Sequence[LayerEstimate | None]) -> LayerFriction:
+def _layer_friction(
+    true_N: float, found: Sequence[LayerEstimate | None]
+) -> LayerFriction:
     layers = [layer for layer in found if layer is not None]
-    known = [layer.friction_std_N for layer in layers if layer.friction_std_N is not None]
+    known = [
+        layer.friction_std_N for layer in layers if layer.friction_std_N is not None
+    ]
     is_stated = bool(layers) and len(known) == len(layers)
     std_N = math.hypot(*known) if is_stated else math.nan
     return LayerFriction(true_N, sum(layer.friction_N for layer in layers), std_N)
 
 
-def friction_metrics(frictions: Sequence[LayerFriction], when: str = "") -> dict[str, float]:
+def friction_metrics(
+    frictions: Sequence[LayerFriction], when: str = ""
+) -> dict[str, float]:
     """Worst and mean relative error, and whether the stated standard deviations are right.
 
     `when` is part of the names: ``_online`` for what was known in the layer after. The coverage is
@@ -292,7 +312,10 @@ def friction_metrics(frictions: Sequence[LayerFriction], when: str = "") -> dict
     }
     stated = [layer for layer in frictions if not math.isnan(layer.std_N)]
     if stated:
-        inside = [abs(layer.estimated_N - layer.true_N) <= 2.0 * layer.std_N for layer in stated]
+        inside = [
+            abs(layer.estimated_N - layer.true_N) <= 2.0 * layer.std_N
+            for layer in stated
+        ]
         values[f"friction_coverage{when}_2sigma"] = float(np.mean(inside))
     return values
 
@@ -309,7 +332,9 @@ def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]
     return {
         "cumulative_friction_true_Ns_per_m": rupture.layer_friction_N / speed,
         "cumulative_friction_offline_Ns_per_m": offline.cumulative_friction_Ns_per_m,
-        "cumulative_friction_online_Ns_per_m": cumulative_friction_Ns_per_m(identified.alarms),
+        "cumulative_friction_online_Ns_per_m": cumulative_friction_Ns_per_m(
+            identified.alarms
+        ),
     }
 
 
@@ -328,7 +353,9 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     """
     values: dict[str, float] = {}
     after = truth.is_insertion[identified.start :].copy()
-    is_identified = [each.identified_layer is not None for each in identified.result.estimates]
+    is_identified = [
+        each.identified_layer is not None for each in identified.result.estimates
+    ]
     if True not in is_identified:
         exits = (rupture.end_s for rupture in truth.ruptures if rupture.layer > 0)
         after &= truth.t_s[identified.start :] > next(exits, math.inf)
@@ -345,7 +372,9 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     beyond = beyond_last_exit(truth)[identified.start :]
     if beyond.any():
         plateau = float(np.mean(np.abs(truth.axial_N[identified.start :][beyond])))
-        values["remaining_force_pct"] = 100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
+        values["remaining_force_pct"] = (
+            100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
+        )
     return values
 
 
@@ -356,7 +385,9 @@ def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
     if end >= len(truth.t_s) or truth.layer.max() <= truth.layer_friction_N.shape[1]:
         return np.zeros(len(truth.t_s), dtype=bool)
     is_clear = truth.depth_m > truth.depth_m[end] + CLEAR_m
-    is_advancing = (truth.speed_m_s > ADVANCING_m_s) & (truth.t_s <= truth.insertion_end_s)
+    is_advancing = (truth.speed_m_s > ADVANCING_m_s) & (
+        truth.t_s <= truth.insertion_end_s
+    )
     return is_clear & is_advancing
 
 
@@ -376,7 +407,9 @@ def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, floa
     values: dict[str, float] = {}
     for name, is_white in (("", False), ("_white", True)) if any(counts) else ():
         bounds = np.array(friction_bounds(truth, error, is_white=is_white))[counts]
-        values[f"friction_bound{name}_pct"] = 100.0 * MEAN_ABSOLUTE * float(np.mean(bounds))
+        values[f"friction_bound{name}_pct"] = (
+            100.0 * MEAN_ABSOLUTE * float(np.mean(bounds))
+        )
     delays = delay_bounds_s(truth, visible, error, lag_s) if visible else []
     finite = [delay for delay in delays if delay < math.inf]
     if finite:

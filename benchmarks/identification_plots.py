@@ -75,26 +75,45 @@ def enhanced_chart(
     drawn: list[tuple[LineStyle, Array, Array, str]] = []
     if has_speed:
         profile = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
-        drawn.append((palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale"))
+        drawn.append(
+            (palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale")
+        )
     if ft is not None:
-        drawn.append((palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor"))
+        drawn.append(
+            (palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor")
+        )
     drawn += [
         (palette.READING, x, item.force_N, f"force of the {SENSORS[item.source]}"),
         (palette.PREDICTED, x, item.series("predicted_force_N"), "predicted force"),
     ]
     if kelvin_voigt is not None:
         there, label = _times_s(kelvin_voigt, truth), "enhanced force, Kelvin-Voigt"
-        drawn.append((palette.PUBLISHED_KV, there, kelvin_voigt.series("enhanced_force_N"), label))
+        drawn.append(
+            (
+                palette.PUBLISHED_KV,
+                there,
+                kelvin_voigt.series("enhanced_force_N"),
+                label,
+            )
+        )
     enhanced, who = WHOSE[item.method]
     drawn += [
         (enhanced, x, item.series("enhanced_force_N"), f"enhanced force, {who}"),
         (palette.TRUE_PART, whole, truth.enhanced_N, "true enhanced force"),
     ]
-    curves = tuple(Curve(style=style, x=x, y=y, label=label) for style, x, y, label in drawn)
+    curves = tuple(
+        Curve(style=style, x=x, y=y, label=label) for style, x, y, label in drawn
+    )
     return Chart(
         title=title,
         x_label=palette.INSERTION_TIME,
-        panels=(Panel(y_label=palette.FORCE, curves=curves, limits=(-0.25 * top_N, 1.15 * top_N)),),
+        panels=(
+            Panel(
+                y_label=palette.FORCE,
+                curves=curves,
+                limits=(-0.25 * top_N, 1.15 * top_N),
+            ),
+        ),
         shadings=(_true_ruptures(truth),),
         instants=_events(item, truth),
         x_limits=_limits_s(truth),
@@ -120,7 +139,11 @@ def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
         times += [start_s, rupture.onset_s, rupture.onset_s]
         local += [product / thickness, product / thickness, np.nan]
         total += [sum_before, sum_before, np.nan]
-        start_s, start_m, sum_before = rupture.onset_s, rupture.onset_m, sum_before + product
+        start_s, start_m, sum_before = (
+            rupture.onset_s,
+            rupture.onset_m,
+            sum_before + product,
+        )
     ends = [start_s, float(truth.insertion_end_s)]
     sums = np.array([*total, sum_before, sum_before])
     return {
@@ -142,9 +165,15 @@ class Compared:
 
     ours: Identified  # one setting for everything
     tuned: Identified  # the published method with the settings of its authors
-    published: Identified  # the published method with one setting and the measured speed
-    kelvin_voigt: Identified | None = None  # `tuned` with the Kelvin-Voigt model, if shown
-    ft: ForceReading | None = None  # the F/T sensor's force, where the force was another
+    published: (
+        Identified  # the published method with one setting and the measured speed
+    )
+    kelvin_voigt: Identified | None = (
+        None  # `tuned` with the Kelvin-Voigt model, if shown
+    )
+    ft: ForceReading | None = (
+        None  # the F/T sensor's force, where the force was another
+    )
     on_ft: Identified | None = None  # ours on the F/T sensor's force, likewise
 
 
@@ -171,8 +200,12 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
         if name in true:
             t_s, values = true[name]
             x = t_s - truth.tare_end_s
-            curves.append(Curve(style=palette.TRUE_PART, x=x, y=values, label="ground truth"))
-        layers = [alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None]
+            curves.append(
+                Curve(style=palette.TRUE_PART, x=x, y=values, label="ground truth")
+            )
+        layers = [
+            alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None
+        ]
         found = [getattr(layer, name) for layer in layers if hasattr(layer, name)]
         limits = _parameter_limits(_limits_s(truth), curves, found)
         panels.append(Panel(y_label=label, curves=tuple(curves), limits=limits))
@@ -227,7 +260,9 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
     x, reading = truth.t_s[shown] - truth.tare_end_s, signal.force_N[shown]
     depth_m = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
     spans, speed_m_s = layer_spans(truth), quiet_speed_m_s(signal)
-    forces = [Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")]
+    forces = [
+        Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")
+    ]
     errors = []
     for model, name, style in MODELS:
         fit = offline_fit(signal, truth, model)
@@ -238,7 +273,9 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
         forces.append(Curve(style=style, x=x, y=predicted, label=label))
         errors.append(Curve(style=style, x=x, y=reading - predicted))
     end_s = truth.insertion_end_s - truth.tare_end_s
-    predicted_span = Shading("predicted, not fitted", NOT_FITTED, ((end_s, float(x[-1])),))
+    predicted_span = Shading(
+        "predicted, not fitted", NOT_FITTED, ((end_s, float(x[-1])),)
+    )
     return Chart(
         title=title,
         x_label=palette.INSERTION_TIME,

@@ -52,11 +52,22 @@ def kdl_library() -> ctypes.CDLL:
     source = Path(__file__).with_name("kdl_shim.cpp")
     with TemporaryDirectory() as folder:  # what is loaded stays when the file goes
         made = Path(folder) / "kdl_shim.so"
-        command = ["g++", "-O2", "-shared", "-fPIC", "-I/usr/include/eigen3", source, "-o", made]
+        command = [
+            "g++",
+            "-O2",
+            "-shared",
+            "-fPIC",
+            "-I/usr/include/eigen3",
+            source,
+            "-o",
+            made,
+        ]
         try:
             subprocess.run([*command, "-lorocos-kdl"], check=True, capture_output=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            raise KdlAbsentError(f"no comparison with KDL: it needs {PACKAGES}") from error
+            raise KdlAbsentError(
+                f"no comparison with KDL: it needs {PACKAGES}"
+            ) from error
         library = ctypes.CDLL(str(made))
     library.kdl_new.restype = ctypes.c_void_p
     for name, count in (("kdl_delete", 1), ("kdl_start", 3), ("kdl_update", 5)):
@@ -91,19 +102,32 @@ class KdlEstimator:
     """
 
     def __init__(
-        self, library: ctypes.CDLL, robot: Robot, signals: JointSignals, gain_per_s: float
+        self,
+        library: ctypes.CDLL,
+        robot: Robot,
+        signals: JointSignals,
+        gain_per_s: float,
     ) -> None:
         self._library, numbers = library, chain_numbers(robot)
-        gravity, rate_hz = np.array(robot.gravity_m_s2), 1.0 / float(np.median(signals.dt_s))
+        gravity, rate_hz = (
+            np.array(robot.gravity_m_s2),
+            1.0 / float(np.median(signals.dt_s)),
+        )
         settings = map(ctypes.c_double, (rate_hz, gain_per_s, 0.0))
         arrays = (each.ctypes.data_as(ctypes.c_void_p) for each in (numbers, gravity))
-        self._handle = ctypes.c_void_p(library.kdl_new(len(numbers), *arrays, *settings))
+        self._handle = ctypes.c_void_p(
+            library.kdl_new(len(numbers), *arrays, *settings)
+        )
         assert signals.dq_rad_s is not None, "KDL needs velocities"
-        sent = map(np.ascontiguousarray, (signals.q_rad, signals.dq_rad_s, signals.tau_Nm))
+        sent = map(
+            np.ascontiguousarray, (signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
+        )
         self._samples = list(zip(*sent, strict=True))
         self._wrench = np.zeros(6)  # on the tool frame, in its axes
         self._into = self._wrench.ctypes.data
-        library.kdl_start(self._handle, *(each.ctypes.data for each in self._samples[0][:2]))
+        library.kdl_start(
+            self._handle, *(each.ctypes.data for each in self._samples[0][:2])
+        )
 
     def __call__(self, k: int) -> None:
         """Take sample k."""
@@ -112,7 +136,9 @@ class KdlEstimator:
 
     def bare(self) -> Update:
         """What takes sample k where it is known in advance at which addresses it lies."""
-        places = [tuple(each.ctypes.data for each in sample) for sample in self._samples]
+        places = [
+            tuple(each.ctypes.data for each in sample) for sample in self._samples
+        ]
         return lambda k: self.call(*places[k])
 
     def call(self, q: int, dq: int, tau: int) -> None:
@@ -138,7 +164,10 @@ class PlainEstimator:
 
     def __init__(self, robot: Robot, signals: JointSignals, gain_per_s: float) -> None:
         self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
-        self._wrench, self._samples = WrenchEstimator(robot, PUBLISHED), signals.samples()
+        self._wrench, self._samples = (
+            WrenchEstimator(robot, PUBLISHED),
+            signals.samples(),
+        )
         self._no_offset, self._memory = np.zeros(robot.nv), np.zeros((3, 6))
         self.axial_N = 0.0
 
@@ -147,7 +176,9 @@ class PlainEstimator:
         q, dq, tau, dt_s = self._samples[k]
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        found = self._wrench.solve(q, residual, self._no_offset, self._memory, (0.0, 0.0))
+        found = self._wrench.solve(
+            q, residual, self._no_offset, self._memory, (0.0, 0.0)
+        )
         self.axial_N = found[0]
 
 
@@ -212,8 +243,12 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
     return _report(errors, times)
 
 
-def _report(errors: list[Error], times: dict[str, Array]) -> tuple[list[ResultTable], bool]:
-    middle = {name: float(np.median([found[name] for found in errors])) for name in errors[0]}
+def _report(
+    errors: list[Error], times: dict[str, Array]
+) -> tuple[list[ResultTable], bool]:
+    middle = {
+        name: float(np.median([found[name] for found in errors])) for name in errors[0]
+    }
     targets = {OURS: ("time", TIME_RATIO), SENSOR: ("error", ERROR_RATIO)}
     lines, is_met = [], True
     for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
@@ -233,7 +268,13 @@ def _report(errors: list[Error], times: dict[str, Array]) -> tuple[list[ResultTa
     table = ResultTable(
         title="Beside orocos KDL's ChainExternalWrenchEstimator",
         heads=(
-            *("estimator", "axial force\nrms error, N", "ratio", "tick, us\nmedian", "mean"),
+            *(
+                "estimator",
+                "axial force\nrms error, N",
+                "ratio",
+                "tick, us\nmedian",
+                "mean",
+            ),
             *("ratio", "target", ""),
         ),
         align="LrrrrrLL",

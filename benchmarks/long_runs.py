@@ -47,7 +47,9 @@ class Soak:
     # memory that Python held for the chain after that cycle and after the last whole one: in the
     # tissue a layer's data add to it [kB]
     python_kB: tuple[float, float]
-    process_MB: tuple[float, float]  # resident memory of the process at the same times [MB]
+    process_MB: tuple[
+        float, float
+    ]  # resident memory of the process at the same times [MB]
     ruptures: tuple[int, ...]  # found in each whole insertion
     skipped: int  # samples that the session rejected
 
@@ -110,9 +112,15 @@ class Cycle:
             taken_us = (perf_counter_ns() - before) / NS_PER_US
             yield k, found.identification.rupture is not None, taken_us
 
-    def time(self, ticks: int, progress: Progress) -> tuple[Array, tuple[int, ...], int]:
+    def time(
+        self, ticks: int, progress: Progress
+    ) -> tuple[Array, tuple[int, ...], int]:
         """Time of every update [us], shape (ticks,); ruptures by whole cycle; samples rejected."""
-        session, taken, ruptures = self.tared(), np.zeros(ticks), [0] * (ticks // self.length + 1)
+        session, taken, ruptures = (
+            self.tared(),
+            np.zeros(ticks),
+            [0] * (ticks // self.length + 1),
+        )
         for k, is_rupture, taken_us in self.updates(session, ticks, progress):
             taken[k] = taken_us
             ruptures[k // self.length] += is_rupture
@@ -157,7 +165,10 @@ def run_soak(ticks: int, progress: Progress = lambda fraction: None) -> Soak:
 def soak_table(found: Soak, ticks: int) -> ResultTable:
     """Start and end, with the targets."""
     is_quick, is_lean, is_busy = map(met_mark, found.marks)
-    tick_us, python_kB = (f"{value:.1f}" for value in found.tick_us), map(round, found.python_kB)
+    tick_us, python_kB = (
+        (f"{value:.1f}" for value in found.tick_us),
+        map(round, found.python_kB),
+    )
     ends = (str(found.ruptures[0]), str(found.ruptures[-1]))
     return ResultTable(
         title=f"{ticks} ticks of the chain: insertions, rests and cycles on one tare",
@@ -165,8 +176,18 @@ def soak_table(found: Soak, ticks: int) -> ResultTable:
         align="LrrrL",
         lines=(
             ("median tick, us", *tick_us, f"≤ {SOAK_COST_RATIO:g} x start", is_quick),
-            ("Python's memory, kB", *map(str, python_kB), f"+ {SOAK_GROWTH_KB:g} at most", is_lean),
-            ("memory of the process, MB", *(f"{value:.1f}" for value in found.process_MB), "", ""),
+            (
+                "Python's memory, kB",
+                *map(str, python_kB),
+                f"+ {SOAK_GROWTH_KB:g} at most",
+                is_lean,
+            ),
+            (
+                "memory of the process, MB",
+                *(f"{value:.1f}" for value in found.process_MB),
+                "",
+                "",
+            ),
             ("ruptures an insertion", *ends, "≥ 1 in all, none skipped", is_busy),
         ),
     )
@@ -202,7 +223,10 @@ def needle_recording(seconds: float) -> Iterator[Columns]:
     Every cycle is in fresh tissue, whose surface lies as deep as the needle
     has come before: in the channel of an insertion there is nothing left to rupture.
     """
-    run, rng = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ), np.random.default_rng(0)
+    run, rng = (
+        insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ),
+        np.random.default_rng(0),
+    )
     taring = int(np.searchsorted(run.t_s, run.tare_end_s))
     deepest_m = float(run.depth_m.max())
     way_m = deepest_m + float(run.depth_m[taring] - run.depth_m[-1])
@@ -225,7 +249,9 @@ def _repeated(cycle: Columns, seconds: float, again_from: int) -> Iterator[Colum
     """The cycle, and then over and over its rows from `again_from` on."""
     left, done, start = round(seconds * RATE_HZ), 0, 0
     while left > 0:
-        columns = {name: values[start : start + left].copy() for name, values in cycle.items()}
+        columns = {
+            name: values[start : start + left].copy() for name, values in cycle.items()
+        }
         rows = len(next(iter(columns.values())))
         yield {"t_s": np.arange(done, done + rows) / RATE_HZ, **columns}
         left, done, start = left - rows, done + rows, again_from
@@ -243,13 +269,17 @@ class ProcessUse(NamedTuple):
 
     wall_s: float  # from start to end
     cpu_s: float  # time on processors
-    memory_MB: tuple[float, ...]  # resident memory as it went on, in equal steps of time
+    memory_MB: tuple[
+        float, ...
+    ]  # resident memory as it went on, in equal steps of time
 
     def memory_at(self, fraction: float) -> float:
         """Resident memory when that fraction of the time had passed [MB]; nan if unknown."""
         if not self.memory_MB:
             return float("nan")
-        return self.memory_MB[min(int(fraction * len(self.memory_MB)), len(self.memory_MB) - 1)]
+        return self.memory_MB[
+            min(int(fraction * len(self.memory_MB)), len(self.memory_MB) - 1)
+        ]
 
 
 def run_python(
@@ -267,7 +297,9 @@ def run_python(
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
     with TemporaryFile() as errors:
         command = [sys.executable, *arguments]
-        process = psutil.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=errors)
+        process = psutil.Popen(
+            command, env=environment, stdout=subprocess.DEVNULL, stderr=errors
+        )
         while process.poll() is None:
             with suppress(psutil.Error):  # it may have ended since the question
                 memory_MB.append(process.memory_info().rss / BYTES_IN_MB)
@@ -277,7 +309,9 @@ def run_python(
         errors.seek(0)
         said = errors.read().decode(errors="replace").strip()
     if process.returncode != 0:
-        raise BenchmarkError(f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}")
+        raise BenchmarkError(
+            f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}"
+        )
     # Time of all children that have ended: nothing else is started meanwhile.
     times = (before, psutil.Process().cpu_times())
     before_s, after_s = (each.children_user + each.children_system for each in times)
@@ -341,9 +375,20 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
     lines = []
     for speed in speeds:
         use = speed.use
-        memory = (use.memory_at(0.1), use.memory_at(1.0), max(use.memory_MB, default=math.nan))
-        costs = (1e6 * use.cpu_s / speed.rows, speed.times_real, speed.seconds / use.wall_s)
-        numbers = (*(f"{value:.1f}" for value in costs), *(f"{value:.0f}" for value in memory))
+        memory = (
+            use.memory_at(0.1),
+            use.memory_at(1.0),
+            max(use.memory_MB, default=math.nan),
+        )
+        costs = (
+            1e6 * use.cpu_s / speed.rows,
+            speed.times_real,
+            speed.seconds / use.wall_s,
+        )
+        numbers = (
+            *(f"{value:.1f}" for value in costs),
+            *(f"{value:.0f}" for value in memory),
+        )
         mark = met_mark(speed.is_met)
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, mark))
     return ResultTable(

@@ -11,7 +11,13 @@ from scipy.signal import lfilter
 from benchmarks import DataError
 from benchmarks.benchmark import Progress
 from benchmarks.rows import Measurement, Method, Source
-from benchmarks.signals import Array, ForceTruth, InsertionTruth, JointSignals, NeedleSignal
+from benchmarks.signals import (
+    Array,
+    ForceTruth,
+    InsertionTruth,
+    JointSignals,
+    NeedleSignal,
+)
 from groundtruth import Run
 from identification import (
     MULTILAYER,
@@ -30,7 +36,10 @@ from residual import FrictionModel, MomentumObserver, SensorConfig, TareError
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
-METHODS: Mapping[Method, SensorConfig] = {"ours": DEFAULT_SENSOR, "published": PUBLISHED_SENSOR}
+METHODS: Mapping[Method, SensorConfig] = {
+    "ours": DEFAULT_SENSOR,
+    "published": PUBLISHED_SENSOR,
+}
 """Settings of the virtual sensor, by the name they are reported under."""
 IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
     "ours": MULTILAYER,
@@ -99,7 +108,9 @@ def run_session(
         contact_m: Depth of first contact since the tare, which the published method assumes known.
     """
     is_published = method == "published"
-    config = replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MULTILAYER
+    config = (
+        replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MULTILAYER
+    )
     lag_s = PUBLISHED_SPEED_s if is_published else 0.0
     chosen = on_lwr(METHODS[method]) if sensor is None else sensor
     session = InsertionSession(robot, chosen, config, speed_lag_s=lag_s)
@@ -121,7 +132,9 @@ def run_session(
         found[:, k] = *made.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(made.identification)
-    reading = ForceReading(source="virtual", method=method, axial_N=found[0], std_N=found[1])
+    reading = ForceReading(
+        source="virtual", method=method, axial_N=found[0], std_N=found[1]
+    )
     t_s, layers = signals.t_s[tare:], session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
     return SessionRun(reading, found[2], found[3], result, was_refused, found[4])
@@ -149,7 +162,9 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
         for k, (value, part) in enumerate(steps, start + 1):
             axial_N[k] = last = last + part * (value - last)
         found.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
-    return replace(reading, method="published-best-K", axial_N=min(found, key=lambda f: f[0])[1])
+    return replace(
+        reading, method="published-best-K", axial_N=min(found, key=lambda f: f[0])[1]
+    )
 
 
 TARE_s = 3.0
@@ -183,10 +198,18 @@ def joint_residual(
         DataError: The arm sent no velocities.
     """
     if signals.dq_rad_s is None:
-        raise DataError("a plain observer needs joint velocities, and these signals have none")
-    observer = MomentumObserver(robot, gain_per_s, alignment=alignment, friction=friction)
-    samples = zip(signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True)
-    return np.array([observer.update(q, dq, tau, float(dt)) for q, dq, tau, dt in samples])
+        raise DataError(
+            "a plain observer needs joint velocities, and these signals have none"
+        )
+    observer = MomentumObserver(
+        robot, gain_per_s, alignment=alignment, friction=friction
+    )
+    samples = zip(
+        signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.dt_s, strict=True
+    )
+    return np.array(
+        [observer.update(q, dq, tau, float(dt)) for q, dq, tau, dt in samples]
+    )
 
 
 class Alarm(NamedTuple):
@@ -205,7 +228,11 @@ class Alarm(NamedTuple):
 def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
     """Every rupture reported, in order; estimates begin with sample `start` of the n instants."""
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
-    known = (one.identified_layer for one in result.estimates if one.identified_layer is not None)
+    known = (
+        one.identified_layer
+        for one in result.estimates
+        if one.identified_layer is not None
+    )
     online = {layer.rupture.alarm_s: layer for layer in known}
     found = []
     for k, estimate in enumerate(result.estimates, start):
@@ -216,14 +243,18 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
         # The estimated time may have become better since the alarm.
         last = event if layer is None else layer.rupture
         rupture_s = float(t_s[k]) - (event.alarm_s - last.time_s)
-        found.append(Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s)))
+        found.append(
+            Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
+        )
     return found
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
     """Sum of B d over the traversed layers, each at the speed of its rupture, as known at last."""
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
-    return sum(layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers)
+    return sum(
+        layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,7 +266,9 @@ class Identified:
     config: MultilayerConfig | PublishedConfig  # its settings
     start: int  # the first sample it was given: the end of the tare
     result: Replay  # its estimates
-    alarms: tuple[Alarm, ...]  # the ruptures it reported; their samples count from the run's first
+    alarms: tuple[
+        Alarm, ...
+    ]  # the ruptures it reported; their samples count from the run's first
 
     @property
     def source(self) -> Source:
@@ -249,7 +282,9 @@ class Identified:
 
     def series(self, name: str) -> Array:
         """A number of every estimate, nan where it states none, shape (n - start,)."""
-        return np.array([getattr(each, name) for each in self.result.estimates], dtype=np.float64)
+        return np.array(
+            [getattr(each, name) for each in self.result.estimates], dtype=np.float64
+        )
 
 
 def identify(
@@ -271,7 +306,11 @@ def identify(
             touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
             config = replace(config, contact_depth_m=touch)
         speed_m_s = None if signal.speed_m_s is None else signal.speed_m_s[start:]
-        t_s, depth_m, force_N = signal.t_s[start:], signal.depth_m[start:], signal.force_N[start:]
+        t_s, depth_m, force_N = (
+            signal.t_s[start:],
+            signal.depth_m[start:],
+            signal.force_N[start:],
+        )
         result = replay(t_s, depth_m, force_N, speed_m_s, config)
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
@@ -290,7 +329,11 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
     A constant difference between the two is not counted. Positive when the estimate is late; nan
     where the truth does not change, or for less than a second of data.
     """
-    inner = (t_s >= t_s[0] + LATEST_S) & (t_s <= t_s[-1] + EARLIEST_S) if len(t_s) else t_s > 0
+    inner = (
+        (t_s >= t_s[0] + LATEST_S) & (t_s <= t_s[-1] + EARLIEST_S)
+        if len(t_s)
+        else t_s > 0
+    )
     if np.count_nonzero(inner) < 2 or np.ptp(truth) == 0.0:
         return float("nan")
     seen, when = estimate[inner], t_s[inner]
@@ -301,7 +344,9 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
     coarse = np.arange(EARLIEST_S, LATEST_S + COARSE_S / 2, COARSE_S)
     best = float(coarse[np.argmin([left(delay) for delay in coarse])])
     around = (max(best - COARSE_S, EARLIEST_S), min(best + COARSE_S, LATEST_S))
-    found = minimize_scalar(left, bounds=around, method="bounded", options={"xatol": 1e-5})
+    found = minimize_scalar(
+        left, bounds=around, method="bounded", options={"xatol": 1e-5}
+    )
     return float(found.x)
 
 
@@ -322,7 +367,9 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
         values = dict(zip(values, map(float, numbers), strict=True))
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
-    return [Measurement(reading.source, reading.method, *item) for item in values.items()]
+    return [
+        Measurement(reading.source, reading.method, *item) for item in values.items()
+    ]
 
 
 GAIN_per_s = 50.0
@@ -339,6 +386,8 @@ def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
         return []
     residual = joint_residual(run.robot, signals, GAIN_per_s, alignment="hold")
     decay = np.exp(-GAIN_per_s * np.median(signals.dt_s))
-    ideal = lfilter([0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0)
+    ideal = lfilter(
+        [0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0
+    )
     worst = np.sqrt(np.mean((residual - ideal) ** 2, axis=0)).max()
     return [Measurement("virtual", "ours", "residual_rms_Nm", float(worst))]

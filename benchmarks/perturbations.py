@@ -40,16 +40,22 @@ class _Elbow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     duration_s: Range
 
 
-class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Perturbation(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """One departure; of what is not given, nothing is changed."""
 
     what: str  # for people
     source: str  # of the size
     base: str = ""  # the plant, by name
-    plant: dict[str, Range] = {}  # numbers of the plant; of joint-wise ones, each is drawn
+    plant: dict[
+        str, Range
+    ] = {}  # numbers of the plant; of joint-wise ones, each is drawn
     times: dict[str, Range] = {}  # factors on joint-wise numbers of the plant
     sends_velocity: bool = True  # whether the robot sends velocities
-    has_speed: bool = True  # whether who reads the F/T sensor has a speed beside the depth
+    has_speed: bool = (
+        True  # whether who reads the F/T sensor has a speed beside the depth
+    )
     tare_stroke_m: Range | None = None  # zero: at rest
     speed_m_s: Range | None = None  # constant speed of the insertion
     steps: _Steps | None = None  # pieces of the insertion
@@ -63,7 +69,8 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         """The world with this changed, its size drawn."""
         plant = PLANT_MODELS[self.base] if self.base else world.plant
         numbers: dict[str, Any] = {
-            name: _like(getattr(plant, name), limits, rng) for name, limits in self.plant.items()
+            name: _like(getattr(plant, name), limits, rng)
+            for name, limits in self.plant.items()
         }
         for name, limits in self.times.items():
             factor = drawn(limits, rng)
@@ -77,7 +84,11 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
         )
 
     def _scenario(self, scenario: Scenario, rng: Rng) -> Scenario:
-        if self.speed_m_s is not None or self.steps is not None or self.tare_stroke_m is not None:
+        if (
+            self.speed_m_s is not None
+            or self.steps is not None
+            or self.tare_stroke_m is not None
+        ):
             scenario = replace(scenario, motion=self._motion(scenario.motion, rng))
         if self.waves:
             scenario = replace(scenario, tissue_motion=_tissue_motion(self.waves, rng))
@@ -85,20 +96,30 @@ class Perturbation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
             numbers = {name: drawn(limits, rng) for name, limits in self.tissue.items()}
             scenario = scenario.with_variation(TissueVariation(**numbers), rng)
         if self.own_laws:
-            layers = tuple(random_variation(rng).layer(layer, rng) for layer in scenario.layers)
+            layers = tuple(
+                random_variation(rng).layer(layer, rng) for layer in scenario.layers
+            )
             scenario = replace(scenario, layers=layers)
         if self.lateral:
-            numbers = {name: drawn(limits, rng) for name, limits in self.lateral.items()}
+            numbers = {
+                name: drawn(limits, rng) for name, limits in self.lateral.items()
+            }
             direction = float(rng.uniform(0.0, 2.0 * np.pi))
-            scenario = replace(scenario, lateral=LateralForce(direction_rad=direction, **numbers))
+            scenario = replace(
+                scenario, lateral=LateralForce(direction_rad=direction, **numbers)
+            )
         if self.elbow is not None:
-            scenario = replace(scenario, elbow=_pushes(self.elbow, scenario.motion, rng))
+            scenario = replace(
+                scenario, elbow=_pushes(self.elbow, scenario.motion, rng)
+            )
         return scenario
 
     def _motion(self, motion: Motion, rng: Rng) -> Motion:
         """The protocol with another insertion, or another tare."""
         standoff_m, stroke_m = -motion.strokes[3].end_m, motion.strokes[1].travel_m
-        inside = [s for s in motion.strokes[4:] if s.end_s < motion.withdrawal_start_s - 1e-6]
+        inside = [
+            s for s in motion.strokes[4:] if s.end_s < motion.withdrawal_start_s - 1e-6
+        ]
         moves: list[Move] = [(s.profile, s.duration_s, s.travel_m) for s in inside]
         ramp, travel_m = inside[0].ramp_fraction, inside[-1].end_m + standoff_m
         if self.speed_m_s is not None:
@@ -124,7 +145,9 @@ class World:
 def drawn(limits: Range, rng: Rng) -> float:
     """A number of the range, with equal chance per octave; the ends may both be 0."""
     low, high = limits
-    return float(np.exp(rng.uniform(math.log(low), math.log(high)))) if high > 0.0 else 0.0
+    return (
+        float(np.exp(rng.uniform(math.log(low), math.log(high)))) if high > 0.0 else 0.0
+    )
 
 
 def _like(value: object, limits: Range, rng: Rng) -> object:
@@ -138,7 +161,10 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     """Each wave with a second harmonic of up to half its size: no organ moves as a pure sine."""
     found: list[tuple[float, float, float]] = []
     for wave in waves:
-        size_m, frequency_hz = drawn(wave.amplitude_m, rng), drawn(wave.frequency_hz, rng)
+        size_m, frequency_hz = (
+            drawn(wave.amplitude_m, rng),
+            drawn(wave.frequency_hz, rng),
+        )
         phases = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
         second_m = float(rng.uniform(0.0, 0.5)) * size_m
         found.append((size_m, frequency_hz, phases[0]))
@@ -173,19 +199,24 @@ def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:
     side = rng.standard_normal(3)
     x, y, z = (drawn(elbow.force_N, rng) / np.linalg.norm(side) * side).tolist()
     return ElbowPush(
-        force_N=(x, y, z), start_s=tuple(start_s), duration_s=drawn(elbow.duration_s, rng)
+        force_N=(x, y, z),
+        start_s=tuple(start_s),
+        duration_s=drawn(elbow.duration_s, rng),
     )
 
 
 GROUPS: Mapping[str, Mapping[str, Perturbation]] = msgspec.toml.decode(
-    Path(__file__).with_suffix(".toml").read_bytes(), type=dict[str, dict[str, Perturbation]]
+    Path(__file__).with_suffix(".toml").read_bytes(),
+    type=dict[str, dict[str, Perturbation]],
 )
 """As in the file."""
 PERTURBATIONS: Mapping[str, Perturbation] = {
     name: each for group in GROUPS.values() for name, each in group.items()
 }
 """By name, in the order of the table."""
-ARM_ONLY = frozenset(name for group in ("pushes", "torque", "tare") for name in GROUPS[group])
+ARM_ONLY = frozenset(
+    name for group in ("pushes", "torque", "tare") for name in GROUPS[group]
+)
 """Of these the needle without an arm feels nothing."""
 FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
 """Of these the virtual force feels nothing."""
@@ -194,7 +225,9 @@ PERTURBED = "robustness-"
 """The names of benchmarks in perturbed worlds begin so."""
 
 
-def perturbed(name: str, scenario: Scenario, seed: int) -> tuple[World, tuple[str, ...]]:
+def perturbed(
+    name: str, scenario: Scenario, seed: int
+) -> tuple[World, tuple[str, ...]]:
     """A scenario in a perturbed world, and the perturbations: of `mixed`, those that were drawn.
 
     Equal arguments give equal worlds; estimators are tuned on seeds below 1000, and reported on

@@ -9,7 +9,9 @@ from benchmarks.targets import GROUPS
 FRICTION_FIGURE, TABLE_ONE = "10", "I"
 
 
-class PublishedFigure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PublishedFigure(
+    msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
+):
     """One figure of Ferro et al., or their table, as `published_figures.toml` has it."""
 
     number: str  # in the publication
@@ -17,7 +19,9 @@ class PublishedFigure(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     scenarios: tuple[str, ...]  # runs that give its counterpart
     shows: str  # what is published
     see: str  # what to compare in ours; the results stand in the numbers of the run
-    source: str = ""  # of the force whose friction is compensated online; empty for other figures
+    source: str = (
+        ""  # of the force whose friction is compensated online; empty for other figures
+    )
     # what the text says of such a figure, times on the clock of its recordings
     ruptures: str = ""
     friction: str = "not stated"
@@ -45,7 +49,9 @@ def _read() -> tuple[PublishedFigure, ...]:
     return tuple(
         msgspec.structs.replace(
             item,
-            scenarios=tuple(n for name in item.scenarios for n in GROUPS.get(name, (name,))),
+            scenarios=tuple(
+                n for name in item.scenarios for n in GROUPS.get(name, (name,))
+            ),
             see=f"{item.see} {file.enhanced}" if item.source else item.see,
         )
         for item in file.figures
@@ -54,7 +60,9 @@ def _read() -> tuple[PublishedFigure, ...]:
 
 PUBLISHED_FIGURES = _read()
 """In the order of the page."""
-NEEDED = tuple(dict.fromkeys(name for item in PUBLISHED_FIGURES for name in item.scenarios))
+NEEDED = tuple(
+    dict.fromkeys(name for item in PUBLISHED_FIGURES for name in item.scenarios)
+)
 """Every scenario that some figure needs."""
 ENHANCED_FIGURES = {
     (item.scenarios[0], item.source): item for item in PUBLISHED_FIGURES if item.source

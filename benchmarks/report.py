@@ -64,7 +64,11 @@ TUNED = Estimate("online", "ft", "published-as-run")
 
 def gel_friction(rows: Iterable[Row]) -> Frame | None:
     """Rows of the gels' friction [Ns/m] on the best plant they were run on; None without any."""
-    found = [row for row in rows if row.scenario in GELS and row.metric.startswith("cumulative_")]
+    found = [
+        row
+        for row in rows
+        if row.scenario in GELS and row.metric.startswith("cumulative_")
+    ]
     plant = _best_plant({row.plant for row in found})
     return frame_of(row for row in found if row.plant == plant) if plant else None
 
@@ -97,7 +101,13 @@ ONLINE = {
 
 def gel_table(gels: Frame) -> PageTable:
     """The published Table I beside ours: mean ± spread over both speeds (and seeds)."""
-    head = ["gel", "published\noffline", "published\nonline", "here\ntrue", "here\noffline"]
+    head = [
+        "gel",
+        "published\noffline",
+        "published\nonline",
+        "here\ntrue",
+        "here\noffline",
+    ]
     head += [f"here online\n{words}" for words in ONLINE]
     rows = []
     for percent, known in TABLE_ONE_Ns_per_m.items():
@@ -131,7 +141,11 @@ def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
         return NOTHING
     mean = statistics.fmean(values)
     spread = f" ± {statistics.pstdev(values):.0f}" if len(values) > 1 else ""
-    more = f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)" if offline else ""
+    more = (
+        f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)"
+        if offline
+        else ""
+    )
     return f"{mean:.0f}{spread}{more}"
 
 
@@ -151,12 +165,24 @@ def friction_chart(title: str, gels: Frame) -> Chart:
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
     points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
-        (grey, places + PUBLISHED_PLACE, [gel.offline for gel in known], "published, offline"),
-        (star, places + PUBLISHED_PLACE, [gel.online for gel in known], "published, online"),
+        (
+            grey,
+            places + PUBLISHED_PLACE,
+            [gel.offline for gel in known],
+            "published, offline",
+        ),
+        (
+            star,
+            places + PUBLISHED_PLACE,
+            [gel.online for gel in known],
+            "published, online",
+        ),
     ]
     for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
         for speed, color in SPEEDS.items():
-            style = LineStyle(color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5)
+            style = LineStyle(
+                color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5
+            )
             values = _medians(gels, estimate, speed)
             if np.isfinite(values).any():
                 x = places + FIRST_PLACE + k * STEP
@@ -167,7 +193,10 @@ def friction_chart(title: str, gels: Frame) -> Chart:
         x = np.add.outer(places, ends).ravel()
         values = np.repeat(_medians(gels, Estimate("true"), speed), 3)
         points.append((style, x, values, f"ground truth, {speed}"))
-    curves = [Curve(style=style, x=x, y=np.array(y), label=label) for style, x, y, label in points]
+    curves = [
+        Curve(style=style, x=x, y=np.array(y), label=label)
+        for style, x, y, label in points
+    ]
     return Chart(
         title=title,
         x_label="isinglass in the gel",
@@ -177,7 +206,9 @@ def friction_chart(title: str, gels: Frame) -> Chart:
     )
 
 
-def published_sections(drawings: Sequence[Drawing], rows: Sequence[Row]) -> list[Section]:
+def published_sections(
+    drawings: Sequence[Drawing], rows: Sequence[Row]
+) -> list[Section]:
     """One section per published figure that these runs give, at least in part."""
     sections, gels = [], gel_friction(rows)
     of_gels = set() if gels is None else set(gels["scenario"])
@@ -202,11 +233,17 @@ def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
 
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
     """Runs that are the counterpart of no figure, or were made with another plant model as well."""
-    used = {id(drawing) for item in PUBLISHED_FIGURES for drawing in chosen(drawings, item.number)}
+    used = {
+        id(drawing)
+        for item in PUBLISHED_FIGURES
+        for drawing in chosen(drawings, item.number)
+    }
     groups: dict[tuple[str, str], list[Drawing]] = {}
     for drawing in drawings:
         if id(drawing) not in used:
-            groups.setdefault((drawing.job.benchmark, drawing.job.plant), []).append(drawing)
+            groups.setdefault((drawing.job.benchmark, drawing.job.plant), []).append(
+                drawing
+            )
     return [
         Section(
             heading=f"Further run: `{scenario}`, {mine[0].job.where}",
@@ -218,7 +255,10 @@ def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
 
 
 def _section(
-    item: PublishedFigure, mine: Sequence[Drawing], tables: tuple[PageTable, ...], here: set[str]
+    item: PublishedFigure,
+    mine: Sequence[Drawing],
+    tables: tuple[PageTable, ...],
+    here: set[str],
 ) -> Section:
     absent = ", ".join(name for name in item.scenarios if name not in here)
     notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
@@ -235,7 +275,9 @@ def _section(
 
 def _figure(drawing: Drawing) -> PageFigure:
     shown, job = drawing.shown, drawing.job
-    return replace(shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}.")
+    return replace(
+        shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}."
+    )
 
 
 def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
@@ -243,8 +285,13 @@ def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, .
     if not facts:
         return ()
     head = ("", "published", *(head for head, _ in facts[0].here))
-    rows = tuple((fact.what, fact.published, *(value for _, value in fact.here)) for fact in facts)
-    return (PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),)
+    rows = tuple(
+        (fact.what, fact.published, *(value for _, value in fact.here))
+        for fact in facts
+    )
+    return (
+        PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),
+    )
 
 
 def page_table(table: ResultTable) -> PageTable:
@@ -272,7 +319,9 @@ LEAD = (
 )
 
 
-def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]) -> Path:
+def write_report(
+    folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]
+) -> Path:
     """Write ``index.html`` with everything inside, and ``results.json`` beside it.
 
     Raises:
@@ -280,7 +329,10 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
     """
     write_file(folder / "results.json", to_json(rows))
     gels = gel_friction(rows)
-    everything = [*drawings, *([] if gels is None else [_friction_drawing(folder, gels)])]
+    everything = [
+        *drawings,
+        *([] if gels is None else [_friction_drawing(folder, gels)]),
+    ]
     figures = published_sections(everything, rows)
     numbers = Section(
         heading="All numbers of these runs",
@@ -292,7 +344,9 @@ def write_report(folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing])
         tables=tuple(map(page_table, result_tables(rows))),
     )
     sections = [*figures, *further_sections(everything), numbers]
-    return write_page(folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections)))
+    return write_page(
+        folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections))
+    )
 
 
 def _friction_drawing(folder: Path, gels: Frame) -> Drawing:

@@ -37,7 +37,12 @@ from groundtruth.sensors import (
 )
 from urdf import NeedleTool, Robot, load_lwr
 
-SCENARIOS = ("gel-25-constant", "stack-constant", "liver-constant", "abdomen-sinusoidal")
+SCENARIOS = (
+    "gel-25-constant",
+    "stack-constant",
+    "liver-constant",
+    "abdomen-sinusoidal",
+)
 """A single layer, several, one with a membrane, and a motion that is never constant."""
 
 
@@ -57,7 +62,9 @@ def perturbed_needle(
     world, _ = perturbed(name, chosen, seed)
     plant, robot = world.plant, _lwr()
     run = insert_needle(world.scenario, seed=seed, noise=ft_noise(plant))
-    q_rad, dq_rad_s = scenario_motion(scenario_path(robot, world.scenario), world.scenario)
+    q_rad, dq_rad_s = scenario_motion(
+        scenario_path(robot, world.scenario), world.scenario
+    )
     clock, loss, position, velocity = map(
         np.random.default_rng, np.random.SeedSequence([seed, 2]).spawn(4)
     )
@@ -88,7 +95,9 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
         found = [identify(signal, truth, "ours"), as_run]
         return Findings(list(_events(found, truth)))
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
-    run = simulate(world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    run = simulate(
+        world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5)
+    )
     methods = METHODS if name in GROUPS["plants"] else ("ours",)
     case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
     found = [item for source in identify_sources(case) for item in source]
@@ -118,4 +127,6 @@ def ft_noise(plant: PlantModel) -> ForceNoise:
 
 def _at_samples(truth: InsertionTruth, kept: NDArray[np.intp]) -> InsertionTruth:
     values = {item.name: getattr(truth, item.name) for item in fields(truth)}
-    return replace(truth, **{n: v[kept] for n, v in values.items() if isinstance(v, np.ndarray)})
+    return replace(
+        truth, **{n: v[kept] for n, v in values.items() if isinstance(v, np.ndarray)}
+    )

@@ -58,7 +58,9 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def key(self) -> RowKey:
         """All but value and unit."""
-        return RowKey(self.scenario, self.plant, self.seed, self.source, self.method, self.metric)
+        return RowKey(
+            self.scenario, self.plant, self.seed, self.source, self.method, self.metric
+        )
 
 
 NAMES = Row.__struct_fields__
@@ -130,7 +132,9 @@ def read_results(path: str | Path) -> list[Row]:
 def _row(line: _Line) -> Row:
     """A campaign has millions: each text is kept once."""
     texts = {name: intern(getattr(line, name)) for name in TEXTS}
-    return Row(seed=line.seed, value=math.nan if line.value is None else line.value, **texts)
+    return Row(
+        seed=line.seed, value=math.nan if line.value is None else line.value, **texts
+    )
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
@@ -144,7 +148,14 @@ def read_merged(paths: Sequence[str | Path]) -> list[Row]:
     return [row for rows in found.values() for row in rows]
 
 
-UNITS = {"_Ns_per_m": "Ns/m", "_Nm": "Nm", "_N": "N", "_mm": "mm", "_ms": "ms", "_pct": "%"}
+UNITS = {
+    "_Ns_per_m": "Ns/m",
+    "_Nm": "Nm",
+    "_N": "N",
+    "_mm": "mm",
+    "_ms": "ms",
+    "_pct": "%",
+}
 """By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
 
 
@@ -162,7 +173,9 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def unit(self) -> str:
         """As in the results; ``1`` for none."""
-        return next((unit for end, unit in UNITS.items() if self.name.endswith(end)), "1")
+        return next(
+            (unit for end, unit in UNITS.items() if self.name.endswith(end)), "1"
+        )
 
     @property
     def may_be_undefined(self) -> bool:
@@ -199,7 +212,9 @@ def metric(name: str) -> Metric:
     try:
         return METRICS[name]
     except KeyError:
-        raise UnknownMetricError(f"no metric {name!r}; known: {', '.join(METRICS)}") from None
+        raise UnknownMetricError(
+            f"no metric {name!r}; known: {', '.join(METRICS)}"
+        ) from None
 
 
 class Measurement(NamedTuple):

@@ -27,7 +27,12 @@ from residual import ResidualError
 from urdf import UrdfError
 
 # The two of the published Figure 5, the other speed of each, and the organs: under a minute.
-QUICK = ("gel-25-sinusoidal", "gel-70-constant", "stack-sinusoidal", "stack-glove-constant")
+QUICK = (
+    "gel-25-sinusoidal",
+    "gel-70-constant",
+    "stack-sinusoidal",
+    "stack-glove-constant",
+)
 QUICK += ("liver-constant", "abdomen-sinusoidal")
 PLANTS = (*PLANT_MODELS, NEEDLE)
 _SIMULATED = (
@@ -50,7 +55,10 @@ _SIMULATED = (
             plants=(NEEDLE,),
             possible=PLANTS,
         )
-        for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law"))
+        for name, drawn in (
+            (RANDOM_STACK, "speed"),
+            (RANDOM_TISSUE, "speed, tissue law"),
+        )
     ),
 )
 _ROBUSTNESS = tuple(
@@ -64,7 +72,10 @@ _ROBUSTNESS = tuple(
         perturbs=True,
     )
     for name, title, plants in (
-        *((name, f"{name} in perturbed worlds", tuple(PERTURBATIONS)) for name in ROBUST),
+        *(
+            (name, f"{name} in perturbed worlds", tuple(PERTURBATIONS))
+            for name in ROBUST
+        ),
         (MIXED, "one of these scenarios, three perturbations at a time", (MIXED,)),
     )
 )
@@ -79,7 +90,12 @@ _RECORDED = tuple(
     Benchmark(id=name, title=_TITLES[name], run=run, needs=folders, seeds=seeds)
     for name, run, folders, seeds in (
         ("panda-real", run_panda_real, (panda.FOLDER,), 1),
-        ("panda-liver", run_panda_liver, (panda.FOLDER, liver.FOLDER), len(liver.NUMBERS)),
+        (
+            "panda-liver",
+            run_panda_liver,
+            (panda.FOLDER, liver.FOLDER),
+            len(liver.NUMBERS),
+        ),
         ("ur10e-payload", run_ur10e_payload, (ur10e.FOLDER,), 1),
         ("liver-real", run_liver_real, (liver.FOLDER,), 1),
         ("bovine-real", run_bovine_real, (bovine.FOLDER,), 1),
@@ -171,16 +187,24 @@ def _chosen(request: Request) -> list[Benchmark]:
             benchmark_named(name)
     if not ids:
         drawn = NEEDED if request.drawings is not None else ()
-        return [item for item in BENCHMARKS.values() if item.is_default or item.id in drawn]
+        return [
+            item for item in BENCHMARKS.values() if item.is_default or item.id in drawn
+        ]
     return [
-        item for item in BENCHMARKS.values() if item.id in ids or (ALL in ids and not item.perturbs)
+        item
+        for item in BENCHMARKS.values()
+        if item.id in ids or (ALL in ids and not item.perturbs)
     ]
 
 
 def _missing(item: Benchmark, request: Request) -> str:
     """What a benchmark lacks, nothing for one that can run."""
     if not item.is_recorded:
-        return "" if _plants(item, request) else f"a plant, one of {', '.join(item.possible)}"
+        return (
+            ""
+            if _plants(item, request)
+            else f"a plant, one of {', '.join(item.possible)}"
+        )
     data = request.data
     if data is None:
         return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
@@ -213,7 +237,14 @@ def _jobs(item: Benchmark, request: Request) -> list[Job]:
     ]
 
 
-KNOWN = (BenchmarkError, GroundTruthError, ResidualError, UrdfError, RecordingError, FiguresError)
+KNOWN = (
+    BenchmarkError,
+    GroundTruthError,
+    ResidualError,
+    UrdfError,
+    RecordingError,
+    FiguresError,
+)
 """Errors that come back from a job as one line, not as a traceback."""
 
 
@@ -225,5 +256,7 @@ def run_job(job: Job, progress: Progress = lambda fraction: None) -> Outcome:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     except Exception:  # it must not take hours of others with it
         return Outcome(job=job, failure=format_exc())
-    rows = tuple(item.row(job.benchmark, job.plant, job.seed) for item in found.measurements)
+    rows = tuple(
+        item.row(job.benchmark, job.plant, job.seed) for item in found.measurements
+    )
     return Outcome(job=job, rows=rows, drawings=found.drawings)

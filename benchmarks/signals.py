@@ -28,7 +28,9 @@ class InsertionTruth:
     axial_N: Array  # axial force, shape (n,), positive when tissue pushes back
     tip_N: Array  # its part at the tip, shape (n,)
     layer_friction_N: Array  # friction of each layer on the shaft, shape (n, L)
-    layer: NDArray[np.int64]  # where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,)
+    layer: NDArray[
+        np.int64
+    ]  # where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,)
     ruptures: tuple[Rupture, ...]  # in the order they happened
     tare_end_s: float  # nothing has been touched before
     contact_s: float  # first contact
@@ -72,7 +74,9 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
         tare_end_s=run.tare_end_s,
         contact_s=run.truth.contact_s,
         insertion_end_s=run.scenario.motion.insertion_end_s,
-        boundaries_m=tuple(accumulate(layer.thickness_m for layer in run.scenario.layers)),
+        boundaries_m=tuple(
+            accumulate(layer.thickness_m for layer in run.scenario.layers)
+        ),
     )
 
 
@@ -111,7 +115,9 @@ class JointSignals:
     def of_run(cls, run: Run) -> "JointSignals":
         """What the arm of a simulated insertion sent."""
         sent = run.signals
-        return cls(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm)
+        return cls(
+            t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
+        )
 
     @property
     def dt_s(self) -> Array:
@@ -124,8 +130,12 @@ class JointSignals:
     def samples(self) -> list[tuple[Array, Array | None, Array, float]]:
         """Arguments of an estimator's `update`, sample by sample."""
         # Lists: a controller has its sample at hand and need not cut it out of an array.
-        velocities = [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
-        return list(zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True))
+        velocities = (
+            [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
+        )
+        return list(
+            zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +149,9 @@ class NeedleSignal:
     force_N: Array  # axial force, zeroed in free air, shape (n,)
 
 
-def measured_travel(robot: Robot, signals: JointSignals, zero_s: float) -> tuple[Array, Array]:
+def measured_travel(
+    robot: Robot, signals: JointSignals, zero_s: float
+) -> tuple[Array, Array]:
     """Travel of the tip along the needle's axis and its rate, shape (n,) each.
 
     Forward kinematics of measured positions, Jacobian of measured velocities.
@@ -172,7 +184,9 @@ def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
     return np.asarray(found, dtype=np.float64)
 
 
-def inverse_dynamics(model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array) -> Array:
+def inverse_dynamics(
+    model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array
+) -> Array:
     """Torques of a motion in free air, shape (n, j) like the arguments."""
     data, rows = model.createData(), zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
     return np.array([pin.rnea(model, data, *row) for row in rows])
@@ -183,4 +197,6 @@ def tool_jacobians(
 ) -> Array:
     """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle."""
     model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
-    return np.array([pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad])
+    return np.array(
+        [pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad]
+    )

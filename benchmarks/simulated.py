@@ -45,10 +45,16 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
     case = read_sensors(run, progress_part(progress, 0.5, 0.85))
-    drawings = force_figures(job, job.drawings, case.truth, case.readings) if job.drawings else ()
+    drawings = (
+        force_figures(job, job.drawings, case.truth, case.readings)
+        if job.drawings
+        else ()
+    )
     measured = simulated_metrics(case)
     if chosen.layers:
-        found = _measured(job, identify_sources(case), insertion_truth(run), chosen, case.ft)
+        found = _measured(
+            job, identify_sources(case), insertion_truth(run), chosen, case.ft
+        )
         measured += found.measurements
         drawings += found.drawings
     return Findings(measured, drawings)
@@ -110,7 +116,11 @@ def read_sensors(
 
 def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
     """Every number of residual and force of one simulated insertion."""
-    forces = [item for reading in case.readings for item in wrench_metrics(reading, case.truth)]
+    forces = [
+        item
+        for reading in case.readings
+        for item in wrench_metrics(reading, case.truth)
+    ]
     refused = [
         Measurement("virtual", method, "tare_refused", float(item.was_refused))
         for method, item in case.sessions.items()
@@ -118,7 +128,9 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
     return residual_metrics(case.run, case.signals) + forces + refused
 
 
-def session_signal(case: SimulatedCase, method: Method, force: ForceReading) -> NeedleSignal:
+def session_signal(
+    case: SimulatedCase, method: Method, force: ForceReading
+) -> NeedleSignal:
     """A force with depth and speed of a method's session, which come from measured joints."""
     made, t_s = case.sessions[method], case.signals.t_s
     return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
@@ -143,7 +155,9 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     if case.best_gain is not None:
         on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
         signal = session_signal(case, "published", case.best_gain)
-        on_virtual.append(identify_as_run(signal, truth, commanded_m_s, "published-best-K"))
+        on_virtual.append(
+            identify_as_run(signal, truth, commanded_m_s, "published-best-K")
+        )
     return [on_ft, on_virtual]
 
 
@@ -156,18 +170,24 @@ def _measured(
 ) -> Findings:
     """Numbers and figures of the online identification on every source."""
     items = [item for found in sources for item in found]
-    measured = [value for item in items for value in measure_identification(item, truth)]
+    measured = [
+        value for item in items for value in measure_identification(item, truth)
+    ]
     if job.drawings is None:
         return Findings(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
-    return Findings(measured, draw_identification(job, job.drawings, truth, commanded, sources, ft))
+    return Findings(
+        measured, draw_identification(job, job.drawings, truth, commanded, sources, ft)
+    )
 
 
 NOISE_FACTOR = (0.5, 2.0)
 """Range of the noise of drawn runs, of white noise and drift each: a better and a worse sensor."""
 
 
-def run_needle(job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool) -> Findings:
+def run_needle(
+    job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
+) -> Findings:
     """Identification alone, at half a second a run: insert, identify by both methods, measure.
 
     Without tissue there is nothing to identify. The seed is that of the noise, whose level may be

@@ -66,7 +66,9 @@ def cost_ratio(times: Array, bare: Array) -> float:
     return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
 
 
-def time_side_by_side(subjects: Mapping[str, Update], first: int, last: int) -> dict[str, Array]:
+def time_side_by_side(
+    subjects: Mapping[str, Update], first: int, last: int
+) -> dict[str, Array]:
     """Let subjects take turns, block by block, over the same samples 0 to last - 1.
 
     Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates before `first`
@@ -155,8 +157,12 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     times = time_side_by_side(subjects, first, len(signals.t_s))
     return SpeedReport(
         times=times,
-        alarms={name: [k - first for k in each.alarms] for name, each in chains.items()},
-        layers={name: [k - first for k in each.layers] for name, each in chains.items()},
+        alarms={
+            name: [k - first for k in each.alarms] for name, each in chains.items()
+        },
+        layers={
+            name: [k - first for k in each.layers] for name, each in chains.items()
+        },
     )
 
 
@@ -215,7 +221,9 @@ def speed_table(report: SpeedReport) -> ResultTable:
     """Microseconds per update, and the ratio to the bare dynamics with its target."""
     lines = []
     for name, times in report.times.items():
-        taken = [float(np.percentile(times, percent)) for percent in PERCENTILES.values()]
+        taken = [
+            float(np.percentile(times, percent)) for percent in PERCENTILES.values()
+        ]
         mean, cells, subject = float(np.mean(times)), [""] * 5, SUBJECTS.get(name)
         if subject is not None:
             ratio = cost_ratio(times, report.times[subject.bare])
@@ -227,7 +235,11 @@ def speed_table(report: SpeedReport) -> ResultTable:
                 cells[3:] = f"{mean / taken[0]:.2f}", met_mark(is_even)
         lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells))
     ticks = next(iter(report.times.values())).size
-    how = f"compiled by {COMPILER}" if COMPILER else "plain Python: no numba, the extra `fast`"
+    how = (
+        f"compiled by {COMPILER}"
+        if COMPILER
+        else "plain Python: no numba, the extra `fast`"
+    )
     return ResultTable(
         title="Cost of a tick",
         heads=(
@@ -245,7 +257,10 @@ def speed_table(report: SpeedReport) -> ResultTable:
 def event_table(report: SpeedReport) -> ResultTable:
     """Updates that raise a rupture and updates that identify a layer, in the same insertion."""
     lines = []
-    for what, events in (("rupture raised", report.alarms), ("layer identified", report.layers)):
+    for what, events in (
+        ("rupture raised", report.alarms),
+        ("layer identified", report.layers),
+    ):
         for name, indices in events.items():
             times = report.times[name].reshape(-1)
             taken = times[[k for k in indices if 0 <= k < times.size]]

@@ -78,7 +78,10 @@ class ResultTable:
         """Lines of a page."""
         rule = ("---:" if align == "r" else "---" for align in self.align)
         rows = [[head.replace("\n", " ") for head in self.heads], rule, *self.lines]
-        return ["| " + " | ".join(row).replace("| missed", "| **missed**") + " |" for row in rows]
+        return [
+            "| " + " | ".join(row).replace("| missed", "| **missed**") + " |"
+            for row in rows
+        ]
 
 
 def frame_of(rows: Iterable[Row]) -> Frame:
@@ -88,16 +91,26 @@ def frame_of(rows: Iterable[Row]) -> Frame:
     frame = pd.DataFrame(columns, dtype=None if found else object)
     ours = {"metric": _RMSE, "source": "virtual", "method": "ours"}
     ratio = _ratio(frame, "wrench_rmse_ratio", ours, ours | {"method": "published"})
-    best_gain = _ratio(frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"})
-    online, offline = ({"metric": CUMULATIVE.format(kind)} for kind in ("online", "offline"))
+    best_gain = _ratio(
+        frame, "wrench_best_K_ratio", ours, ours | {"method": "published-best-K"}
+    )
+    online, offline = (
+        {"metric": CUMULATIVE.format(kind)} for kind in ("online", "offline")
+    )
     change = _ratio(frame, "online_change", online, offline)
-    return pd.concat([frame, ratio, best_gain, change.assign(value=change["value"] - 1.0)])
+    return pd.concat(
+        [frame, ratio, best_gain, change.assign(value=change["value"] - 1.0)]
+    )
 
 
-def _ratio(frame: Frame, name: str, top: dict[str, str], bottom: dict[str, str]) -> Frame:
+def _ratio(
+    frame: Frame, name: str, top: dict[str, str], bottom: dict[str, str]
+) -> Frame:
     """Rows of a new metric: one selection over another, run by run."""
     keys = [key for key in NAMES[:6] if key not in top]
-    one, two = (select(frame, **each).set_index(keys)["value"] for each in (top, bottom))
+    one, two = (
+        select(frame, **each).set_index(keys)["value"] for each in (top, bottom)
+    )
     both: Frame = pd.concat([one, two], axis=1, join="inner", keys=["top", "bottom"])
     both = both[both["bottom"] != 0.0].copy()
     both["value"] = both["top"] / both["bottom"]
@@ -121,7 +134,9 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     method: str | None = None
     source: str | None = None
     scale: float = 1.0  # factor on the values
-    is_fraction: bool = False  # of several runs, show mean and least, not median and worst
+    is_fraction: bool = (
+        False  # of several runs, show mean and least, not median and worst
+    )
     has_interval: bool = False  # of several runs, show how well the middle is known too
     text: str = ""  # name in `TEXTS` of what is shown of the group instead of a number
 
@@ -147,7 +162,10 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if len(values) == 1:
             return format(values.iloc[0], self.form)
         best = 0.0 if known is None else known.best
-        middle, worst = values.median(), values.iloc[int((values - best).abs().argmax())]
+        middle, worst = (
+            values.median(),
+            values.iloc[int((values - best).abs().argmax())],
+        )
         if self.is_fraction:
             middle, worst = values.mean(), values.min()
         found = f"{middle:{self.form}} "
@@ -167,13 +185,17 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     title: str
     by: tuple[str, ...]  # columns of `Row` that make a group
     columns: tuple[Column, ...]
-    shows: str = ""  # groups without a metric of this table of `metrics.csv` are left out
+    shows: str = (
+        ""  # groups without a metric of this table of `metrics.csv` are left out
+    )
     caption: str = ""
     # metrics whose worst run decides the order, worst first; ``target``: missed targets come
     # first; ``shortfall``: of our fractions
     worst_first: tuple[str, ...] = ()
     has_worst: bool = True  # whether a cell shows the worst of several runs too
-    perturbed: bool = False  # whether it is of the runs in perturbed worlds, or of the others
+    perturbed: bool = (
+        False  # whether it is of the runs in perturbed worlds, or of the others
+    )
 
     def _badness(self, group: Frame) -> tuple[float, ...]:
         """How far the worst run of a group is from the best value, metric by metric."""
@@ -181,7 +203,10 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             return (_force_mark(group) == "missed",)
         if self.worst_first == ("shortfall",):
             return _shortfall(group)
-        values = [(METRICS[n].best, select(group, metric=n)["value"]) for n in self.worst_first]
+        values = [
+            (METRICS[n].best, select(group, metric=n)["value"])
+            for n in self.worst_first
+        ]
         errors = ((each - best).abs().max() for best, each in values)
         return tuple(0.0 if math.isnan(error) else error for error in errors)
 
@@ -193,7 +218,11 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         """The table of the rows of a frame."""
         is_perturbed = frame["scenario"].str.startswith(PERTURBED)
         frame = frame[is_perturbed == self.perturbed]
-        names = [n for n, kind in METRICS.items() if self.perturbed or kind.table == self.shows]
+        names = [
+            n
+            for n, kind in METRICS.items()
+            if self.perturbed or kind.table == self.shows
+        ]
         keys = frame[frame["metric"].isin(names)][list(self.by)].drop_duplicates()
         frame = keys.merge(frame, on=list(self.by))
         groups = list(frame.groupby(list(self.by), sort=False))
@@ -209,7 +238,9 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
                 line[self.by.index("metric")] = kind.meaning
                 line.append(kind.unit)
             lines.append(tuple(line))
-        heads = [HEADS.get(name, name) for name in self.by] + [c.head for c in self.columns]
+        heads = [HEADS.get(name, name) for name in self.by] + [
+            c.head for c in self.columns
+        ]
         align = ["l" if name == "metric" else "L" for name in self.by]
         align += ["L" if column.head == "target" else "r" for column in self.columns]
         if "metric" in self.by:
@@ -253,7 +284,8 @@ def _shortfall(group: Frame) -> tuple[float, float]:
         best - select(ours, metric=name, source=source)["value"].mean()
         for name, best in SHORT_OF.items()
         for source in ("ft", "virtual")
-        if (source, name) != ("ft", "wrench_coverage_2sigma")  # not shown: the virtual sensor's
+        if (source, name)
+        != ("ft", "wrench_coverage_2sigma")  # not shown: the virtual sensor's
     ]
     short = [max(each, 0.0) for each in found if not math.isnan(each)]
     return max(short, default=0.0), sum(short)
@@ -274,7 +306,9 @@ def _published_change(group: Frame) -> str:
 
 TEXTS: dict[str, Callable[[Frame], str]] = {
     "force target": _force_mark,
-    "real arm": lambda group: str(PUBLISHED_RMSE_N.get(group["scenario"].iloc[0], NOTHING)),
+    "real arm": lambda group: str(
+        PUBLISHED_RMSE_N.get(group["scenario"].iloc[0], NOTHING)
+    ),
     "published change": _published_change,
     "runs": _runs,
 }
@@ -284,7 +318,10 @@ TEXTS: dict[str, Callable[[Frame], str]] = {
 def _read() -> dict[str, GroupTable]:
     content = Path(__file__).with_name("tables.toml").read_bytes()
     found = msgspec.toml.decode(content, type=dict[str, GroupTable])
-    return {name: msgspec.structs.replace(table, shows=name) for name, table in found.items()}
+    return {
+        name: msgspec.structs.replace(table, shows=name)
+        for name, table in found.items()
+    }
 
 
 TABLES: Mapping[str, GroupTable] = _read()
@@ -320,7 +357,10 @@ def comparison_table(found: Iterable[Comparison]) -> ResultTable:
         lines=tuple(
             (
                 *map(str, item.key),
-                *(NOTHING if math.isnan(value) else f"{value:.4g}" for value in item[2:4]),
+                *(
+                    NOTHING if math.isnan(value) else f"{value:.4g}"
+                    for value in item[2:4]
+                ),
                 item.unit,
                 str(item.change),
             )
@@ -345,7 +385,9 @@ def worst_rows(rows: Sequence[Row]) -> str:
     if not table.lines:
         raise ResultsError("no runs of robustness among the results")
     what = {name: each.what for name, each in PERTURBATIONS.items()}
-    lines = [(what.get(line[0], line[0]), *line[1:]) for line in table.lines[:WORST_ROWS]]
+    lines = [
+        (what.get(line[0], line[0]), *line[1:]) for line in table.lines[:WORST_ROWS]
+    ]
     worst = replace(table, lines=tuple(lines))
     return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
 
@@ -368,7 +410,9 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
     lines = []
     for line in HEADLINES:
         wanted = select(frame, metric=line.metric, source=line.source, plant=line.plant)
-        wanted = wanted[wanted["scenario"].isin(GROUPS.get(line.scenarios, (line.scenarios,)))]
+        wanted = wanted[
+            wanted["scenario"].isin(GROUPS.get(line.scenarios, (line.scenarios,)))
+        ]
         if wanted.empty:
             continue
         cells, is_better = _compared(line, wanted)
@@ -376,12 +420,21 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         runs = str((wanted["method"] == "ours").sum())
         where = f"{line.scenarios}, {line.plant}"
         mark = NOTHING if is_met is None else met_mark(is_met)
-        lines.append(((is_met is not False, is_better), (line.what, where, *cells, runs, mark)))
+        lines.append(
+            ((is_met is not False, is_better), (line.what, where, *cells, runs, mark))
+        )
     lines.sort(key=lambda item: item[0])
     return ResultTable(
         title="Results",
         heads=(
-            *("what", "runs of", "published method", "as run, best K", "ours", "worst of ours"),
+            *(
+                "what",
+                "runs of",
+                "published method",
+                "as run, best K",
+                "ours",
+                "worst of ours",
+            ),
             *("runs", "targets"),
         ),
         align="LLrrrrrL",
@@ -420,7 +473,9 @@ def results_page(rows: Sequence[Row], command: str) -> str:
         "",
     ]
     # What is missed must not stand at the bottom of a long page.
-    for table in sorted(result_tables(rows), key=lambda table: table.title != "Targets"):
+    for table in sorted(
+        result_tables(rows), key=lambda table: table.title != "Targets"
+    ):
         parts += [f"## {table.title}", ""]
         parts += [table.caption, ""] if table.caption else []
         parts += [*table.markdown(), ""]

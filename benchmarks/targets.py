@@ -48,8 +48,12 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     at_least: float = -math.inf  # lower limit, in the metric's unit
     at_most: float = math.inf  # upper limit
     statistic: Statistic = "worst"  # see `Statistic`
-    of_published: bool = False  # the limits are for the ratio to ``published`` in the same run
-    where_reported: bool = False  # runs in which ``published`` has no such number are left out
+    of_published: bool = (
+        False  # the limits are for the ratio to ``published`` in the same run
+    )
+    where_reported: bool = (
+        False  # runs in which ``published`` has no such number are left out
+    )
 
     def is_met_by(self, value: float) -> bool:
         """Whether a value keeps the limits; one that is not finite does not."""
@@ -77,18 +81,27 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 def _target(line: dict[str, str]) -> Target:
     """A line of `targets.csv`; what is empty there has its default."""
     given = {name: text for name, text in line.items() if text}
-    names, relative_to = given.pop("scenarios", "").split(), given.pop("relative_to", "")
+    names, relative_to = (
+        given.pop("scenarios", "").split(),
+        given.pop("relative_to", ""),
+    )
     scenarios = [each for name in names for each in GROUPS.get(name, (name,))]
     relative = {
         "of_published": bool(relative_to),
         "where_reported": relative_to == "published where reported",
     }
-    return msgspec.convert(given | relative | {"scenarios": scenarios}, Target, strict=False)
+    return msgspec.convert(
+        given | relative | {"scenarios": scenarios}, Target, strict=False
+    )
 
 
 TARGETS = tuple(map(_target, table_lines(Path(__file__).with_name("targets.csv"))))
 
-OBSERVER_COST_RATIOS, SENSOR_COST_RATIOS, CHAIN_COST_RATIOS = (2.0, 2.3), (3.0, 4.6), (4.5, 8.0)
+OBSERVER_COST_RATIOS, SENSOR_COST_RATIOS, CHAIN_COST_RATIOS = (
+    (2.0, 2.3),
+    (3.0, 4.6),
+    (4.5, 8.0),
+)
 """Most that an update may cost, relative to the bare Pinocchio calls it needs: where the arithmetic
 is compiled, and in plain Python."""
 ESTIMATED_VELOCITY_COST_RATIO = 5.0
@@ -101,7 +114,10 @@ SOAK_GROWTH_KB = 100.0
 """Most that Python may hold more after a million updates: a tenth of a byte each. What layers found
 meanwhile and caches that fill late need is below it."""
 
-PUBLISHED_RMSE_N: Mapping[str, float] = {"gel-70-constant": 0.2444, "stack-glove-constant": 0.285}
+PUBLISHED_RMSE_N: Mapping[str, float] = {
+    "gel-70-constant": 0.2444,
+    "stack-glove-constant": 0.285,
+}
 """Ferro et al., Figure 5: virtual against real F/T sensor on a real LWR 4+, by scenario [N]."""
 
 
@@ -136,7 +152,9 @@ class Evaluation(NamedTuple):
         return self.target.is_met_by(self.value)
 
 
-def evaluate(rows: Iterable[Row], targets: Sequence[Target] = TARGETS) -> list[Evaluation]:
+def evaluate(
+    rows: Iterable[Row], targets: Sequence[Target] = TARGETS
+) -> list[Evaluation]:
     """Judge every target that any of the rows belongs to."""
     by_kind: dict[tuple[str, ...], dict[RowKey, Row]] = {}
     for row in rows:
@@ -178,7 +196,9 @@ def _evaluation(target: Target, values: Mapping[RowKey, float]) -> Evaluation:
     elif target.statistic == "worst":
         value = values[worst]
     else:
-        middle = {"mean": statistics.fmean, "median": statistics.median}[target.statistic]
+        middle = {"mean": statistics.fmean, "median": statistics.median}[
+            target.statistic
+        ]
         value = middle(values.values())
     return Evaluation(target, value, len(values), worst)
 
@@ -279,8 +299,17 @@ HEADLINES = (
     _FORCE._replace(plant="degraded"),
     _RECALL._replace(plant="fri"),
     _RECALL._replace(plant="degraded"),
-    Headline("rupture_precision", ".2f", "alarms that are right, fraction", plant="fri"),
-    Headline("friction_error_mean_pct", ".1f", "friction of a layer, mean error, %", plant="fri"),
-    Headline("pullout_coverage_78mm", ".2f", _PULL_OUT, "ft", "recording", "liver-real"),
+    Headline(
+        "rupture_precision", ".2f", "alarms that are right, fraction", plant="fri"
+    ),
+    Headline(
+        "friction_error_mean_pct",
+        ".1f",
+        "friction of a layer, mean error, %",
+        plant="fri",
+    ),
+    Headline(
+        "pullout_coverage_78mm", ".2f", _PULL_OUT, "ft", "recording", "liver-real"
+    ),
 )
 """At most eight: the README shows them."""

@@ -31,7 +31,9 @@ for sample in arm:
     step = program.update(now)
     if step.event and (refusal := manager.request(step.event)):
         print("refused:", refusal)
-    command = control.update(sample, [shaft, AxialSpeed(step.speed_m_s), posture]).dq_rad_s
+    command = control.update(
+        sample, [shaft, AxialSpeed(step.speed_m_s), posture]
+    ).dq_rad_s
     beside = Beside(arm.send(command), command)
     if now.state == "dwell" and now.state_s > 0.3:
         break

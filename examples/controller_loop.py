@@ -16,7 +16,9 @@ arm = simulate("gel-25-constant", "clean")  # one gel, a well-kept LWR 4+
 def read_arm():
     """Time [s], positions [rad], velocities [rad/s] (or None) and torques [Nm] of every tick."""
     sent = arm.signals
-    yield from zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True)
+    yield from zip(
+        sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True
+    )
 
 
 session, last_s, worst_N = InsertionSession(arm.robot), 0.0, 0.0
@@ -32,6 +34,8 @@ for t_s, q, dq, tau in read_arm():
         pass  # slow down or stop
     worst_N = max(worst_N, now.identification.tip_force_N)
     if (rupture := now.identification.rupture) is not None:
-        print(f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {1e3 * rupture.depth_m:.1f} mm")
+        print(
+            f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {1e3 * rupture.depth_m:.1f} mm"
+        )
 
 print(f"at most {worst_N:.2f} N at the tip; {session.rejected} samples rejected")

@@ -12,8 +12,13 @@ from groundtruth.rig_contacts import HandOnArm
 from needleforce.control import AxialSpeed, Controller, Fixture, Guidance, Limits
 from residual import SensorConfig, Status, VirtualForceSensor
 
-TARE_s, PUSH_N = 3.0, 4.0  # a stroke in free air before the tare; a push along x after it
-hand = HandOnArm(at="hub", force_N=lambda t: (PUSH_N if t > TARE_s + 0.5 else 0.0, 0.0, 0.0))
+TARE_s, PUSH_N = (
+    3.0,
+    4.0,
+)  # a stroke in free air before the tare; a push along x after it
+hand = HandOnArm(
+    at="hub", force_N=lambda t: (PUSH_N if t > TARE_s + 0.5 else 0.0, 0.0, 0.0)
+)
 arm = SimulatedArm(plant="clean", contacts=[hand], duration_s=TARE_s + 1.5)
 control, guidance = Controller(arm.robot, Limits(arm.robot)), Guidance(arm.robot)
 sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))

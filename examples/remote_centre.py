@@ -9,7 +9,11 @@ from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Trocar
 from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
 
-ENTRY_m, RADIUS_m, TURN_s = 0.08, 0.01, 2.0  # entry above the tip, circle, time for one turn
+ENTRY_m, RADIUS_m, TURN_s = (
+    0.08,
+    0.01,
+    2.0,
+)  # entry above the tip, circle, time for one turn
 trocar = Trocar(behind_tip_m=ENTRY_m)
 arm = SimulatedArm(plant="clean", contacts=[trocar], duration_s=TURN_s + 0.5)
 control = Controller(arm.robot, Limits(arm.robot))
@@ -17,7 +21,9 @@ tool = control.tool
 tool.update(next(arm).q_rad)
 start_m = tool.tip_m
 
-entry = RemoteCentre(start_m - ENTRY_m * tool.axis)  # first: whatever comes below, it holds
+entry = RemoteCentre(
+    start_m - ENTRY_m * tool.axis
+)  # first: whatever comes below, it holds
 tip = TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=10.0)
 stack = [entry, tip, Posture(arm.home_rad)]
 
@@ -31,4 +37,6 @@ for sample in arm:
     worst_m = max(worst_m, arm.distance_to_axis_m(trocar.point_m))
 
 back_m = math.dist(arm.truth.tip_m, start_m)
-print(f"entry held within {1e3 * worst_m:.3f} mm; tip back within {1e3 * back_m:.2f} mm")
+print(
+    f"entry held within {1e3 * worst_m:.3f} mm; tip back within {1e3 * back_m:.2f} mm"
+)

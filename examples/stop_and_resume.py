@@ -8,7 +8,9 @@ from needleforce import InsertionSession, read_snapshot, write_snapshot
 
 arm = simulate("gel-25-constant", "clean")
 sent = arm.signals
-ticks = list(zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True))
+ticks = list(
+    zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True)
+)
 middle = len(ticks) // 2
 
 

@@ -7,10 +7,19 @@ device.
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_operator import HapticMaster, Operator
 from needleforce import InsertionSession
-from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture, Teleoperation
+from needleforce.control import (
+    AxialSpeed,
+    Controller,
+    Fixture,
+    Limits,
+    Posture,
+    Teleoperation,
+)
 
 arm = SimulatedArm("stack-glove-constant", standoff_m=0.045, duration_s=9.0)
-device = HapticMaster(Operator(wish_m=lambda t: (0.0, 0.0, 0.012 * t)))  # 12 mm/s of the hand
+device = HapticMaster(
+    Operator(wish_m=lambda t: (0.0, 0.0, 0.012 * t))
+)  # 12 mm/s of the hand
 session, control = InsertionSession(arm.robot), Controller(arm.robot, Limits(arm.robot))
 control.tool.update(arm.home_rad)
 shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)

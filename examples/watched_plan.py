@@ -15,7 +15,9 @@ def watch(arm):
     session, sent, last_s = InsertionSession(arm.robot), arm.signals, arm.signals.t_s[0]
     with open_viewer(arm.robot, PlanScene(layers=PLAN)) as view:
         print(f"the scene is at {view.url}")
-        for t_s, q, dq, tau in zip(sent.t_s, sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True):
+        for t_s, q, dq, tau in zip(
+            sent.t_s, sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True
+        ):
             now = session.update(q, dq, tau, t_s - last_s)
             last_s = t_s
             view.put(now, q)
@@ -26,7 +28,9 @@ def watch(arm):
                 session.follow(PlanMatch(PLAN, offset_std_m=3e-3), tip_m + 5e-3 * axis)
             if now.identification.rupture is not None:
                 plan, rupture = now.plan, now.identification.rupture
-                print(f"rupture at {1e3 * rupture.depth_m:.1f} mm, into {plan.matched_name}")
+                print(
+                    f"rupture at {1e3 * rupture.depth_m:.1f} mm, into {plan.matched_name}"
+                )
     mm = 1e3 * plan.offset_m, 1e3 * plan.offset_std_m
     print(f"everything lies {mm[0]:+.1f} ± {mm[1]:.1f} mm deeper than planned")
 

@@ -14,7 +14,14 @@ from groundtruth.layers import Layer
 from groundtruth.motion import Motion
 from groundtruth.plant_model import PLANT_MODELS, ForceNoise, PlantModel
 from groundtruth.scenarios import SCENARIOS, Scenario, random_stack, scenario
-from groundtruth.simulation import NeedleRun, Run, Signals, Truth, insert_needle, simulate
+from groundtruth.simulation import (
+    NeedleRun,
+    Run,
+    Signals,
+    Truth,
+    insert_needle,
+    simulate,
+)
 from groundtruth.tissue import Rupture, Tissue, TissueForce
 
 __all__ = [

@@ -22,7 +22,9 @@ BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture
 move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
-MASS_TICKS = 10  # For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most
+MASS_TICKS = (
+    10  # For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most
+)
 
 _REPORT_TICKS = 500
 _MAX_POSITION_ERROR_rad = 0.02
@@ -37,10 +39,14 @@ class ArmTrace:
     dq_rad_s: Array
     tau_Nm: Array  # held over the tick
     ft_wrench: Array  # reading of the F/T sensor, shape (n, 6), see `ArmPlant`
-    axial_jacobian: Array  # speed of the tip along the needle per joint velocity, (n + 1, m)
+    axial_jacobian: (
+        Array  # speed of the tip along the needle per joint velocity, (n + 1, m)
+    )
     depth_m: Array  # of the tip, shape (n,)
     mean_axial_N: Array  # force of the tissue, mean over the tick, shape (n,)
-    joint_friction_Nm: Array  # of the bearings on the links, mean over the tick, shape (n, m)
+    joint_friction_Nm: (
+        Array  # of the bearings on the links, mean over the tick, shape (n, m)
+    )
     forces: list[TissueForce]  # the tissue's answer, n of them
 
     @property
@@ -89,7 +95,11 @@ def drive(
                     f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
                 )
             progress(k / ticks)
-        trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = plant.q_rad, plant.dq_rad_s, torque
+        trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = (
+            plant.q_rad,
+            plant.dq_rad_s,
+            torque,
+        )
         trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
         plant.tick(torque)
         trace.ft_wrench[k], trace.mean_axial_N[k] = plant.ft_wrench, plant.mean_axial_N
@@ -105,7 +115,10 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
     # At the middle of each tick: a torque held over it sets the mean acceleration.
     q, dq = motion
     middles = zip(
-        0.5 * (q[1:] + q[:-1]), 0.5 * (dq[1:] + dq[:-1]), np.diff(dq, axis=0) / TICK_s, strict=True
+        0.5 * (q[1:] + q[:-1]),
+        0.5 * (dq[1:] + dq[:-1]),
+        np.diff(dq, axis=0) / TICK_s,
+        strict=True,
     )
     data = model.createData()
     return (

@@ -15,7 +15,9 @@ LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
 bent and out of the vertical plane, tip 0.29 m above the base. Condition number of the Jacobian
 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
 
-FREE_MOTION_s = 20.0  # Length of the joint motion after the tare stroke where there is no tissue
+FREE_MOTION_s = (
+    20.0  # Length of the joint motion after the tare stroke where there is no tissue
+)
 
 _KNOT_SPACING_m = 5e-3
 _TOLERANCE = 1e-12
@@ -30,7 +32,9 @@ _REST_s = 1.0
 _FADE_s = 4.0
 
 
-JointMotion = tuple[Array, Array]  # Positions [rad] and velocities [rad/s], (n + 1, 7) each
+JointMotion = tuple[
+    Array, Array
+]  # Positions [rad] and velocities [rad/s], (n + 1, 7) each
 InsertionPath = tuple[BSpline, pin.SE3]
 """A straight line of the tool frame along its own z axis: joint positions (7,) as a function of
 travel in m, and where the tool frame is in the base at travel zero.
@@ -48,13 +52,19 @@ def needle_down(robot: Robot, posture_rad: Array) -> Array:
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)
     tool = data.oMf[robot.tool_frame_id]
-    turn = pin.Quaternion.FromTwoVectors(tool.rotation[:, 2], np.array([0.0, 0.0, -1.0])).matrix()
-    turned = _solve(robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation))
+    turn = pin.Quaternion.FromTwoVectors(
+        tool.rotation[:, 2], np.array([0.0, 0.0, -1.0])
+    ).matrix()
+    turned = _solve(
+        robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation)
+    )
     _check_postures(robot, data, turned[None])
     return turned
 
 
-def insertion_path(robot: Robot, start_rad: Array, travel_m: tuple[float, float]) -> InsertionPath:
+def insertion_path(
+    robot: Robot, start_rad: Array, travel_m: tuple[float, float]
+) -> InsertionPath:
     """Plan the straight line along the tool's z axis, orientation kept.
 
     It is valid from the smallest to the largest travel, counted from the start, and one knot
@@ -87,7 +97,9 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
         error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
         if np.abs(error).max() < _TOLERANCE:
             return posture
-        jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
+        jacobian = pin.computeFrameJacobian(
+            robot.model, data, posture, robot.tool_frame_id
+        )
         posture = posture + np.linalg.pinv(jacobian) @ error
     raise MotionError(
         f"no posture reaches {target.translation.round(4)} m; start elsewhere or travel less"
@@ -95,12 +107,18 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
 
 
 def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
-    outside = (postures < robot.position_lower_rad) | (postures > robot.position_upper_rad)
+    outside = (postures < robot.position_lower_rad) | (
+        postures > robot.position_upper_rad
+    )
     if outside.any():
         joints = [robot.joint_names[j] for j in np.flatnonzero(outside.any(axis=0))]
-        raise MotionError(f"the limits of {', '.join(joints)} are exceeded; start elsewhere")
+        raise MotionError(
+            f"the limits of {', '.join(joints)} are exceeded; start elsewhere"
+        )
     for posture in postures:
-        jacobian = pin.computeFrameJacobian(robot.model, data, posture, robot.tool_frame_id)
+        jacobian = pin.computeFrameJacobian(
+            robot.model, data, posture, robot.tool_frame_id
+        )
         if np.linalg.cond(jacobian) > _MAX_CONDITION:
             raise MotionError(
                 f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"

@@ -38,12 +38,78 @@ SUBSTEP_s = TICK_s / SUBSTEPS
 # simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia about the com.
 #  mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
 _CAD_TABLE = (
-    (2.7, 0.00134, 0.02622, 0.11222, 0.016341, 1e-6, 3e-6, 0.016172, -0.003533, 0.005026),
-    (2.7, 0.00134, -0.02622, 0.08778, 0.016341, -1e-6, 3e-6, 0.016172, 0.003533, 0.005026),
-    (2.7, -0.00134, -0.02622, 0.11222, 0.016341, -1e-6, 3e-6, 0.016192, 0.003533, 0.005026),
-    (2.7, -0.00134, 0.02622, 0.08778, 0.016341, -1e-6, -3e-6, 0.016192, -0.003533, 0.005026),
-    (1.7, -0.00099, 0.02696, 0.07835, 0.009573, -1e-6, -1e-6, 0.008807, -0.003094, 0.003708),
-    (1.6, -0.00026, -0.00596, -0.00533, 0.002898, 0.0, 0.0, 0.003022, -1.9e-5, 0.003413),
+    (
+        2.7,
+        0.00134,
+        0.02622,
+        0.11222,
+        0.016341,
+        1e-6,
+        3e-6,
+        0.016172,
+        -0.003533,
+        0.005026,
+    ),
+    (
+        2.7,
+        0.00134,
+        -0.02622,
+        0.08778,
+        0.016341,
+        -1e-6,
+        3e-6,
+        0.016172,
+        0.003533,
+        0.005026,
+    ),
+    (
+        2.7,
+        -0.00134,
+        -0.02622,
+        0.11222,
+        0.016341,
+        -1e-6,
+        3e-6,
+        0.016192,
+        0.003533,
+        0.005026,
+    ),
+    (
+        2.7,
+        -0.00134,
+        0.02622,
+        0.08778,
+        0.016341,
+        -1e-6,
+        -3e-6,
+        0.016192,
+        -0.003533,
+        0.005026,
+    ),
+    (
+        1.7,
+        -0.00099,
+        0.02696,
+        0.07835,
+        0.009573,
+        -1e-6,
+        -1e-6,
+        0.008807,
+        -0.003094,
+        0.003708,
+    ),
+    (
+        1.6,
+        -0.00026,
+        -0.00596,
+        -0.00533,
+        0.002898,
+        0.0,
+        0.0,
+        0.003022,
+        -1.9e-5,
+        0.003413,
+    ),
     (0.3, 0.0, 0.0, -0.015, 0.000101, 0.0, 0.0, 0.000101, 0.0, 0.000158),
 )
 
@@ -56,7 +122,9 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
     """
     require_fraction(PlantModelError, cad_fraction=cad_fraction)
     links = []
-    for joint, (mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz) in enumerate(_CAD_TABLE, start=1):
+    for joint, (mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz) in enumerate(
+        _CAD_TABLE, start=1
+    ):
         about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
         cad = pin.Inertia(mass, np.array([cx, cy, cz]), about_com).toDynamicParameters()
         believed = nominal.inertias[joint].toDynamicParameters()
@@ -70,10 +138,16 @@ class PlantBodies:
     """Kinematics and true inertias of arm, F/T sensor and needle."""
 
     robot: Robot  # the estimator's
-    kinematics: Robot  # the same with the true places of its joints; its inertias are not used
+    kinematics: (
+        Robot  # the same with the true places of its joints; its inertias are not used
+    )
     links: tuple[pin.Inertia, ...]  # bare, 1 to 7, each in its joint frame
-    sensor: pin.Inertia  # the tool up to the sensor's measuring plane, in the flange frame
-    needle: pin.Inertia  # everything beyond the measuring plane, in the ``ft_sensor`` frame
+    sensor: (
+        pin.Inertia
+    )  # the tool up to the sensor's measuring plane, in the flange frame
+    needle: (
+        pin.Inertia
+    )  # everything beyond the measuring plane, in the ``ft_sensor`` frame
 
     def model(self) -> pin.Model:
         """Pinocchio model of the true arm, with the true inertia of every joint."""
@@ -88,7 +162,9 @@ class PlantBodies:
         return model
 
 
-def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator) -> PlantBodies:
+def lwr_bodies(
+    tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator
+) -> PlantBodies:
     """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and kinematics."""
     robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
@@ -98,12 +174,16 @@ def lwr_bodies(tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generat
         displaced = pin.Model(robot.bare_model)
         for joint in range(1, displaced.njoints):
             turn = pin.exp3(size_rad * rng.standard_normal(3))
-            displaced.jointPlacements[joint] *= pin.SE3(turn, size_m * rng.standard_normal(3))
+            displaced.jointPlacements[joint] *= pin.SE3(
+                turn, size_m * rng.standard_normal(3)
+            )
         kinematics = replace(robot, bare_model=displaced)
 
     def with_error(part: Payload) -> pin.Inertia:
         inertia_kg_m2 = part.inertia_kg_m2 * mass_factor
-        return pin.Inertia(part.mass_kg * mass_factor, part.com_m + com_shift_m, inertia_kg_m2)
+        return pin.Inertia(
+            part.mass_kg * mass_factor, part.com_m + com_shift_m, inertia_kg_m2
+        )
 
     return PlantBodies(
         robot=robot,
@@ -137,7 +217,9 @@ def arm_model(bodies: PlantBodies, substep_s: float) -> Any:
     spec.option.disableflags = without.mjDSBL_CONSTRAINT | without.mjDSBL_CONTACT
     model, data, body = robot.model, robot.create_data(), spec.worldbody
     pin.computeJointJacobians(model, data, pin.neutral(model))
-    for joint, (name, link) in enumerate(zip(robot.joint_names, bodies.links, strict=True), 1):
+    for joint, (name, link) in enumerate(
+        zip(robot.joint_names, bodies.links, strict=True), 1
+    ):
         body = _add_body(body, f"link_{joint}", model.jointPlacements[joint], link)
         local = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL)
         body.add_joint(name=name, axis=local[3:, model.joints[joint].idx_v])
@@ -148,11 +230,15 @@ def arm_model(bodies: PlantBodies, substep_s: float) -> Any:
     tip = _add_body(needle, "tip", sensor.actInv(_placement(robot, "needle_tip")), None)
     tip.add_site(name="tip")
     for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
-        spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft_sensor")
+        spec.add_sensor(
+            type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname="ft_sensor"
+        )
     return spec.compile()
 
 
-def _add_body(parent: Any, name: str, placement: pin.SE3, inertia: pin.Inertia | None) -> Any:
+def _add_body(
+    parent: Any, name: str, placement: pin.SE3, inertia: pin.Inertia | None
+) -> Any:
     x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
     body = parent.add_body(name=name, pos=placement.translation, quat=(w, x, y, z))
     if inertia is not None:
@@ -168,14 +254,18 @@ STRIBECK_SPEED_rad_s = 0.05
 """Speed over which the peak falls off. Chosen between the joint speeds of an insertion (0.005
 rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction than the insertion
 meets."""
-PRESLIDING_rad = 1e-4  # Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm
+PRESLIDING_rad = (
+    1e-4  # Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm
+)
 
 
 def bearings(
     plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator
 ) -> "BearingFriction | None":
     """The bearings of an arm with these effort limits, shape (n,); None without friction."""
-    if plant_model.joint_coulomb == 0.0 and not any(plant_model.joint_viscous_Nms_per_rad):
+    if plant_model.joint_coulomb == 0.0 and not any(
+        plant_model.joint_viscous_Nms_per_rad
+    ):
         return None
     return BearingFriction(plant_model, limit_Nm, rng)
 
@@ -195,7 +285,9 @@ class BearingFriction:
     (Canudas de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
     """
 
-    def __init__(self, plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator) -> None:
+    def __init__(
+        self, plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator
+    ) -> None:
         """Draw the bearings of an arm with these effort limits, shape (n,)."""
         factors = drawn_factors(plant_model, limit_Nm.shape, rng)
         coulomb_Nm = factors * plant_model.joint_coulomb * limit_Nm
@@ -207,8 +299,12 @@ class BearingFriction:
         """Advance at a held speed, exactly, and return the torque on the links, shape (n,)."""
         torque_Nm = np.empty(len(dq_rad_s))
         joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
-        for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(joints):  # faster than arrays of seven
-            level = 1.0 + (STRIBECK_PEAK - 1.0) * math.exp(-((dq / STRIBECK_SPEED_rad_s) ** 2))
+        for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(
+            joints
+        ):  # faster than arrays of seven
+            level = 1.0 + (STRIBECK_PEAK - 1.0) * math.exp(
+                -((dq / STRIBECK_SPEED_rad_s) ** 2)
+            )
             sliding = math.copysign(level, dq)
             left = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * level))
             self._bristles[i] = bristle = sliding + (self._bristles[i] - sliding) * left
@@ -222,13 +318,17 @@ class TissueContact:
 
     law: Tissue  # one without layers is free air
     surface_in_base_m: Array  # point of the surface that the tip meets, shape (3,)
-    axis_in_base: Array  # direction of insertion along which depth is measured, shape (3,)
+    axis_in_base: (
+        Array  # direction of insertion along which depth is measured, shape (3,)
+    )
     motion: TissueMotion | None = None  # of the surface along that direction
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
 
 
-def tissue_before(needle: pin.SE3, distance_m: float, scenario: Scenario) -> TissueContact:
+def tissue_before(
+    needle: pin.SE3, distance_m: float, scenario: Scenario
+) -> TissueContact:
     """Lay a scenario's tissue so far in front of the tip of a needle, along its z axis."""
     axis = needle.rotation[:, 2].copy()
     return TissueContact(
@@ -263,7 +363,9 @@ class ArmPlant:
     ) -> None:
         """Compile the true arm, with contacts besides the tissue; `PlantError` without MuJoCo."""
         if mujoco is None:
-            raise PlantError("the simulated arm needs the library mujoco: pip install mujoco")
+            raise PlantError(
+                "the simulated arm needs the library mujoco: pip install mujoco"
+            )
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)
         self._contact, self._friction = contact, friction
@@ -271,7 +373,9 @@ class ArmPlant:
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
         self.tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
         self._tip_axis: Array = self.tip_axes[:, 2]
-        self._elbow_force: Array = self._data.xfrc_applied[self._model.body("link_4").id, :3]
+        self._elbow_force: Array = self._data.xfrc_applied[
+            self._model.body("link_4").id, :3
+        ]
         self.tip_m: Array = self._data.xpos[self._tip]
         self._jacobian = np.zeros((3, self._model.nv))
         self.q_rad: Array = self._data.qpos
@@ -283,7 +387,9 @@ class ArmPlant:
         self._held_Nm = np.zeros(self._model.nv)
         self._time_s = self._surface_m_s = 0.0
         self._touched = [
-            TouchedPoint(self._model, self._data, [item for item in touching if item.at == place])
+            TouchedPoint(
+                self._model, self._data, [item for item in touching if item.at == place]
+            )
             for place in dict.fromkeys(item.at for item in touching)
         ]
         self._locate()
@@ -344,12 +450,16 @@ class ArmPlant:
         """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at a stage."""
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
-        mujoco.mj_jac(self._model, self._data, self._jacobian, None, self.tip_m, self._tip)
+        mujoco.mj_jac(
+            self._model, self._data, self._jacobian, None, self.tip_m, self._tip
+        )
         self.axial_jacobian = self._tip_axis @ self._jacobian
         from_surface = self.tip_m - self._contact.surface_in_base_m
         depth = float(from_surface.dot(self._contact.axis_in_base))
         if self._contact.motion is not None:
-            moved_m, self._surface_m_s = map(float, self._contact.motion.at(self._time_s))
+            moved_m, self._surface_m_s = map(
+                float, self._contact.motion.at(self._time_s)
+            )
             depth -= moved_m
         self.depth_m = depth if self._contact.law.layers else 0.0
         for point in self._touched:

@@ -38,16 +38,25 @@ class PlantError(GroundTruthError, RuntimeError):
 
 def _requirement(is_met: Callable[[float], bool], wanted: str) -> Callable[..., None]:
     def require(
-        error: type[GroundTruthError], owner: object = None, names: str = "", **values: float
+        error: type[GroundTruthError],
+        owner: object = None,
+        names: str = "",
+        **values: float,
     ) -> None:
         """Raise `error` unless these fields of the owner, and these values, are what is wanted."""
-        for name, value in ({n: getattr(owner, n) for n in names.split()} | values).items():
+        for name, value in (
+            {n: getattr(owner, n) for n in names.split()} | values
+        ).items():
             if not is_met(value):
                 raise error(f"{name} is {value!r}; give {wanted}")
 
     return require
 
 
-require_positive = _requirement(lambda x: 0.0 < x < math.inf, "a finite number above zero")
-require_non_negative = _requirement(lambda x: 0.0 <= x < math.inf, "a finite number, zero or above")
+require_positive = _requirement(
+    lambda x: 0.0 < x < math.inf, "a finite number above zero"
+)
+require_non_negative = _requirement(
+    lambda x: 0.0 <= x < math.inf, "a finite number, zero or above"
+)
 require_fraction = _requirement(lambda x: 0.0 <= x <= 1.0, "a fraction from 0 to 1")

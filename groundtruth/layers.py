@@ -7,13 +7,22 @@ from typing import Self
 import numpy as np
 from scipy.special import ndtri
 
-from groundtruth.errors import TissueError, require_fraction, require_non_negative, require_positive
+from groundtruth.errors import (
+    TissueError,
+    require_fraction,
+    require_non_negative,
+    require_positive,
+)
 
-CUTTING_ONSET_M = 1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
+CUTTING_ONSET_M = (
+    1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
+)
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
 a thinner layer the rest goes with its own rupture."""
-SPEED_ROUNDING_M_S = 2e-5  # A power law of speed is linear below: no step follows an infinite slope
+SPEED_ROUNDING_M_S = (
+    2e-5  # A power law of speed is linear below: no step follows an infinite slope
+)
 TEXTURE_WAVES = 16
 
 
@@ -29,14 +38,21 @@ class Texture:
         """Draw a texture with correlation exp(-x² / 2 length²) over a distance x."""
         require_positive(TissueError, std_N=std_N, length_m=length_m)
         # One wave in each quantile of that correlation's spectrum, a normal distribution.
-        quantile = (np.arange(TEXTURE_WAVES) + rng.uniform(size=TEXTURE_WAVES)) / TEXTURE_WAVES
+        quantile = (
+            np.arange(TEXTURE_WAVES) + rng.uniform(size=TEXTURE_WAVES)
+        ) / TEXTURE_WAVES
         wave_number = ndtri(0.5 + 0.5 * quantile) / length_m
         phase = rng.uniform(0.0, 2.0 * np.pi, TEXTURE_WAVES)
-        return cls(std_N=std_N, waves=tuple(zip(wave_number.tolist(), phase.tolist(), strict=True)))
+        return cls(
+            std_N=std_N,
+            waves=tuple(zip(wave_number.tolist(), phase.tolist(), strict=True)),
+        )
 
     def force_N(self, penetration_m: float) -> float:
         """Force at a depth into the layer, of either sign."""
-        total = sum(math.cos(number * penetration_m + phase) for number, phase in self.waves)
+        total = sum(
+            math.cos(number * penetration_m + phase) for number, phase in self.waves
+        )
         return self.std_N * math.sqrt(2.0 / len(self.waves)) * total
 
 
@@ -51,7 +67,9 @@ class Membrane:
     puncture_N: float  # force at which it ruptures
     indentation_m: float  # how far it has then been pushed in
     hardening: float  # fraction of the quadratic part, 0 (linear) to 1
-    release_m: float  # travel of the tip over which the force is released after the puncture
+    release_m: (
+        float  # travel of the tip over which the force is released after the puncture
+    )
 
     def __post_init__(self) -> None:
         require_positive(TissueError, self, "puncture_N indentation_m release_m")
@@ -78,8 +96,12 @@ class ShaftFriction:
     viscous_Ns_per_m2: float
     presliding_m: float  # where the Coulomb part is 63 % of the way to its new value
     reference_speed_m_s: float  # at which the friction was measured or calibrated
-    speed_exponent: float = 1.0  # the second part grows with v^n, alike at the reference speed
-    length_exponent: float = 1.0  # friction grows with length^n, alike on the whole layer
+    speed_exponent: float = (
+        1.0  # the second part grows with v^n, alike at the reference speed
+    )
+    length_exponent: float = (
+        1.0  # friction grows with length^n, alike on the whole layer
+    )
 
     def __post_init__(self) -> None:
         positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
@@ -103,7 +125,9 @@ class ShaftFriction:
         require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
         return cls(
             coulomb_N_per_m=coulomb_fraction * force_N_per_m,
-            viscous_Ns_per_m2=(1.0 - coulomb_fraction) * force_N_per_m / reference_speed_m_s,
+            viscous_Ns_per_m2=(1.0 - coulomb_fraction)
+            * force_N_per_m
+            / reference_speed_m_s,
             presliding_m=presliding_m,
             reference_speed_m_s=reference_speed_m_s,
         )
@@ -112,7 +136,9 @@ class ShaftFriction:
         """Friction per length in steady sliding; it has the sign of the speed, zero at rest."""
         if speed_m_s == 0.0:
             return 0.0
-        return math.copysign(self.coulomb_N_per_m, speed_m_s) + self.rising_N_per_m(speed_m_s)
+        return math.copysign(self.coulomb_N_per_m, speed_m_s) + self.rising_N_per_m(
+            speed_m_s
+        )
 
     def rising_N_per_m(self, speed_m_s: float) -> float:
         """The part of the friction per length that grows with speed, with the speed's sign."""
@@ -152,14 +178,24 @@ class Layer:
     relaxed_fraction: float  # of tip force and Coulomb friction, lost after a long rest
     friction: ShaftFriction
     membrane: Membrane | None = None  # to be punctured to enter the layer
-    tip_exponent: float = 1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
-    kept_fraction: float = 0.0  # of the tip force, when the needle leaves for a next layer
-    texture: Texture | None = None  # of the tip force, faded over a cutting onset at both ends
+    tip_exponent: float = (
+        1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
+    )
+    kept_fraction: float = (
+        0.0  # of the tip force, when the needle leaves for a next layer
+    )
+    texture: Texture | None = (
+        None  # of the tip force, faded over a cutting onset at both ends
+    )
 
     def __post_init__(self) -> None:
-        require_positive(TissueError, self, "thickness_m exit_force_N release_m tip_exponent")
+        require_positive(
+            TissueError, self, "thickness_m exit_force_N release_m tip_exponent"
+        )
         require_non_negative(TissueError, self, "stiffening")
-        require_fraction(TissueError, self, "kept_fraction cutting_fraction relaxed_fraction")
+        require_fraction(
+            TissueError, self, "kept_fraction cutting_fraction relaxed_fraction"
+        )
         taken = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:
             taken += self.membrane.release_m
@@ -180,7 +216,9 @@ class Layer:
             return 0.0
         cut_m = self.thickness_m - self.entry_m
         p = penetration_m / cut_m
-        elastic = (p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)) ** self.tip_exponent
+        elastic = (
+            p * (1.0 + self.stiffening * p) / (1.0 + self.stiffening)
+        ) ** self.tip_exponent
         onset = min(penetration_m / CUTTING_ONSET_M, 1.0)
         cutting = onset * (2.0 - onset)
         c = self.cutting_fraction
@@ -206,7 +244,9 @@ class Interface:
     release_m: float  # travel over which the force is then released
     drop_N: float  # force released, tissue not relaxed; zero at a bare surface
     membrane: Membrane | None  # to be punctured there
-    kept_fraction: float = 0.0  # of `drop_N`, not released but fading: layers hang together
+    kept_fraction: float = (
+        0.0  # of `drop_N`, not released but fading: layers hang together
+    )
 
     def held(self, deepest_m: float) -> float:
         """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""

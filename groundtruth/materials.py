@@ -28,22 +28,30 @@ from typing import Any
 from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 
-TABLE_I_SPEED_M_S = 2.3e-3  # The paper's constant speed: at it, gel friction is Table I's
+TABLE_I_SPEED_M_S = (
+    2.3e-3  # The paper's constant speed: at it, gel friction is Table I's
+)
 TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
 """B d of each gel (isinglass per cent), offline column."""
 GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the authors
 GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 """At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig. 8."""
 GEL_COULOMB_FRACTION = 0.4
-GEL_PRESLIDING_M = 0.2e-3  # a fraction of a needle diameter: gel sticks little to a wet shaft
+GEL_PRESLIDING_M = (
+    0.2e-3  # a fraction of a needle diameter: gel sticks little to a wet shaft
+)
 GEL_RELEASE_M = 0.3e-3  # clean fracture of a brittle gel
 GEL_RELAXED_FRACTION = 0.2
 CUTTING_FRACTION = 0.1
 STIFFENING = 0.1
 
 LIVER_SPEED_M_S = 5e-3  # speed of the recordings the liver friction comes from
-LIVER_FRICTION_N_PER_M = 10.6  # median pull-out force per embedded length (de Jong 2017)
-ABDOMEN_SPEED_M_S = 6e-3  # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)
+LIVER_FRICTION_N_PER_M = (
+    10.6  # median pull-out force per embedded length (de Jong 2017)
+)
+ABDOMEN_SPEED_M_S = (
+    6e-3  # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)
+)
 TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
 TISSUE_RELAXED_FRACTION = 0.55
@@ -51,7 +59,11 @@ TISSUE_RELEASE_M = 0.5e-3  # fibrous tissue ruptures more gradually than gel
 
 
 def _layer(
-    name: str, thickness_m: float, exit_force_N: float, friction: ShaftFriction, **others: Any
+    name: str,
+    thickness_m: float,
+    exit_force_N: float,
+    friction: ShaftFriction,
+    **others: Any,
 ) -> Layer:
     """A layer with what all materials have in common; of organic tissue but for the others."""
     others.setdefault("release_m", TISSUE_RELEASE_M)
@@ -70,10 +82,14 @@ def _layer(
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
     """One of the paper's gels, of 25, 50 or 70 % (else `TissueError`), in a membrane, if any."""
     if percent not in GEL_THICKNESS_M:
-        raise TissueError(f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %")
+        raise TissueError(
+            f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %"
+        )
     thickness = GEL_THICKNESS_M[percent]
     friction = ShaftFriction.calibrated(
-        force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent] * TABLE_I_SPEED_M_S / thickness,
+        force_N_per_m=TABLE_I_FRICTION_NS_PER_M[percent]
+        * TABLE_I_SPEED_M_S
+        / thickness,
         reference_speed_m_s=TABLE_I_SPEED_M_S,
         coulomb_fraction=GEL_COULOMB_FRACTION,
         presliding_m=GEL_PRESLIDING_M,
@@ -89,7 +105,9 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
     )
 
 
-def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> ShaftFriction:
+def soft_tissue_friction(
+    force_N_per_m: float, nominal_speed_m_s: float
+) -> ShaftFriction:
     """Friction of organic tissue of so much force at the recordings' 5 mm/s.
 
     At the nominal speed, the scenario's, the law of equation (3) shall agree.
@@ -106,10 +124,14 @@ def soft_tissue_friction(force_N_per_m: float, nominal_speed_m_s: float) -> Shaf
 GLOVE = Membrane(puncture_N=1.0, indentation_m=4e-3, hardening=0.6, release_m=0.5e-3)
 """Latex of a glove under a blunt needle: around a newton, stretched by a few millimetres."""
 
-BOVINE_CAPSULE = Membrane(puncture_N=1.43, indentation_m=11.2e-3, hardening=1.0, release_m=0.5e-3)
+BOVINE_CAPSULE = Membrane(
+    puncture_N=1.43, indentation_m=11.2e-3, hardening=1.0, release_m=0.5e-3
+)
 """Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing afterwards."""
 
-PHANTOM_CAPSULE = Membrane(puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3)
+PHANTOM_CAPSULE = Membrane(
+    puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3
+)
 """Synthetic skin around the liver of an abdominal phantom: thinner than a real capsule."""
 
 

@@ -22,7 +22,9 @@ learnt on it is carried on along the insertion."""
 TARE_SPEED_M_S = 25e-3  # Mean, of the tare stroke: excites the arm and is safe in air
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
-RAMP_S = 0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel
+RAMP_S = (
+    0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel
+)
 RAMP_FRACTION_MAX = 0.5
 TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
@@ -36,7 +38,9 @@ class Stroke:
     duration_s: float
     start_m: float
     travel_m: float  # signed
-    ramp_fraction: float = 0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
+    ramp_fraction: float = (
+        0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
+    )
 
     def __post_init__(self) -> None:
         require_positive(MotionError, self, "duration_s ramp_fraction")
@@ -59,18 +63,29 @@ class Stroke:
         """Position [m] and speed [m/s] at any times; outside the stroke at its ends, at rest."""
         s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
-            done, rate = s**3 * (10.0 + s * (6.0 * s - 15.0)), 30.0 * (s * (1.0 - s)) ** 2
+            done, rate = (
+                s**3 * (10.0 + s * (6.0 * s - 15.0)),
+                30.0 * (s * (1.0 - s)) ** 2,
+            )
         elif self.profile == "cosine":
             done, rate = 0.5 - 0.5 * np.cos(np.pi * s), 0.5 * np.pi * np.sin(np.pi * s)
         elif self.profile == "cruise":
             # Speed rises as 3q² - 2q³, holds, and falls alike.
             mirrored, ramp = np.minimum(s, 1.0 - s), self.ramp_fraction
             q, full = np.minimum(mirrored / ramp, 1.0), 1.0 / (1.0 - ramp)
-            half = full * (ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0))
-            done, rate = np.where(s <= 0.5, half, 1.0 - half), full * q * q * (3.0 - 2.0 * q)
+            half = full * (
+                ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0)
+            )
+            done, rate = (
+                np.where(s <= 0.5, half, 1.0 - half),
+                full * q * q * (3.0 - 2.0 * q),
+            )
         else:
             done, rate = np.zeros_like(s), np.zeros_like(s)
-        return self.start_m + self.travel_m * done, self.travel_m / self.duration_s * rate
+        return (
+            self.start_m + self.travel_m * done,
+            self.travel_m / self.duration_s * rate,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,7 +97,9 @@ class Motion:
     """
 
     strokes: tuple[Stroke, ...]  # contiguous in time and position
-    tare_end_s: float  # end of the stroke in free air; contact has not happened before it
+    tare_end_s: (
+        float  # end of the stroke in free air; contact has not happened before it
+    )
     insertion_end_s: float  # the needle is at its deepest and rests
     withdrawal_start_s: float
     withdrawal_end_s: float  # it is back above the surface
@@ -91,7 +108,10 @@ class Motion:
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
         for last, following in pairwise(self.strokes):
-            gap_s, gap_m = following.start_s - last.end_s, following.start_m - last.end_m
+            gap_s, gap_m = (
+                following.start_s - last.end_s,
+                following.start_m - last.end_m,
+            )
             if abs(gap_s) > TOLERANCE or abs(gap_m) > TOLERANCE:
                 raise MotionError(
                     f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of the one "
@@ -124,8 +144,12 @@ class Motion:
     def _at(self, t_s: ArrayLike, which: int) -> Array:
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
-            raise MotionError("t_s has a value that is not finite; give times in seconds")
-        index = np.searchsorted([stroke.start_s for stroke in self.strokes[1:]], t, side="right")
+            raise MotionError(
+                "t_s has a value that is not finite; give times in seconds"
+            )
+        index = np.searchsorted(
+            [stroke.start_s for stroke in self.strokes[1:]], t, side="right"
+        )
         out = np.empty_like(t)
         for i in np.unique(index):
             inside = index == i
@@ -158,7 +182,9 @@ def protocol(
     needle rests as long as three of the usual ones would take.
     """
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
-    tare: list[Move] = [("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)]
+    tare: list[Move] = [
+        ("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)
+    ]
     travel_m = sum(move[2] for move in insertion)
     profile, last_s, last_m = insertion[-1]
     moves: list[Move] = [
@@ -169,7 +195,9 @@ def protocol(
         (profile, last_s * travel_m / last_m, -travel_m),
         ("rest", LAST_REST_S, 0.0),
     ]
-    strokes = chain_strokes(-standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction)
+    strokes = chain_strokes(
+        -standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction
+    )
     return Motion(
         strokes=strokes,
         tare_end_s=strokes[3].end_s,
@@ -185,15 +213,23 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
     It begins and the withdrawal ends at the standoff above the surface. `MotionError` if a value is
     not positive, or the travel is too short to reach the speed.
     """
-    require_positive(MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m)
+    require_positive(
+        MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m
+    )
     travel = depth_m + standoff_m
     duration = travel / speed_m_s + RAMP_S
     if duration < 2.0 * RAMP_S:
-        raise MotionError(f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower")
-    return protocol(standoff_m, [("cruise", duration, travel)], ramp_fraction=RAMP_S / duration)
+        raise MotionError(
+            f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower"
+        )
+    return protocol(
+        standoff_m, [("cruise", duration, travel)], ramp_fraction=RAMP_S / duration
+    )
 
 
-def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float) -> Motion:
+def sinusoidal_motion(
+    *, stroke_m: float, frequency_hz: float, standoff_m: float
+) -> Motion:
     """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
 
     In and out take one period, the rest between them aside. Contact happens inside the stroke, at
@@ -204,5 +240,7 @@ def sinusoidal_motion(*, stroke_m: float, frequency_hz: float, standoff_m: float
         MotionError, stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m
     )
     if stroke_m <= standoff_m:
-        raise MotionError(f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away")
+        raise MotionError(
+            f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away"
+        )
     return protocol(standoff_m, [("cosine", 0.5 / frequency_hz, stroke_m)])

@@ -32,7 +32,9 @@ class ForceNoise:
     """Noise, drift since the last zeroing, and steps of the sensor at the needle's base."""
 
     white_std_N: float = 0.0  # standard deviation of the noise of one sample
-    drift_std_N_per_s: float = 0.0  # standard deviation of the drift rate, drawn once per run
+    drift_std_N_per_s: float = (
+        0.0  # standard deviation of the drift rate, drawn once per run
+    )
     step_N: float = 0.0  # smallest step of the reading
     correlation_s: float = 0.0  # time constant of the noise if it is not white
 
@@ -96,7 +98,9 @@ class PlantModel:
 
     kinematic_error_rad: float = 0.0  # the same of how that frame is turned
 
-    torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7  # noise of one sample: 0.03 % of limit
+    torque_noise_std_Nm: tuple[float, ...] = (
+        0.0,
+    ) * 7  # noise of one sample: 0.03 % of limit
 
     torque_noise_correlation_s: float = 0.0
     """Time constant of that noise, zero for white. The source states the 0.03 % after an 8 Hz
@@ -161,7 +165,9 @@ class PlantModel:
     """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5: stamps taken
     on arrival by a PC without a tuned real-time kernel."""
 
-    ticks_per_sample: int = 1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
+    ticks_per_sample: int = (
+        1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
+    )
 
     drop_probability: float = 0.0
     """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared switch."""
@@ -190,13 +196,17 @@ def drawn_factors(
 
 
 _FT_NOISE = tuple(
-    MINI45.white_std_N * raw / 0.050 for raw in (0.020, 0.019, 0.050, 5.3e-4, 5.3e-4, 5.0e-4)
+    MINI45.white_std_N * raw / 0.050
+    for raw in (0.020, 0.019, 0.050, 5.3e-4, 5.3e-4, 5.0e-4)
 )
 _FT_DRIFT = tuple(
-    MINI45.drift_std_N_per_s * 60.0 * span / 290.0 for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
+    MINI45.drift_std_N_per_s * 60.0 * span / 290.0
+    for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
 )
 
-IDEAL = PlantModel(name="ideal")  # The estimator's parameters, clean signals: proves algebra only
+IDEAL = PlantModel(
+    name="ideal"
+)  # The estimator's parameters, clean signals: proves algebra only
 
 CLEAN = PlantModel(
     name="clean",
@@ -256,5 +266,7 @@ def plant_named(plant: PlantModel | str) -> PlantModel:
     if isinstance(plant, PlantModel):
         return plant
     if plant not in PLANT_MODELS:
-        raise PlantModelError(f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}")
+        raise PlantModelError(
+            f"no plant model {plant!r}; known: {', '.join(PLANT_MODELS)}"
+        )
     return PLANT_MODELS[plant]

@@ -21,7 +21,13 @@ from numpy.typing import ArrayLike
 from groundtruth import sensors
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
-from groundtruth.arm_plant import ArmPlant, TissueContact, bearings, lwr_bodies, tissue_before
+from groundtruth.arm_plant import (
+    ArmPlant,
+    TissueContact,
+    bearings,
+    lwr_bodies,
+    tissue_before,
+)
 from groundtruth.errors import Array, PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m
@@ -98,9 +104,17 @@ class _Servo:
         before, step = self._dq_rad_s, velocity_rad_s - self._dq_rad_s
         mean = before + 0.5 * step
         ahead = pin.rnea(
-            self._model, self._data, self._q_rad + (0.5 * TICK_s) * mean, mean, step / TICK_s
+            self._model,
+            self._data,
+            self._q_rad + (0.5 * TICK_s) * mean,
+            mean,
+            step / TICK_s,
         )
-        torque = ahead + self._spring @ (self._q_rad - q_rad) + self._damper @ (before - dq_rad_s)
+        torque = (
+            ahead
+            + self._spring @ (self._q_rad - q_rad)
+            + self._damper @ (before - dq_rad_s)
+        )
         self._q_rad = self._q_rad + TICK_s * mean
         self._dq_rad_s = before + step
         return torque
@@ -123,8 +137,12 @@ class _Commands:
 
     def __init__(self, joints: int, latency_s: float) -> None:
         ticks = round(latency_s / TICK_s)
-        if ticks < 1:  # what is sent during a tick can at the earliest act in the next one
-            raise PlantError(f"latency_s is {latency_s!r}; expected at least a tick, {TICK_s} s")
+        if (
+            ticks < 1
+        ):  # what is sent during a tick can at the earliest act in the next one
+            raise PlantError(
+                f"latency_s is {latency_s!r}; expected at least a tick, {TICK_s} s"
+            )
         self._line: deque[Array | None] = deque([None] * ticks)
         self._velocity_rad_s = np.zeros(joints)
         self._silent_ticks = 0
@@ -138,7 +156,9 @@ class _Commands:
             self._velocity_rad_s = arrived
         elif self._silent_ticks * TICK_s > COMMAND_HOLD_s:
             most = BRAKING_rad_s2 * TICK_s
-            self._velocity_rad_s = self._velocity_rad_s - np.clip(self._velocity_rad_s, -most, most)
+            self._velocity_rad_s = self._velocity_rad_s - np.clip(
+                self._velocity_rad_s, -most, most
+            )
         return self._velocity_rad_s
 
     def end_tick(self) -> None:
@@ -151,24 +171,42 @@ class _OnlineSensors:
     """The sensors of `groundtruth.sensors`, sample by sample, with the same errors per seed."""
 
     def __init__(
-        self, plant_model: PlantModel, limit_Nm: Array, ticks: int, seed: np.random.SeedSequence
+        self,
+        plant_model: PlantModel,
+        limit_Nm: Array,
+        ticks: int,
+        seed: np.random.SeedSequence,
     ) -> None:
-        clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
-        self._plant_model, self._position, self._velocity = plant_model, position, velocity
-        self._torque = sensors.TorqueSensor((ticks, len(limit_Nm)), limit_Nm, plant_model, torque)
+        clock, loss, position, velocity, torque, wrench = map(
+            np.random.default_rng, seed.spawn(6)
+        )
+        self._plant_model, self._position, self._velocity = (
+            plant_model,
+            position,
+            velocity,
+        )
+        self._torque = sensors.TorqueSensor(
+            (ticks, len(limit_Nm)), limit_Nm, plant_model, torque
+        )
         self._lagging_Nm: Array | None = None
-        self._wrench_error = sensors.measured_wrench(np.zeros((ticks, 6)), plant_model, wrench)
+        self._wrench_error = sensors.measured_wrench(
+            np.zeros((ticks, 6)), plant_model, wrench
+        )
         time_s = np.arange(ticks, dtype=np.float64) * TICK_s
         self._stamp_s = sensors.time_stamps(time_s, plant_model, clock)
         self._is_received = np.zeros(ticks, dtype=bool)
         self._is_received[sensors.received_samples(ticks, plant_model, loss)] = True
         self._last_stamp_s = -TICK_s
 
-    def read(self, k: int, q_rad: Array, dq_rad_s: Array, tau_Nm: Array) -> ArmSample | None:
+    def read(
+        self, k: int, q_rad: Array, dq_rad_s: Array, tau_Nm: Array
+    ) -> ArmSample | None:
         """Sample of tick k; None if it is not sent or gets lost."""
         width = self._torque.backlash_Nm
         lagging = tau_Nm if self._lagging_Nm is None else self._lagging_Nm
-        self._lagging_Nm = lagging = np.minimum(np.maximum(lagging, tau_Nm - width), tau_Nm + width)
+        self._lagging_Nm = lagging = np.minimum(
+            np.maximum(lagging, tau_Nm - width), tau_Nm + width
+        )
         q = sensors.measured_position(q_rad, self._plant_model, self._position)
         dq = sensors.measured_velocity(dq_rad_s, self._plant_model, self._velocity)
         tau = self._torque.reading(tau_Nm, lagging, q_rad, k)
@@ -225,7 +263,9 @@ class SimulatedArm:
             PlantModelError: There is no plant model of that name.
             PlantError: A servo or a latency that does not exist.
         """
-        chosen = scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
+        chosen = (
+            scenario_named(scenario, seed) if isinstance(scenario, str) else scenario
+        )
         plant_model = plant_named(plant)
         mass, sensing, bearing = np.random.SeedSequence(seed).spawn(3)
         self.tool = NeedleTool()
@@ -269,7 +309,9 @@ class SimulatedArm:
             self._torque_Nm = self._servo.torque(
                 self._commands.next_rad_s(), plant.q_rad, plant.dq_rad_s
             )
-            sample = self._sensors.read(self._tick, plant.q_rad, plant.dq_rad_s, self._torque_Nm)
+            sample = self._sensors.read(
+                self._tick, plant.q_rad, plant.dq_rad_s, self._torque_Nm
+            )
             sample = self._with_faults(sample)
             if sample is not None:
                 return sample
@@ -306,7 +348,8 @@ class SimulatedArm:
             speed_m_s=float(plant.axial_jacobian.dot(plant.dq_rad_s)),
             tissue=plant.tissue_force,
             ruptured=sum(
-                item.drop_N > 0.0 and self._deepest_m >= item.onset_m for item in law.interfaces
+                item.drop_N > 0.0 and self._deepest_m >= item.onset_m
+                for item in law.interfaces
             ),
         )
 
@@ -329,9 +372,13 @@ class SimulatedArm:
 
     def distance_to_axis_m(self, point_m: ArrayLike) -> float:
         """True distance of a point from the needle's axis, base axes."""
-        return distance_to_axis_m(point_m, self._plant.tip_m, self._plant.tip_axes[:, 2])
+        return distance_to_axis_m(
+            point_m, self._plant.tip_m, self._plant.tip_axes[:, 2]
+        )
 
-    def inject(self, fault: Callable[[ArmSample], ArmSample | None], seconds: float) -> None:
+    def inject(
+        self, fault: Callable[[ArmSample], ArmSample | None], seconds: float
+    ) -> None:
         """Pass all samples of the coming time through a fault; one that returns None loses them."""
         self._faults.append((self._ticks_ahead(seconds), fault))
 

@@ -82,7 +82,11 @@ def add(a: Vector3, b: Vector3, scale: float = 1.0) -> Vector3:
 
 def cross(a: Vector3, b: Vector3) -> Vector3:
     """Vector product."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
 
 
 def distance_to_axis_m(point_m: ArrayLike, on_axis_m: ArrayLike, axis: Array) -> float:
@@ -110,7 +114,9 @@ class Trocar:
 
     def __post_init__(self) -> None:
         """Raise `PlantError` for a value that is negative or not finite."""
-        require_non_negative(PlantError, self, "behind_tip_m stiffness_N_per_m damping_Ns_per_m")
+        require_non_negative(
+            PlantError, self, "behind_tip_m stiffness_N_per_m damping_Ns_per_m"
+        )
 
     def begin(self, motion: PointMotion) -> None:
         """Lie where the needle is now."""
@@ -153,7 +159,10 @@ class Wall:
 
     def begin(self, motion: PointMotion) -> None:
         """Stand across the needle's present direction."""
-        self._surface = (add(motion.position_m, motion.axis, self.distance_m), motion.axis)
+        self._surface = (
+            add(motion.position_m, motion.axis, self.distance_m),
+            motion.axis,
+        )
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
         """Push back along the wall's normal, never pull."""
@@ -194,7 +203,9 @@ class HandOnArm:
     def __post_init__(self) -> None:
         """Raise `PlantError` for an unknown place or an unusable spring."""
         if self.at not in GRIPS:
-            raise PlantError(f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}")
+            raise PlantError(
+                f"no place {self.at!r} to hold; expected one of {', '.join(GRIPS)}"
+            )
         require_positive(PlantError, self, "stiffness_N_per_m")
         require_non_negative(PlantError, self, "damping_Ns_per_m")
 
@@ -210,7 +221,9 @@ class HandOnArm:
             push = fx, fy, fz
         if self.path_m is not None:
             px, py, pz = self.path_m(t_s)
-            self.stretch_m = add(add(self._hold_m, (px, py, pz)), motion.position_m, -1.0)
+            self.stretch_m = add(
+                add(self._hold_m, (px, py, pz)), motion.position_m, -1.0
+            )
             push = add(push, self.stretch_m, self.stiffness_N_per_m)
             push = add(push, motion.velocity_m_s, -self.damping_Ns_per_m)
         self.applied_N = push

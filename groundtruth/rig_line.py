@@ -24,9 +24,13 @@ class DelayLine(Generic[Packet]):
         self, delay_s: float = 0.0, jitter_s: float = 0.0, rng: Generator | None = None
     ) -> None:
         if not (0.0 <= jitter_s < math.inf and 0.0 <= delay_s < math.inf):
-            raise PlantError(f"delay {delay_s} s ± {jitter_s} s: expected finite numbers >= 0")
+            raise PlantError(
+                f"delay {delay_s} s ± {jitter_s} s: expected finite numbers >= 0"
+            )
         if jitter_s > 0.0 and rng is None:
-            raise PlantError("jitter is drawn at random: pass rng=numpy.random.default_rng(seed)")
+            raise PlantError(
+                "jitter is drawn at random: pass rng=numpy.random.default_rng(seed)"
+            )
         self._delay_s, self._jitter_s, self._rng = delay_s, jitter_s, rng
         self._under_way: deque[tuple[float, Packet]] = deque()
         self._time_s = 0.0
@@ -37,7 +41,9 @@ class DelayLine(Generic[Packet]):
         self._time_s += dt_s
         late_s = self._delay_s
         if self._rng is not None:
-            late_s = max(0.0, late_s + self._rng.uniform(-self._jitter_s, self._jitter_s))
+            late_s = max(
+                0.0, late_s + self._rng.uniform(-self._jitter_s, self._jitter_s)
+            )
         line, arrival_s = self._under_way, self._time_s + late_s
         while line and line[-1][0] >= arrival_s:
             line.pop()  # overtaken by this one

@@ -97,7 +97,9 @@ class HapticMaster:
         mass = operator.mass_kg + mass_kg
         k, b = operator.stiffness_N_per_m / mass, operator.damping_Ns_per_m / mass
         # Exact over a cycle for a held force: state x, v and the input (k wish + f) / m.
-        step = expm(np.array([[0.0, 1.0, 0.0], [-k, -b, 1.0], [0.0, 0.0, 0.0]]) * TICK_s)
+        step = expm(
+            np.array([[0.0, 1.0, 0.0], [-k, -b, 1.0], [0.0, 0.0, 0.0]]) * TICK_s
+        )
         self._step, self._mass_kg = step[:2], mass
         self._kept = float(np.exp(-TICK_s / speed_filter_s))
         self.position_m = np.array(tuple(operator.wish_m(0.0)), dtype=np.float64)
@@ -116,7 +118,9 @@ class HapticMaster:
     def read(self) -> MasterSample | None:
         """Let a cycle pass and report its end; None while the device is gone."""
         wish = np.array(tuple(self._operator.wish_m(self.time_s)), dtype=np.float64)
-        drive = (self._operator.stiffness_N_per_m * wish + self._force_N) / self._mass_kg
+        drive = (
+            self._operator.stiffness_N_per_m * wish + self._force_N
+        ) / self._mass_kg
         state = np.array((self.position_m, self.velocity_m_s, drive))
         before = self.position_m
         self.position_m, self.velocity_m_s = self._step @ state
@@ -125,11 +129,16 @@ class HapticMaster:
         self._cycle += 1
         seen = self._measured()
         fresh = (seen - self._seen_m) / TICK_s
-        self._seen_m, self._seen_m_s = seen, fresh + self._kept * (self._seen_m_s - fresh)
+        self._seen_m, self._seen_m_s = (
+            seen,
+            fresh + self._kept * (self._seen_m_s - fresh),
+        )
         if self._cycle < self._gone_until:
             self._force_N = np.zeros(3)
             return None
-        return MasterSample(self.time_s, seen.copy(), self._seen_m_s.copy(), self.clutch)
+        return MasterSample(
+            self.time_s, seen.copy(), self._seen_m_s.copy(), self.clutch
+        )
 
     def render(self, force_N: ArrayLike) -> None:
         """Force on the hand from now on, device axes, shape (3,); none while the device is gone.
@@ -146,4 +155,8 @@ class HapticMaster:
 
     def _measured(self) -> Array:
         step = self._position_step_m
-        return np.round(self.position_m / step) * step if step > 0.0 else self.position_m.copy()
+        return (
+            np.round(self.position_m / step) * step
+            if step > 0.0
+            else self.position_m.copy()
+        )

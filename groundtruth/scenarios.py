@@ -25,7 +25,9 @@ from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 class TissueMotion:
     """The tissue moves along the needle, as with heart or breath: a sum of waves."""
 
-    waves: tuple[tuple[float, float, float], ...]  # amplitude [m], frequency [Hz], phase [rad]
+    waves: tuple[
+        tuple[float, float, float], ...
+    ]  # amplitude [m], frequency [Hz], phase [rad]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Place [m] of the undeformed surface, positive away from the robot, and its speed."""
@@ -41,7 +43,9 @@ class LateralForce:
 
     constant_N: float = 0.0
     growth_N_per_m: float = 0.0  # with depth
-    direction_rad: float = 0.0  # at the surface, from the tool's x axis towards its y axis
+    direction_rad: float = (
+        0.0  # at the surface, from the tool's x axis towards its y axis
+    )
     turn_rad_per_m: float = 0.0  # of that direction, with depth
 
     def at(self, depth_m: float) -> tuple[float, float]:
@@ -74,33 +78,51 @@ class Scenario:
 
     id: str  # permanent name
     title: str  # one line for people
-    layers: tuple[Layer, ...]  # first the one the needle meets first; none for free motion
+    layers: tuple[
+        Layer, ...
+    ]  # first the one the needle meets first; none for free motion
     motion: Motion  # of the needle tip relative to the undeformed surface
     tissue_motion: TissueMotion | None = None  # of the surface about its place
-    lateral: LateralForce | None = None  # across the needle; the needle alone does not feel it
+    lateral: LateralForce | None = (
+        None  # across the needle; the needle alone does not feel it
+    )
     elbow: ElbowPush | None = None  # neither does it feel those
 
-    def with_variation(self, change: TissueVariation, rng: np.random.Generator) -> "Scenario":
+    def with_variation(
+        self, change: TissueVariation, rng: np.random.Generator
+    ) -> "Scenario":
         """The same scenario with every layer changed; the generator draws the texture."""
-        return replace(self, layers=tuple(change.layer(layer, rng) for layer in self.layers))
+        return replace(
+            self, layers=tuple(change.layer(layer, rng) for layer in self.layers)
+        )
 
 
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
 CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
-SINE_STANDOFF_M = 20e-3  # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20
+SINE_STANDOFF_M = (
+    20e-3  # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20
+)
 GEL_STROKE_M, GEL_FREQUENCY_HZ = 70e-3, 0.016
-STACK_STROKE_M = 130e-3  # The full gels are 98 mm together, more than the paper's 70 mm stroke
+STACK_STROKE_M = (
+    130e-3  # The full gels are 98 mm together, more than the paper's 70 mm stroke
+)
 ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ = 115e-3, 0.02
 ABDOMEN_STANDOFF_M = 22e-3
 
 
 def _insertions(
-    name: str, title: str, layers: tuple[Layer, ...], speed_m_s: float, stroke_m: float | None
+    name: str,
+    title: str,
+    layers: tuple[Layer, ...],
+    speed_m_s: float,
+    stroke_m: float | None,
 ) -> Iterator[Scenario]:
     """At constant speed; and at sinusoidal speed, if there is a stroke."""
     depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
-    even = constant_motion(speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+    even = constant_motion(
+        speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M
+    )
     motions = {"constant": even}
     if stroke_m is not None:
         motions["sinusoidal"] = sinusoidal_motion(
@@ -114,17 +136,25 @@ def _insertions(
 def _catalogue() -> Iterator[Scenario]:
     for percent in (25, 50, 70):
         name, title = f"gel-{percent}", f"one {percent} % isinglass gel"
-        yield from _insertions(name, title, (gel(percent),), TABLE_I_SPEED_M_S, GEL_STROKE_M)
+        yield from _insertions(
+            name, title, (gel(percent),), TABLE_I_SPEED_M_S, GEL_STROKE_M
+        )
     bare = (gel(25), gel(50), gel(70))
     gloved = (gel(25), gel(50, membrane=GLOVE), gel(70, membrane=GLOVE))
     glove = "three gels, latex glove around the middle one"
     # 2.3 mm/s, not the glove's 3: the plateau is then the sum of Table I's products.
-    yield from _insertions("stack", "three gels", bare, TABLE_I_SPEED_M_S, STACK_STROKE_M)
-    yield from _insertions("stack-glove", glove, gloved, GLOVE_SPEED_M_S, STACK_STROKE_M)
+    yield from _insertions(
+        "stack", "three gels", bare, TABLE_I_SPEED_M_S, STACK_STROKE_M
+    )
+    yield from _insertions(
+        "stack-glove", glove, gloved, GLOVE_SPEED_M_S, STACK_STROKE_M
+    )
     liver = "bovine liver, capsule first"
     yield from _insertions("liver", liver, (BOVINE_LIVER,), TABLE_I_SPEED_M_S, None)
     sine = sinusoidal_motion(
-        stroke_m=ABDOMEN_STROKE_M, frequency_hz=ABDOMEN_FREQUENCY_HZ, standoff_m=ABDOMEN_STANDOFF_M
+        stroke_m=ABDOMEN_STROKE_M,
+        frequency_hz=ABDOMEN_FREQUENCY_HZ,
+        standoff_m=ABDOMEN_STANDOFF_M,
     )
     title = "abdominal phantom: fat, muscle, liver; sinusoidal speed"
     yield Scenario(id="abdomen-sinusoidal", title=title, layers=ABDOMEN, motion=sine)
@@ -137,9 +167,13 @@ def _catalogue() -> Iterator[Scenario]:
     )
 
 
-SCENARIOS = {item.id: item for item in _catalogue()}  # Each of them under its permanent name
+SCENARIOS = {
+    item.id: item for item in _catalogue()
+}  # Each of them under its permanent name
 
-RANDOM_STACK = "random-stack"  # the id of every drawn scenario under the catalogue's law
+RANDOM_STACK = (
+    "random-stack"  # the id of every drawn scenario under the catalogue's law
+)
 RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
 DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
@@ -163,7 +197,9 @@ def scenario(name: str, seed: int = 0) -> Scenario:
         chosen = SCENARIOS[base]
     else:
         known = ", ".join((*SCENARIOS, *DRAWN))
-        raise ScenarioError(f"no scenario {base!r}; known: {known} (two drawn from a seed)")
+        raise ScenarioError(
+            f"no scenario {base!r}; known: {known} (two drawn from a seed)"
+        )
     if not plus:
         return chosen
     if change not in VARIATIONS:
@@ -175,9 +211,17 @@ def scenario(name: str, seed: int = 0) -> Scenario:
 # Ranges of the random scenarios.
 
 LAYERS = (1, 4)
-THICKNESS_M = (10e-3, 40e-3)  # from muscle over a rib to a slice of liver; gels are 28-38 mm
-TOTAL_MAX_M = 110e-3  # with the stretch beyond and the standoff, still short of the 153 mm needle
-FRICTION_N_PER_M = (4.0, 40.0)  # at the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18
+THICKNESS_M = (
+    10e-3,
+    40e-3,
+)  # from muscle over a rib to a slice of liver; gels are 28-38 mm
+TOTAL_MAX_M = (
+    110e-3  # with the stretch beyond and the standoff, still short of the 153 mm needle
+)
+FRICTION_N_PER_M = (
+    4.0,
+    40.0,
+)  # at the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18
 COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
 PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
 RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
@@ -188,12 +232,18 @@ STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
 PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
-INDENTATION_FRACTION = (0.1, 0.3)  # of the thickness: the bovine capsule's is 11 mm on 32
+INDENTATION_FRACTION = (
+    0.1,
+    0.3,
+)  # of the thickness: the bovine capsule's is 11 mm on 32
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
 PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
-RANDOM_STANDOFF_M = (12e-3, 22e-3)  # Of a sinusoid: deep enough in the stroke for contact at speed
+RANDOM_STANDOFF_M = (
+    12e-3,
+    22e-3,
+)  # Of a sinusoid: deep enough in the stroke for contact at speed
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
@@ -203,7 +253,9 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     speed = rng.uniform(*(PEAK_SPEED_M_S if sine else SPEED_M_S))
     thickness = rng.uniform(*THICKNESS_M, size=count)
     thickness *= min(1.0, TOTAL_MAX_M / thickness.sum())
-    layers = tuple(_layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1))
+    layers = tuple(
+        _layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1)
+    )
     kind = "sinusoidal" if sine else "constant"
     depth = float(thickness.sum()) + rng.uniform(*RANDOM_BEYOND_M)
     if sine:
@@ -213,7 +265,9 @@ def random_stack(rng: np.random.Generator) -> Scenario:
             stroke_m=stroke, frequency_hz=speed / (np.pi * stroke), standoff_m=standoff
         )
     else:
-        motion = constant_motion(speed_m_s=speed, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M)
+        motion = constant_motion(
+            speed_m_s=speed, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M
+        )
     title = f"{count} random layers, {kind} speed up to {speed * 1e3:.1f} mm/s"
     return Scenario(id=RANDOM_STACK, title=title, layers=layers, motion=motion)
 
@@ -231,7 +285,9 @@ def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float
     return float(np.exp(rng.uniform(*np.log(limits))))
 
 
-def _layer(rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float) -> Layer:
+def _layer(
+    rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float
+) -> Layer:
     # Arguments are drawn in this order: another order gives other scenarios for the same seed.
     friction = ShaftFriction.calibrated(
         force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),

@@ -18,7 +18,11 @@ JITTER_LIMIT = 0.4  # Largest error of a time stamp in ticks; below one half sta
 
 
 def measured_torque(
-    tau_Nm: Array, q_rad: Array, limit_Nm: Array, plant_model: PlantModel, rng: np.random.Generator
+    tau_Nm: Array,
+    q_rad: Array,
+    limit_Nm: Array,
+    plant_model: PlantModel,
+    rng: np.random.Generator,
 ) -> Array:
     """Link-side joint torques, shape (n, 7), as gauges of these ranges, shape (7,), report them."""
     sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
@@ -45,7 +49,9 @@ class TorqueSensor:
         """Draw errors of shape (n, 7) for joints of these effort limits."""
         # Drawn in this order: another order gives other errors for the same seed.
         joints = shape[1]
-        bias = rng.uniform(plant_model.torque_bias_min_Nm, plant_model.torque_bias_max_Nm)
+        bias = rng.uniform(
+            plant_model.torque_bias_min_Nm, plant_model.torque_bias_max_Nm
+        )
         self._bias_Nm = bias * rng.choice((-1.0, 1.0), bias.shape)
         self._phase_rad = rng.uniform(0.0, 2.0 * np.pi, joints)
         # Linear drift, a random walk and the warming up, as fractions of the limit.
@@ -70,7 +76,9 @@ class TorqueSensor:
             size, bow = rng.uniform(size=joints), rng.uniform(-1.0, 1.0, joints)
             self._bend = size * rng.choice((-1.0, 1.0), joints), bow
 
-    def reading(self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice) -> Array:
+    def reading(
+        self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice
+    ) -> Array:
         """What the gauges report at some of the n ticks, shape (7,) or (n, 7) like the arguments.
 
         These are true torques, the same behind the hysteresis, see `backlash`, and true positions.
@@ -99,9 +107,13 @@ def backlash(signal: Array, half_width: Array) -> Array:
     return np.array(list(rows)[1:])
 
 
-def measured_position(q_rad: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
+def measured_position(
+    q_rad: Array, plant_model: PlantModel, rng: np.random.Generator
+) -> Array:
     """Joint positions, shape (n, 7), with noise, then rounded to the encoder's step."""
-    noisy = q_rad + plant_model.position_noise_std_rad * rng.standard_normal(q_rad.shape)
+    noisy = q_rad + plant_model.position_noise_std_rad * rng.standard_normal(
+        q_rad.shape
+    )
     step = plant_model.position_step_rad
     return np.round(noisy / step) * step if step > 0.0 else noisy
 
@@ -114,19 +126,25 @@ def measured_velocity(
     return None if std is None else dq_rad_s + std * rng.standard_normal(dq_rad_s.shape)
 
 
-def measured_wrench(wrench: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
+def measured_wrench(
+    wrench: Array, plant_model: PlantModel, rng: np.random.Generator
+) -> Array:
     """Reading of the reference F/T sensor at the needle's base, shape (n, 6), N and Nm.
 
     Noise and a linear drift from zero: the sensor was biased without load.
     """
     minutes = np.arange(len(wrench)) * (TICK_s / SECONDS_PER_MINUTE)
-    rate = np.array(plant_model.ft_drift_std_per_min) * rng.standard_normal(wrench.shape[1])
+    rate = np.array(plant_model.ft_drift_std_per_min) * rng.standard_normal(
+        wrench.shape[1]
+    )
     white = rng.standard_normal(wrench.shape)
     noise = coloured(white, TICK_s, plant_model.ft_noise_correlation_s)
     return wrench + minutes[:, None] * rate + np.array(plant_model.ft_noise_std) * noise
 
 
-def time_stamps(true_s: Array, plant_model: PlantModel, rng: np.random.Generator) -> Array:
+def time_stamps(
+    true_s: Array, plant_model: PlantModel, rng: np.random.Generator
+) -> Array:
     """Stamps, shape (n,), of samples taken on the tick: the true instants but for clock jitter."""
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
     return true_s + np.clip(error, -JITTER_LIMIT * TICK_s, JITTER_LIMIT * TICK_s)

@@ -37,7 +37,9 @@ class Signals(ReadOnlyArrays):
     q_rad: Array  # shape (n, 7), as the next two
     dq_rad_s: Array | None  # None where the interface reports none
     tau_Nm: Array  # of the joints, on the link side
-    ft_wrench: Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
+    ft_wrench: (
+        Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -127,13 +129,21 @@ def simulate(
 
 
 def _sense(
-    trace: ArmTrace, time: Array, limit_Nm: Array, plant_model: PlantModel, seed: SeedSequence
+    trace: ArmTrace,
+    time: Array,
+    limit_Nm: Array,
+    plant_model: PlantModel,
+    seed: SeedSequence,
 ) -> tuple[NDArray[np.intp], Signals]:
     """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
-    clock, loss, position, velocity, torque, wrench = map(np.random.default_rng, seed.spawn(6))
+    clock, loss, position, velocity, torque, wrench = map(
+        np.random.default_rng, seed.spawn(6)
+    )
     kept = sensors.received_samples(len(time), plant_model, loss)
     dq = sensors.measured_velocity(trace.dq_rad_s, plant_model, velocity)
-    tau = sensors.measured_torque(trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque)
+    tau = sensors.measured_torque(
+        trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque
+    )
     return kept, Signals(
         t_s=sensors.time_stamps(time, plant_model, clock)[kept],
         q_rad=sensors.measured_position(trace.q_rad, plant_model, position)[kept],
@@ -158,7 +168,11 @@ class NeedleRun(ReadOnlyArrays):
 
 
 def insert_needle(
-    scenario: Scenario | str, *, seed: int = 0, rate_hz: float = 1000.0, noise: ForceNoise = MINI45
+    scenario: Scenario | str,
+    *,
+    seed: int = 0,
+    rate_hz: float = 1000.0,
+    noise: ForceNoise = MINI45,
 ) -> NeedleRun:
     """Carry out a scenario with the needle alone: the tip follows the motion exactly.
 
@@ -183,7 +197,9 @@ def insert_needle(
         inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
     law = Tissue(chosen.layers)
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
-    truth = collect_truth(law, t_s, inside_m, [law.step(z, v, 1.0 / rate_hz) for z, v in samples])
+    truth = collect_truth(
+        law, t_s, inside_m, [law.step(z, v, 1.0 / rate_hz) for z, v in samples]
+    )
     rng = np.random.default_rng(seed)
     return NeedleRun(
         scenario=chosen,

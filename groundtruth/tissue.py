@@ -21,8 +21,12 @@ from groundtruth.layers import Layer, interfaces
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
 8.5 s (median), the quick loss of viscous friction at the stop included."""
-RECOVERY_M = 0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
-UNLOADING_M = 0.5e-3  # Backward travel over which the tip unloads: it leaves the channel's front
+RECOVERY_M = (
+    0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
+)
+UNLOADING_M = (
+    0.5e-3  # Backward travel over which the tip unloads: it leaves the channel's front
+)
 
 
 class TissueForce(NamedTuple):
@@ -32,9 +36,13 @@ class TissueForce(NamedTuple):
     (or before its membrane is punctured), i with the tip in layer i, one more beyond the last.
     """
 
-    axial_N: float  # tip force and shaft friction together, positive when tissue pushes back
+    axial_N: (
+        float  # tip force and shaft friction together, positive when tissue pushes back
+    )
     tip_N: float  # elastic, membrane and cutting force at the tip; never negative
-    friction_N: float  # along the whole shaft; it opposes motion, negative in withdrawal
+    friction_N: (
+        float  # along the whole shaft; it opposes motion, negative in withdrawal
+    )
     layer: int
     layer_friction_N: tuple[float, ...]  # the part of each layer in `friction_N`
 
@@ -57,7 +65,11 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
 
 
 def bristle_step(
-    bristle: float, travel_m: float, dt_s: float, presliding_m: float, relaxed_fraction: float
+    bristle: float,
+    travel_m: float,
+    dt_s: float,
+    presliding_m: float,
+    relaxed_fraction: float,
 ) -> float:
     """Advance the deflection of the shaft's bristles: Dahl's presliding, with relaxation.
 
@@ -95,7 +107,9 @@ class Tissue:
         self._deepest_m = 0.0  # the end of the channel
         self._ruptured = 0  # interfaces ruptured so far, a bare surface included
         self._relaxed = 0.0  # relaxation of the tip force, 0 (fresh) to 1 (a long rest)
-        self._bristles = [0.0] * len(self.layers)  # presliding deflection per layer, -1 to 1
+        self._bristles = [0.0] * len(
+            self.layers
+        )  # presliding deflection per layer, -1 to 1
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.
@@ -119,7 +133,9 @@ class Tissue:
         self._deepest_m = max(self._deepest_m, depth_m)
         self._ruptured = bisect_right(self._onsets_m, self._deepest_m)
         self._bristles = [
-            bristle_step(w, travel, dt_s, layer.friction.presliding_m, layer.relaxed_fraction)
+            bristle_step(
+                w, travel, dt_s, layer.friction.presliding_m, layer.relaxed_fraction
+            )
             for w, layer in zip(self._bristles, self.layers, strict=True)
         ]
         self._relaxed = relaxation_step(self._relaxed, speed_m_s, dt_s)
@@ -134,7 +150,9 @@ class Tissue:
         while layer > 0 and depth_m < self.interfaces[layer - 1].depth_m:
             layer -= 1
         holding = self.layers[max(min(self._ruptured, count) - 1, 0)]
-        tip = (1.0 - self._relaxed * holding.relaxed_fraction) * self._fresh_tip_N(depth_m)
+        tip = (1.0 - self._relaxed * holding.relaxed_fraction) * self._fresh_tip_N(
+            depth_m
+        )
         per_layer = self._layer_friction_N(depth_m, speed_m_s, min(layer, count))
         friction = sum(per_layer)
         return TissueForce(tip + friction, tip, friction, layer, per_layer)
@@ -157,7 +175,9 @@ class Tissue:
                 force += membrane.force_N(depth_m - boundaries[ruptured].depth_m)
         return force
 
-    def _layer_friction_N(self, depth_m: float, speed_m_s: float, count: int) -> tuple[float, ...]:
+    def _layer_friction_N(
+        self, depth_m: float, speed_m_s: float, count: int
+    ) -> tuple[float, ...]:
         """Friction of each layer on the length of shaft in it; only the first `count` hold any."""
         found = [0.0] * len(self.layers)
         for i in range(count):
@@ -214,13 +234,17 @@ class TissueTruth(ReadOnlyArrays):
     layer_friction_N: Array  # shape (n, number of layers)
     layer: NDArray[np.int64]  # shape (n,)
     ruptures: tuple[Rupture, ...]  # in the order they happened
-    contact_s: float  # the tip first touches the undeformed surface; nan if it never does
+    contact_s: (
+        float  # the tip first touches the undeformed surface; nan if it never does
+    )
     withdrawn_s: float  # it leaves that surface in withdrawal; nan if it does not
 
     @property
     def rupture_s(self) -> Array:
         """Onset of each rupture, shape (number of ruptures,)."""
-        return np.array([rupture.onset_s for rupture in self.ruptures], dtype=np.float64)
+        return np.array(
+            [rupture.onset_s for rupture in self.ruptures], dtype=np.float64
+        )
 
 
 def collect_truth(
@@ -275,6 +299,8 @@ def _ruptures(
             layer=above,
             drop_N=float(tip_N[before]),
             visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
-            layer_friction_N=float(layer_friction_N[before, above - 1]) if above else 0.0,
+            layer_friction_N=float(layer_friction_N[before, above - 1])
+            if above
+            else 0.0,
             friction_N=float(friction_N[after]),
         )

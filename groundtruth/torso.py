@@ -137,11 +137,16 @@ def analytic_torso(rng: np.random.Generator | None = None) -> Torso:
     """Build the torso, or with a generator a variation: sizes by 5 %, places by 3 mm, 5 degrees."""
     shapes = []
     for name, centre_mm, radii_mm, turn_deg in _SHAPES:
-        centre, radii = 1e-3 * np.array(centre_mm, float), 1e-3 * np.array(radii_mm, float)
+        centre, radii = (
+            1e-3 * np.array(centre_mm, float),
+            1e-3 * np.array(radii_mm, float),
+        )
         turn = np.radians(turn_deg)
         if rng is not None:
             centre = centre + rng.normal(0.0, 3e-3, 3)
             radii = radii * (1.0 + rng.normal(0.0, 0.05, 3))
             turn = turn + rng.normal(0.0, np.radians(5.0), 3)
-        shapes.append(Ellipsoid(name, centre, radii, Rotation.from_rotvec(turn).as_matrix()))
+        shapes.append(
+            Ellipsoid(name, centre, radii, Rotation.from_rotvec(turn).as_matrix())
+        )
     return Torso(tuple(shapes))

@@ -23,10 +23,16 @@ class TissueVariation:
     release_m: float | None = None  # travel of a rupture's release, membranes included
     tip_exponent: float = 1.0  # power of the elastic tip force over penetration
     cutting_fraction: float | None = None  # constant cutting force in the tip force
-    kept_fraction: float = 0.0  # of the tip force after an internal rupture, fading over 5 mm
+    kept_fraction: float = (
+        0.0  # of the tip force after an internal rupture, fading over 5 mm
+    )
     length_exponent: float = 1.0  # friction grows with embedded length to this power
-    speed_exponent: float = 1.0  # all friction grows with speed to this power: no Coulomb part
-    friction_fraction: float | None = None  # in the force at the end of a layer, which stays
+    speed_exponent: float = (
+        1.0  # all friction grows with speed to this power: no Coulomb part
+    )
+    friction_fraction: float | None = (
+        None  # in the force at the end of a layer, which stays
+    )
 
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
         """The layer under this variation, its texture drawn; `TissueError` if it is too thin."""
@@ -35,7 +41,10 @@ class TissueVariation:
         if self.speed_exponent != 1.0:
             coulomb, viscous = 0.0, friction.equivalent_viscous_Ns_per_m2
         if self.friction_fraction is not None:
-            shaft_N = friction.sliding_N_per_m(friction.reference_speed_m_s) * layer.thickness_m
+            shaft_N = (
+                friction.sliding_N_per_m(friction.reference_speed_m_s)
+                * layer.thickness_m
+            )
             scale = self.friction_fraction * (shaft_N + tip_N) / shaft_N
             coulomb, viscous = scale * coulomb, scale * viscous
             tip_N += (1.0 - scale) * shaft_N
@@ -52,9 +61,15 @@ class TissueVariation:
         if self.cutting_fraction is not None:
             change["cutting_fraction"] = self.cutting_fraction
         if self.release_m is not None:
-            membrane = layer.membrane and replace(layer.membrane, release_m=self.release_m)
+            membrane = layer.membrane and replace(
+                layer.membrane, release_m=self.release_m
+            )
             change |= {"release_m": self.release_m, "membrane": membrane}
-        change |= {"friction": friction, "exit_force_N": tip_N, "kept_fraction": self.kept_fraction}
+        change |= {
+            "friction": friction,
+            "exit_force_N": tip_N,
+            "kept_fraction": self.kept_fraction,
+        }
         return replace(layer, **change)
 
 
@@ -99,7 +114,9 @@ def random_variation(rng: np.random.Generator) -> TissueVariation:
         texture_N=rng.uniform(1e-3, 20e-3),
         release_m=float(np.exp(rng.uniform(*np.log((0.1e-3, 2e-3))))),
         tip_exponent=2.0 ** rng.uniform(-1.0, 1.0),
-        cutting_fraction=rng.uniform(0.2, 0.8) if rng.random() < 0.25 else rng.uniform(0.0, 0.2),
+        cutting_fraction=rng.uniform(0.2, 0.8)
+        if rng.random() < 0.25
+        else rng.uniform(0.0, 0.2),
         kept_fraction=rng.uniform(0.3, 0.6) if rng.random() < 0.5 else 0.0,
         length_exponent=rng.uniform(0.6, 1.0),
         speed_exponent=0.3 if rng.random() < 0.25 else 1.0,

@@ -20,10 +20,21 @@ from identification.config import (
     PublishedConfig,
 )
 from identification.errors import IdentificationError
-from identification.estimate import Estimate, LayerEstimate, Rupture, RuptureState, SampleStatus
+from identification.estimate import (
+    Estimate,
+    LayerEstimate,
+    Rupture,
+    RuptureState,
+    SampleStatus,
+)
 from identification.identifier import Identifier, Snapshot
 from identification.log_replay import Replay, replay
-from identification.offline import LayerSpan, OfflineIdentification, OfflineLayer, identify_offline
+from identification.offline import (
+    LayerSpan,
+    OfflineIdentification,
+    OfflineLayer,
+    identify_offline,
+)
 
 __all__ = [
     "MULTILAYER",

@@ -7,7 +7,9 @@ from typing import Literal
 
 from identification.errors import InvalidConfigError
 
-Model = Literal["ml", "kv"]  # `ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)
+Model = Literal[
+    "ml", "kv"
+]  # `ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)
 
 
 def _is_finite(value: object) -> bool:
@@ -25,27 +27,39 @@ def _check_values(config: object, of_any_sign: tuple[str, ...] = ()) -> None:
         value = getattr(config, name)
         if name == "check":
             _check_kind(name, value, CheckConfig)
-        elif name != "model" and not (_is_finite(value) and (value > 0 or name in of_any_sign)):
+        elif name != "model" and not (
+            _is_finite(value) and (value > 0 or name in of_any_sign)
+        ):
             wanted = "a finite number" if name in of_any_sign else "positive and finite"
             raise InvalidConfigError(f"{name} must be {wanted}, got {value!r}")
 
 
 def _check_kind(name: str, value: object, kind: type) -> None:
     if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidConfigError(f"{name} must be of type {kind.__name__}, got {value!r}")
+        raise InvalidConfigError(
+            f"{name} must be of type {kind.__name__}, got {value!r}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckConfig:
     """Limits of a plausible sample."""
 
-    gap_s: float = 0.25  # an interval longer than this, and than ten usual ones, is a gap
+    gap_s: float = (
+        0.25  # an interval longer than this, and than ten usual ones, is a gap
+    )
     # Change of depth beyond what speed explains that counts as a jump; a needle at a surgical
     # 100 mm/s moves a tenth of this between samples at 1 kHz.
     jump_m: float = 1e-3
-    sign_memory_s: float = 0.2  # memory of the travel from depth and from speed that are compared
-    sign_travel_m: float = 5e-5  # both must exceed this, with opposite signs, to be contradictory
-    force_limit_N: float = 200.0  # largest plausible axial force; needles buckle far below
+    sign_memory_s: float = (
+        0.2  # memory of the travel from depth and from speed that are compared
+    )
+    sign_travel_m: float = (
+        5e-5  # both must exceed this, with opposite signs, to be contradictory
+    )
+    force_limit_N: float = (
+        200.0  # largest plausible axial force; needles buckle far below
+    )
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every limit is positive and finite."""
@@ -79,19 +93,27 @@ class PublishedConfig:
     """
 
     model: Model = "ml"  # `ml`, equation (3), or `kv`, equation (2)
-    sigma0_N: float = 0.01  # standard deviation of the error in the standard case, equation (9)
+    sigma0_N: float = (
+        0.01  # standard deviation of the error in the standard case, equation (9)
+    )
     sigma1_N: float = 0.08  # the same at an abrupt change, equation (9)
-    derivative_threshold_N_per_s: float = 0.075  # beta; below -beta a rupture is expected
+    derivative_threshold_N_per_s: float = (
+        0.075  # beta; below -beta a rupture is expected
+    )
     derivative_rise_N_per_s: float = 0.025  # how much beta grows at each detection
     # Of the derivative's low-pass. Not published: at this value 10 mN of noise leave 0.05 N/s, just
     # below beta.
     derivative_time_constant_s: float = 0.2
     reset_frequency_Hz: float = 40.0  # f_CR of the covariance resetting
-    drop_travel_m: float = 1e-3  # k_v of T_drop = k_v / v; published as 1 with speeds in mm/s
+    drop_travel_m: float = (
+        1e-3  # k_v of T_drop = k_v / v; published as 1 with speeds in mm/s
+    )
     var_stiffness: float = 1e6  # sigma^2_K,0 of Psi_0
     var_friction: float = 1e6  # sigma^2_B,0 of Psi_0
     contact_depth_m: float = 0.0  # of the first contact, which the method assumes known
-    least_speed_m_s: float = 1e-4  # below it T_drop has no meaning and no rupture is detected
+    least_speed_m_s: float = (
+        1e-4  # below it T_drop has no meaning and no rupture is detected
+    )
     # Reset windows kept per layer before neighbours are merged (27 minutes of one layer merge to
     # half the reset frequency four times).
     most_windows: int = 4096
@@ -100,7 +122,9 @@ class PublishedConfig:
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless values are positive and sigma1 exceeds sigma0."""
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
-            raise InvalidConfigError(f"unknown model {self.model!r}; choose 'ml' or 'kv'")
+            raise InvalidConfigError(
+                f"unknown model {self.model!r}; choose 'ml' or 'kv'"
+            )
         _check_kind("most_windows", self.most_windows, numbers.Integral)
         _check_values(self, ("contact_depth_m", "derivative_rise_N_per_s"))
         if self.sigma1_N <= self.sigma0_N:

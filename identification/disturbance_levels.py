@@ -18,12 +18,22 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01  # time between two forces in the differences
-BEATS = ((1.2, 0.3), (0.3, 0.5))  # Frequency [Hz] and damping of heartbeat and breathing
+BEATS = (
+    (1.2, 0.3),
+    (0.3, 0.5),
+)  # Frequency [Hz] and damping of heartbeat and breathing
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # lags with more travel are left out: in them the tissue varies, it does not move
-_TEXTURE_MM, _TEXTURES = 0.1, 200  # travel of a step; steps over which texture is learned
-_FINE, _COARSE, _LEAST_SEEN = 2, 4, 30  # texture's lags, 2**2 and 2**4 steps; least differences
+_TEXTURE_MM, _TEXTURES = (
+    0.1,
+    200,
+)  # travel of a step; steps over which texture is learned
+_FINE, _COARSE, _LEAST_SEEN = (
+    2,
+    4,
+    30,
+)  # texture's lags, 2**2 and 2**4 steps; least differences
 _MEDIAN = 0.455  # Median of a squared standard normal; few of the differences contain a rupture
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and of coloured
@@ -31,11 +41,17 @@ noise, relative to its size and times the root of n: motion of the tissue must s
 
 
 @compiled
-def oscillation(dt_s: float, hz: float, damping: float) -> tuple[float, float, float, float]:
+def oscillation(
+    dt_s: float, hz: float, damping: float
+) -> tuple[float, float, float, float]:
     """Transition of a damped oscillator's deflection and rate, row by row."""
     w = 2.0 * math.pi * hz
     d = w * math.sqrt(1.0 - damping**2)
-    decay, cosine, sine = math.exp(-damping * w * dt_s), math.cos(d * dt_s), math.sin(d * dt_s)
+    decay, cosine, sine = (
+        math.exp(-damping * w * dt_s),
+        math.cos(d * dt_s),
+        math.sin(d * dt_s),
+    )
     return (
         decay * (cosine + damping * w / d * sine),
         decay * sine / d,
@@ -64,7 +80,11 @@ def transitions(
     """
     found = np.zeros((3, 7))
     for part in range(3):
-        (a, b, c, d), rate, level = smooth_walk(travel, length), 1.0 / length, variances[part]
+        (a, b, c, d), rate, level = (
+            smooth_walk(travel, length),
+            1.0 / length,
+            variances[part],
+        )
         if part < 2:
             hz, damping = BEATS[part]
             (a, b, c, d), rate = oscillation(dt_s, hz, damping), 2.0 * math.pi * hz
@@ -84,12 +104,18 @@ def _difference(part: int, lag_s: float) -> float:
         if part < 2:
             return math.exp(-lag_s / COLOUR_S) if part else 0.0
         is_law = part == 4
-        return (smooth_walk(lag_s, LAW_MM) if is_law else oscillation(lag_s, *BEATS[part - 2]))[0]
+        return (
+            smooth_walk(lag_s, LAW_MM)
+            if is_law
+            else oscillation(lag_s, *BEATS[part - 2])
+        )[0]
 
     return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
 
 
-_DESIGN = np.array([[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)])
+_DESIGN = np.array(
+    [[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)]
+)
 _SHOWN = tuple(_difference(4, _TEXTURE_MM * 2**k) for k in (_FINE, _COARSE))
 
 
@@ -100,16 +126,22 @@ class DisturbanceLevels(NamedTuple):
     steps: float = 0.0  # number of consecutive steps since the last gap
     squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
     seen: Array = np.zeros(8)  # number of differences so far, at each lag
-    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])  # variances: white, colour, heart, breath
+    levels: Array = np.array(
+        [1e-4, 0.0, 0.0, 0.0]
+    )  # variances: white, colour, heart, breath
     force_sum: float = 0.0  # integral of the force over the step being filled
     filled_s: float = 0.0  # length of that step so far
     step_s: float = STEP_S  # length of the last step: longer where samples are rare
-    is_texture: bool = False  # steps of travel [mm]; the level is coarse less fine differences
+    is_texture: bool = (
+        False  # steps of travel [mm]; the level is coarse less fine differences
+    )
 
     @classmethod
     def of_texture(cls) -> "DisturbanceLevels":
         """Differences over travel, nothing known."""
-        return cls(squares=np.zeros((8, _TEXTURES)), levels=np.zeros(1), is_texture=True)
+        return cls(
+            squares=np.zeros((8, _TEXTURES)), levels=np.zeros(1), is_texture=True
+        )
 
     @property
     def noise(self) -> float:
@@ -132,7 +164,9 @@ class DisturbanceLevels(NamedTuple):
         """After a gap or a rest: no difference reaches across."""
         return self._replace(steps=0.0, force_sum=0.0, filled_s=0.0)
 
-    def with_force(self, force: float, dt_s: float, speed: float) -> "DisturbanceLevels":
+    def with_force(
+        self, force: float, dt_s: float, speed: float
+    ) -> "DisturbanceLevels":
         """Use a block's mean force, less what changes of speed added [N], at a speed [mm/s]."""
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
         step = _TEXTURE_MM if self.is_texture else STEP_S
@@ -142,7 +176,9 @@ class DisturbanceLevels(NamedTuple):
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
         if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
-            levels = np.array([_square(squares, seen, _COARSE) - _square(squares, seen, _FINE)])
+            levels = np.array(
+                [_square(squares, seen, _COARSE) - _square(squares, seen, _FINE)]
+            )
         elif count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
             levels = _levels(squares, seen, _DESIGN, speed)
         over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
@@ -153,12 +189,18 @@ class DisturbanceLevels(NamedTuple):
         """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and noise."""
         variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
         # Friction lies between none and all of the force, so no deviation exceeds half of that.
-        return min(math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0)), 0.5 * abs(force))
+        return min(
+            math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0)), 0.5 * abs(force)
+        )
 
 
 @compiled
 def _learn(
-    past: Vector, force: float, count: float, squares: WrittenMatrix, seen: WrittenVector
+    past: Vector,
+    force: float,
+    count: float,
+    squares: WrittenMatrix,
+    seen: WrittenVector,
 ) -> Vector:
     """Keep the newest second differences; returns the forces with the newest one."""
     past = np.append(past[1:], force)
@@ -190,9 +232,13 @@ def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vect
         for k in (2 * part, 2 * part + 1):
             is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM
             if seen[k] > 2 * 2**k and not is_tissue:
-                levels[part] = max(levels[part], (left[k] - chance[k]) / design[part, k])
+                levels[part] = max(
+                    levels[part], (left[k] - chance[k]) / design[part, k]
+                )
         left -= levels[part] * design[part]
         if part == 1:
-            spread = _CHANCE[0] * levels[0] * design[0] + _CHANCE[1] * levels[1] * design[1]
+            spread = (
+                _CHANCE[0] * levels[0] * design[0] + _CHANCE[1] * levels[1] * design[1]
+            )
             chance = spread / np.sqrt(np.minimum(seen + 1.0, _MEMORY))
     return levels

@@ -61,7 +61,9 @@ class Rupture:
     # That the tissue ruptured there and it is no chance of the signal, 0 to 1; of a retracted one,
     # what is left of it.
     probability: float
-    is_final: bool = False  # whether it is settled: while False it may still be retracted
+    is_final: bool = (
+        False  # whether it is settled: while False it may still be retracted
+    )
     # Depth of first contact: found by the multi-layer method, known beforehand in `published`.
     contact_depth_m: float
     # That it was partial and not the layer's end, None where the method does not distinguish them.
@@ -173,7 +175,9 @@ class Estimate(NamedTuple):
         return self._replace(**Events()._asdict()) if self.has_events else self
 
 
-Outputs = tuple[Any, ...]  # The fields of an `Estimate` from ``in_contact`` up to the events
+Outputs = tuple[
+    Any, ...
+]  # The fields of an `Estimate` from ``in_contact`` up to the events
 
 
 class Events(NamedTuple):

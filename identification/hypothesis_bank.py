@@ -20,10 +20,14 @@ STEP_MM = 0.02  # least travel between new hypotheses
 HAZARD = 0.02  # prior rate of ruptures per mm of travel
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
 """Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2 mm."""
-PARTIAL_RELEASES_MM = np.array([0.5, 1.5])  # the same of a partial rupture: in liver 0.5 to 2 mm
+PARTIAL_RELEASES_MM = np.array(
+    [0.5, 1.5]
+)  # the same of a partial rupture: in liver 0.5 to 2 mm
 _NO_RELEASES_MM = np.array([0.3])
 PARTIAL_FRACTION = 0.15  # prior fraction of ruptures that are partial
-KEPT_PROBABILITY = 0.2  # prior fraction of layer ends after which some tip force stays for a while
+KEPT_PROBABILITY = (
+    0.2  # prior fraction of layer ends after which some tip force stays for a while
+)
 AIR_FRACTION = 0.25  # prior fraction of layer ends that lead into free air
 MEMBRANE_FRACTION = 0.15  # prior number of membranes met under a layer, per rupture
 MEMBRANE_STEP_MM = 0.25  # travel between hypotheses of a membrane met
@@ -95,7 +99,9 @@ class Place(NamedTuple):
     raw: float = 0.0  # unfiltered depth [mm]
     lag_s: float = 0.0  # by which the speed may be late
     before: float = 0.0  # mean force over the block before [N]
-    by_speed: float = 0.0  # shaft friction that changes of the speed have added so far [N]
+    by_speed: float = (
+        0.0  # shaft friction that changes of the speed have added so far [N]
+    )
     law_error: float = 0.0  # error of the law that the tissue's texture shows [N]
 
 
@@ -105,7 +111,11 @@ def first_bank() -> Bank:
     spreads[0, law.OFFSET, law.OFFSET] = 5.0**2
     facts[0, [law.RELEASE, law.LENGTH, law.IS_JUDGED]] = law.NO_RELEASE, 1.0, 1.0
     return Bank(
-        np.zeros((1, law.UNKNOWNS)), spreads, np.zeros(1), facts, np.zeros((1, law.RECORDS))
+        np.zeros((1, law.UNKNOWNS)),
+        spreads,
+        np.zeros(1),
+        facts,
+        np.zeros((1, law.RECORDS)),
     )
 
 
@@ -130,7 +140,9 @@ class BankMemory:
         """Means of the unknowns, and the facts, of the likeliest hypothesis."""
         return self.store[0][0].tolist(), self.store[3][0].tolist()
 
-    def spawn(self, place: Place, before: float, tissue_speed: float, reported: int) -> None:
+    def spawn(
+        self, place: Place, before: float, tissue_speed: float, reported: int
+    ) -> None:
         """Add hypotheses of what may have happened since the last call, at depth `before`.
 
         `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms so far.
@@ -138,7 +150,9 @@ class BankMemory:
         facts, log_weights = self.bank.facts, self.bank.log_weights
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
-        is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(before / MEMBRANE_STEP_MM)
+        is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(
+            before / MEMBRANE_STEP_MM
+        )
         scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
         # A release can be over within a block, so the force it fell from is the block's before.
         moment = (*scene, time_s, tissue_speed, place.before, float(reported))
@@ -146,13 +160,17 @@ class BankMemory:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
             for what, becomes, is_kept, releases, chance in happens:
                 event = (what, becomes, is_kept)
-                law.add_children(self.store, k, self.size, event, moment, releases, chance)
+                law.add_children(
+                    self.store, k, self.size, event, moment, releases, chance
+                )
                 self.size += len(releases)
 
     def prune(self, place: Place) -> None:
         """Keep the likeliest of each class, best first."""
         bank = self.bank
-        rows, log_weights = _ranked(bank.log_weights, bank.facts, place.depth, _OF_CLASS)
+        rows, log_weights = _ranked(
+            bank.log_weights, bank.facts, place.depth, _OF_CLASS
+        )
         for source, target in zip(bank, self._other, strict=True):
             source.take(rows, axis=0, out=target[: len(rows)], mode="clip")
         self._other[2][: len(rows)] = log_weights
@@ -184,7 +202,11 @@ def _events(
         yield law.EXIT, law.AIR, False, RELEASES_MM, ends * AIR_FRACTION
         partial = PARTIAL_FRACTION * chance / len(PARTIAL_RELEASES_MM)
         yield law.PARTIAL, law.LAYER, False, PARTIAL_RELEASES_MM, partial
-        if is_membrane_due and place.depth > fact[law.ROOT] + 2.0 and fact[law.IS_JUDGED]:
+        if (
+            is_membrane_due
+            and place.depth > fact[law.ROOT] + 2.0
+            and fact[law.IS_JUDGED]
+        ):
             met = MEMBRANE_FRACTION * MEMBRANE_STEP_MM * HAZARD
             yield law.MEETING, law.MEMBRANE, False, _NO_RELEASES_MM, met
 

@@ -44,7 +44,18 @@ _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before th
 # whether HELD is held force, not cutting; whether the prior of friction's fraction was applied;
 # number of ruptures, at most one more than were reported; force of the layer before [N], until its
 # release has been checked; whether the layer was entered through a membrane.
-KIND, ROOT, TIP, RELEASE, LENGTH, IS_HELD, IS_JUDGED, RUPTURES, OWN_FORCE, IS_PUNCTURED = range(10)
+(
+    KIND,
+    ROOT,
+    TIP,
+    RELEASE,
+    LENGTH,
+    IS_HELD,
+    IS_JUDGED,
+    RUPTURES,
+    OWN_FORCE,
+    IS_PUNCTURED,
+) = range(10)
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
 CONTACT, EXIT, PARTIAL, MEETING = range(4)
 """Events: contact, end of a layer or membrane, partial rupture, membrane met under a layer."""
@@ -54,16 +65,27 @@ CONTACT, EXIT, PARTIAL, MEETING = range(4)
 # stiffness, Coulomb and viscous friction per length of its last part, each with its variance; depth
 # of the first contact; least force since the last rupture.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
-PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = 5, 6, 7, 8, 14, 15
+PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = (
+    5,
+    6,
+    7,
+    8,
+    14,
+    15,
+)
 
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
 """Memory for hypotheses, a row each: means, covariances, log weights, facts, records."""
 Scene = tuple[float, float, float]  # depth, speed and presliding deflection
 Moment = tuple[float, float, float, float, float, float, float]
 """A scene; time, standard deviation of the tissue's own speed, force, ruptures reported."""
-Event = tuple[int, float, bool]  # which; what the tip is in after it; if some of its force stays
+Event = tuple[
+    int, float, bool
+]  # which; what the tip is in after it; if some of its force stays
 
-CUTTING_ONSET_MM = 1.0  # Travel until a new layer's cutting force is full: a needle's diameter
+CUTTING_ONSET_MM = (
+    1.0  # Travel until a new layer's cutting force is full: a needle's diameter
+)
 LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
 """Relative error of the linear law; its correlation length [mm]; the fraction of this error that
 friction of the layers traversed has, which depends on the motion alone."""
@@ -73,10 +95,15 @@ OFFSET_WALK = 1e-6  # random walk of the sensor's zero, variance per time [N²/s
 KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
 """Fraction of a tip force that stays after its rupture, its deviation, and the travel over which it
 fades: chosen, between the 30 and 60 % that partial ruptures in liver suggest."""
-NO_RELEASE, NEVER = -1e9, -1e8  # depth that means "no release"; every release is deeper than NEVER
+NO_RELEASE, NEVER = (
+    -1e9,
+    -1e8,
+)  # depth that means "no release"; every release is deeper than NEVER
 SHAPE_ERROR, SHAPE_MM, ONSET_ERROR = 0.08, 0.02, 0.1
 """Relative error of a release's shape, its correlation length [mm]; the same of a cutting onset."""
-LENGTH_ERROR = 0.12  # prior deviation of a release length's logarithm, between those assumed
+LENGTH_ERROR = (
+    0.12  # prior deviation of a release length's logarithm, between those assumed
+)
 TEMPER = 0.5  # exponent of the likelihood: errors of the law are alike from one block to the next
 FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
@@ -86,7 +113,10 @@ NO_FORCE, NO_SLOPE = 0.02, 0.002
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
 """Prior part of friction in that growth (half: not known), its deviation; at this speed [mm/s]."""
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
-LEAST_DROP, LEAST_WEIGHT = 0.12, 1e-3  # fraction of force a rupture releases; weight in an answer
+LEAST_DROP, LEAST_WEIGHT = (
+    0.12,
+    1e-3,
+)  # fraction of force a rupture releases; weight in an answer
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 1.4
 """Speed of equal Coulomb and viscous friction [mm/s], and the deviation of its logarithm, a factor
 of 4: chosen, no measurement is known. The simulated gels have 1.5, the liver 20."""
@@ -103,14 +133,20 @@ def _times(spread: Matrix, row: Vector) -> Vector:
     return found
 
 
-def _measure_plain(mean: Any, spread: Any, cross: Any, error: float, variance: float) -> None:
+def _measure_plain(
+    mean: Any, spread: Any, cross: Any, error: float, variance: float
+) -> None:
     mean += cross / variance * error
     spread -= np.outer(cross / variance, cross)
 
 
 @compiled_or(_measure_plain)
 def _measure(
-    mean: WrittenVector, spread: WrittenMatrix, cross: Vector, error: float, variance: float
+    mean: WrittenVector,
+    spread: WrittenMatrix,
+    cross: Vector,
+    error: float,
+    variance: float,
 ) -> None:
     """Kalman update: error and variance of a measurement, `cross` its covariance with unknowns."""
     for i in range(UNKNOWNS):
@@ -145,10 +181,16 @@ def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
     for k in range(n):
         for j in range(UNKNOWNS):
             one, two = spreads[k, at, j], spreads[k, at + 1, j]
-            spreads[k, at, j], spreads[k, at + 1, j] = a * one + b * two, c * one + d * two
+            spreads[k, at, j], spreads[k, at + 1, j] = (
+                a * one + b * two,
+                c * one + d * two,
+            )
         for j in range(UNKNOWNS):
             one, two = spreads[k, j, at], spreads[k, j, at + 1]
-            spreads[k, j, at], spreads[k, j, at + 1] = a * one + b * two, c * one + d * two
+            spreads[k, j, at], spreads[k, j, at + 1] = (
+                a * one + b * two,
+                c * one + d * two,
+            )
 
 
 @compiled
@@ -163,9 +205,16 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
         # Tissue that the membrane had pushed in springs back along the shaft with the release.
         length *= 1.0 - released
     onset = min(travel / CUTTING_ONSET_MM, 1.0)
-    row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = 1.0, deflection, speed, released
+    row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = (
+        1.0,
+        deflection,
+        speed,
+        released,
+    )
     row[HELD] = 1.0 - released if fact[IS_HELD] > 0.0 else onset * (2.0 - onset)
-    row[LONGER] = 2.0 * gone * (1.0 - gone)  # derivative of `released` by the length's logarithm
+    row[LONGER] = (
+        2.0 * gone * (1.0 - gone)
+    )  # derivative of `released` by the length's logarithm
     row[STIFFNESS], row[STIFFENING] = travel, travel * travel
     if fact[RELEASE] > NEVER:
         row[KEPT] = max(1.0 - (depth - fact[RELEASE]) / KEPT_MM, 0.0) ** 2 - released
@@ -175,7 +224,9 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
 
 
 @compiled
-def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turns: Matrix) -> None:
+def predict(
+    store: Store, n: int, held: float, dt_s: float, colour: Vector, turns: Matrix
+) -> None:
     """Move the unknowns of n hypotheses on by a block; see `disturbance_levels.transitions`.
 
     `held` is the variance added to the cutting force, `colour` the decay of the sensor's coloured
@@ -191,7 +242,10 @@ def predict(store: Store, n: int, held: float, dt_s: float, colour: Vector, turn
     for part in range(3):
         turn, at = turns[part], HEART + 2 * part
         one, two = mean[:, at].copy(), mean[:, at + 1].copy()
-        mean[:, at], mean[:, at + 1] = turn[0] * one + turn[1] * two, turn[2] * one + turn[3] * two
+        mean[:, at], mean[:, at + 1] = (
+            turn[0] * one + turn[1] * two,
+            turn[2] * one + turn[3] * two,
+        )
         _turn(store[1], n, at, turn)
         spread[:, at, at] += turn[4]
         spread[:, at, at + 1] += turn[5]
@@ -204,7 +258,10 @@ def correct(
     store: Store, n: int, scene: Scene, force: float, block: tuple[float, float, float]
 ) -> None:
     """Update n hypotheses with a block's force; `block`: travel, variance, deviation of depth."""
-    (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = store, block
+    (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = (
+        store,
+        block,
+    )
     shape = SHAPE_ERROR * math.sqrt(max(SHAPE_MM / max(travel, 0.1 * SHAPE_MM), 1.0))
     for k in range(n):
         mean, spread, fact = means[k], spreads[k], facts[k]
@@ -218,7 +275,9 @@ def correct(
         total = max(np.dot(row, cross), 0.0) + noise
         error = force - np.dot(row, mean)
         surprise = error * error / total
-        evidence = -0.5 * (math.log(total) + (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM))
+        evidence = -0.5 * (
+            math.log(total) + (FREEDOM + 1.0) * math.log1p(surprise / FREEDOM)
+        )
         log_weights[k] += TEMPER * evidence
         total *= max((FREEDOM + surprise) / (FREEDOM + 1.0), 1.0)
         _measure(mean, spread, cross, error, total)
@@ -236,13 +295,20 @@ def friction_fraction(speed: float) -> tuple[float, float, float]:
 
 @compiled
 def _add_prior(
-    mean: WrittenVector, spread: WrittenMatrix, speed: float, kind: float, is_partial: bool
+    mean: WrittenVector,
+    spread: WrittenMatrix,
+    speed: float,
+    kind: float,
+    is_partial: bool,
 ) -> None:
     """Add what is known beforehand of a layer or a membrane; a partial rupture keeps friction."""
     if kind != LAYER:
         if kind == MEMBRANE:
             mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
-            spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = 0.1**2, 0.02**2
+            spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = (
+                0.1**2,
+                0.02**2,
+            )
         return
     fraction, _, coulomb = friction_fraction(max(speed, 0.1))
     viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD
@@ -263,7 +329,12 @@ def _add_prior(
 
 @compiled
 def after_event(
-    mean: Vector, spread: Matrix, fact: Vector, moment: Moment, event: Event, passed: float
+    mean: Vector,
+    spread: Matrix,
+    fact: Vector,
+    moment: Moment,
+    event: Event,
+    passed: float,
 ) -> tuple[Vector, Matrix]:
     """Mean and covariance of a hypothesis after an event, which leaves the force as it is.
 
@@ -274,11 +345,16 @@ def after_event(
     change, noise, tip = np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
-    if what in (EXIT, PARTIAL):  # the law's error belonged to the tip force and ends with it
+    if what in (
+        EXIT,
+        PARTIAL,
+    ):  # the law's error belonged to the tip force and ends with it
         noise[LONGER] = (LENGTH_ERROR * np.dot(tip, mean)) ** 2
         tip[LAW] = 1.0
         change[LAW : LAW_RATE + 1] = 0.0
-        noise[LAW] = (LAW_ERROR * LEFT_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))) ** 2
+        noise[LAW] = (
+            LAW_ERROR * LEFT_ERROR * (force - mean[OFFSET] - np.dot(tip, mean))
+        ) ** 2
         noise[LAW_RATE] = noise[LAW] / LAW_MM**2
     if what == PARTIAL:
         change[RELEASED], change[HELD] = tip, 0.5 * tip
@@ -286,7 +362,9 @@ def after_event(
     else:
         change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
     if what == CONTACT:
-        noise[COULOMB] = (0.2 * (1.0 - deflection)) ** 2  # the log may begin inside tissue
+        noise[COULOMB] = (
+            0.2 * (1.0 - deflection)
+        ) ** 2  # the log may begin inside tissue
     elif what != PARTIAL:
         if was == LAYER:
             length = max(depth - fact[ROOT], 0.0)
@@ -295,20 +373,34 @@ def after_event(
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
     # A membrane met ends a layer before its puncture does; a rupture not reported ends none.
-    if fact[RUPTURES] <= reported and (was == LAYER or (what == EXIT and fact[IS_HELD] == 0.0)):
+    if fact[RUPTURES] <= reported and (
+        was == LAYER or (what == EXIT and fact[IS_HELD] == 0.0)
+    ):
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
-        change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = passed * deflection, passed * speed
+        change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = (
+            passed * deflection,
+            passed * speed,
+        )
         noise[LEFT] = (passed * mean[OWN_VISCOUS] * unseen) ** 2
-    mean, spread = np.dot(change, mean), _mapped(change, _mapped(change, spread)) + np.diag(noise)
+    mean, spread = (
+        np.dot(change, mean),
+        _mapped(change, _mapped(change, spread)) + np.diag(noise),
+    )
     _add_prior(mean, spread, speed, becomes, what == PARTIAL)
     return mean, spread
 
 
 @compiled
 def add_children(
-    store: Store, k: int, n: int, event: Event, moment: Moment, releases: Vector, chance: float
+    store: Store,
+    k: int,
+    n: int,
+    event: Event,
+    moment: Moment,
+    releases: Vector,
+    chance: float,
 ) -> None:
     """Write, from row n on, what hypothesis k becomes by an event, one for each release length."""
     means, spreads, log_weights, facts, records = store
@@ -321,12 +413,23 @@ def add_children(
         part = slice(RELEASED, OWN_VISCOUS + 1)
         fact[OWN_FORCE] = np.dot(regressor(facts[k], moment[:3])[part], means[k, part])
         fact[RELEASE], fact[RUPTURES] = depth, min(fact[RUPTURES], reported) + 1.0
-        record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = time_s, depth, speed
-        record[RUPTURE_FORCE], record[WAS_PARTIAL] = force, 1.0 if what == PARTIAL else 0.0
+        record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = (
+            time_s,
+            depth,
+            speed,
+        )
+        record[RUPTURE_FORCE], record[WAS_PARTIAL] = (
+            force,
+            1.0 if what == PARTIAL else 0.0,
+        )
         record[LEAST_FORCE] = force
     if was == LAYER:
         start = begin if facts[k, RUPTURES] <= reported else record[PART_START]
-        record[PART_START], record[PART_END], record[PART_FRICTION] = start, depth, mean[LEFT]
+        record[PART_START], record[PART_END], record[PART_FRICTION] = (
+            start,
+            depth,
+            mean[LEFT],
+        )
         for i, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
             record[STIFFNESS_HERE + 2 * i] = means[k, j]
             record[STIFFNESS_HERE + 2 * i + 1] = spreads[k, j, j]
@@ -342,19 +445,31 @@ def add_children(
     fact[IS_HELD] = 1.0 if what in (PARTIAL, MEETING) else 0.0
     fact[IS_PUNCTURED] = 1.0 if is_puncture else 0.0
     for i in range(len(releases)):
-        means[n + i], spreads[n + i], facts[n + i], records[n + i] = mean, spread, fact, record
-        log_weights[n + i], facts[n + i, LENGTH] = log_weights[k] + math.log(chance), releases[i]
+        means[n + i], spreads[n + i], facts[n + i], records[n + i] = (
+            mean,
+            spread,
+            fact,
+            record,
+        )
+        log_weights[n + i], facts[n + i, LENGTH] = (
+            log_weights[k] + math.log(chance),
+            releases[i],
+        )
 
 
 @compiled
-def _condition(mean: WrittenVector, spread: WrittenMatrix, row: Vector, variance: float) -> None:
+def _condition(
+    mean: WrittenVector, spread: WrittenMatrix, row: Vector, variance: float
+) -> None:
     """Measure row @ unknowns as zero, with a variance."""
     cross = _times(spread, row)
     _measure(mean, spread, cross, -np.dot(row, mean), np.dot(row, cross) + variance)
 
 
 @compiled
-def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is_due: bool) -> bool:
+def _judge_fraction(
+    mean: WrittenVector, spread: WrittenMatrix, speed: float, is_due: bool
+) -> bool:
     """Apply the prior of friction's fraction of the force's growth, once that growth is known."""
     row = np.zeros(UNKNOWNS)
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
@@ -366,7 +481,11 @@ def _judge_fraction(mean: WrittenVector, spread: WrittenMatrix, speed: float, is
     row[STIFFNESS], row[OWN_COULOMB] = -fraction, 1.0 - fraction
     row[OWN_VISCOUS] = (1.0 - fraction) * speed
     _condition(mean, spread, row, (std * slope) ** 2)
-    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 0.0, 1.0 - coulomb, -coulomb * speed
+    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = (
+        0.0,
+        1.0 - coulomb,
+        -coulomb * speed,
+    )
     std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     _condition(mean, spread, row, std**2)
     return True
@@ -393,7 +512,12 @@ def weigh(
     means, spreads, log_weights, facts, _ = store
     depth, speed, dt_s, noise = place
     for k in range(n):
-        mean, fact, kind, travel = means[k], facts[k], facts[k, KIND], depth - facts[k, TIP]
+        mean, fact, kind, travel = (
+            means[k],
+            facts[k],
+            facts[k, KIND],
+            depth - facts[k, TIP],
+        )
         if is_advancing and fact[IS_JUDGED] == 0.0 and travel > 1.0:
             fact[IS_JUDGED] = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
         is_held, own = fact[IS_HELD] > 0.0, fact[OWN_FORCE]
@@ -413,7 +537,9 @@ def weigh(
 
 
 @compiled
-def shaft_mixture(store: Store, trusted: Vector, weights: Vector, scene: Scene) -> tuple[Any, ...]:
+def shaft_mixture(
+    store: Store, trusted: Vector, weights: Vector, scene: Scene
+) -> tuple[Any, ...]:
     """Friction of the shaft at a place: mixture of all hypotheses but the least likely.
 
     Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
@@ -425,7 +551,12 @@ def shaft_mixture(store: Store, trusted: Vector, weights: Vector, scene: Scene) 
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
     trusted = np.where(trusted > LEAST_WEIGHT * trusted.sum(), trusted, 0.0)
     weights = np.where((weights > LEAST_WEIGHT) | (trusted > 0.0), weights, 0.0)
-    trusted, weights, all_met, contact = trusted / trusted.sum(), weights / weights.sum(), 0.0, 0.0
+    trusted, weights, all_met, contact = (
+        trusted / trusted.sum(),
+        weights / weights.sum(),
+        0.0,
+        0.0,
+    )
     rows = np.flatnonzero(weights)
     for k in rows:
         row, length = np.zeros((8, UNKNOWNS)), max(scene[0] - facts[k, ROOT], 0.0)
@@ -438,10 +569,14 @@ def shaft_mixture(store: Store, trusted: Vector, weights: Vector, scene: Scene) 
         row[3, OWN_COULOMB] = row[4, OWN_VISCOUS] = met * length
         row[5, OWN_COULOMB] = row[6, OWN_VISCOUS] = met
         row[7, STIFFNESS] = 1.0 if facts[k, KIND] != AIR else 0.0
-        row[7, STIFFENING] = row[7, STIFFNESS] * 2.0 * max(scene[0] - facts[k, TIP], 0.0)
+        row[7, STIFFENING] = (
+            row[7, STIFFNESS] * 2.0 * max(scene[0] - facts[k, TIP], 0.0)
+        )
         found[k] = np.dot(row, means[k])
         total += trusted[k] * found[k]
-        spread += weights[k] * np.dot(np.dot(row, spreads[k]), np.ascontiguousarray(row.T))
+        spread += weights[k] * np.dot(
+            np.dot(row, spreads[k]), np.ascontiguousarray(row.T)
+        )
     for k in rows:
         spread += weights[k] * np.outer(found[k] - total, found[k] - total)
     np.fill_diagonal(spread, np.maximum(np.diag(spread), 0.0))

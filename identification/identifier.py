@@ -16,7 +16,10 @@ from identification.switching_identifier import SwitchingMethod, SwitchingState
 from needleforce.jit import working_copy
 
 _new = tuple.__new__  # makes an `Estimate` of a tuple in a third of the time
-_METHODS: dict[type, Any] = {MultilayerConfig: SwitchingMethod, PublishedConfig: PublishedMethod}
+_METHODS: dict[type, Any] = {
+    MultilayerConfig: SwitchingMethod,
+    PublishedConfig: PublishedMethod,
+}
 """By the type of their settings. A method gets checked samples only: ``update`` uses one, and
 returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of a sample at zero
 depth, speed and force; ``state``, an immutable tree, is all that it remembers, ``restore`` goes on
@@ -54,7 +57,9 @@ class Identifier:
         """
         if type(config) not in _METHODS:
             known = ", ".join(kind.__name__ for kind in _METHODS)
-            raise InvalidConfigError(f"config must be one of {known}, got {type(config).__name__}")
+            raise InvalidConfigError(
+                f"config must be one of {known}, got {type(config).__name__}"
+            )
         self._config, self._limits = config, samples.check_limits(config.check)
         self.reset()
 
@@ -71,7 +76,11 @@ class Identifier:
         Always None for the published method, which does not look for it.
         """
         contact_m = self._method.contact_depth_m
-        return None if contact_m is None else contact_m + float(self._samples[samples.SHIFT])
+        return (
+            None
+            if contact_m is None
+            else contact_m + float(self._samples[samples.SHIFT])
+        )
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
@@ -111,7 +120,10 @@ class Identifier:
         if (
             not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float)
             or type(force_std_N) is not float
-            or (time_s is not None and not (type(time_s) is float and math.isfinite(time_s)))
+            or (
+                time_s is not None
+                and not (type(time_s) is float and math.isfinite(time_s))
+            )
         ):
             raw = (depth_m, speed, force_N, dt_s)
             return self._update_raw(raw, is_measured, time_s, force_std_N)
@@ -126,7 +138,9 @@ class Identifier:
         if not method.takes_filtered_travel:
             motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
         std = force_std_N if 0.0 <= force_std_N <= self._limits[-1] else 0.0
-        found = method.update((time_s, elapsed_s, *motion, force_N, std, place_m, clock_s))
+        found = method.update(
+            (time_s, elapsed_s, *motion, force_N, std, place_m, clock_s)
+        )
         if found[_EVENTS:] != _NO_EVENTS:
             shift_m = float(self._samples[samples.SHIFT])
             events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
@@ -136,7 +150,9 @@ class Identifier:
 
     def snapshot(self) -> Snapshot:
         """Everything needed to resume exactly here."""
-        return Snapshot(self._config, np.array(self._samples), self._method.state, self._last)
+        return Snapshot(
+            self._config, np.array(self._samples), self._method.state, self._last
+        )
 
     def restore(self, snapshot: Snapshot) -> None:
         """Resume where `snapshot` was taken, bit for bit.
@@ -160,7 +176,11 @@ class Identifier:
         self._last = snapshot.last
 
     def _update_raw(
-        self, values: tuple[Any, ...], is_measured: bool, time_s: object, force_std_N: object
+        self,
+        values: tuple[Any, ...],
+        is_measured: bool,
+        time_s: object,
+        force_std_N: object,
     ) -> Estimate:
         """As `update`, for values of any type; the speed is measured or estimated."""
         numbers: list[Any] = [samples.as_scalar(value) for value in values]
@@ -172,12 +192,16 @@ class Identifier:
             return self.update(*numbers, time_s=clock_s, force_std_N=std)
         # Handled as one that is not finite: its time passes, if it has one.
         dt_s = math.nan if numbers[-1] is None else numbers[-1]
-        samples.take_sample(math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits)
+        samples.take_sample(
+            math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits
+        )
         is_odd = time is None or None in numbers
         status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
         if time is None or not math.isfinite(time):
             time = self._last.time_s
-        return self._reject(status, float(self._samples[samples.TIME]) if time_s is None else time)
+        return self._reject(
+            status, float(self._samples[samples.TIME]) if time_s is None else time
+        )
 
     def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
         """A sample that is not used: the last estimate, its events over."""
@@ -191,7 +215,9 @@ def _in_callers_depth(event: Any, shift_m: float) -> Any:
         return event
     if isinstance(event, LayerEstimate):
         rupture = _in_callers_depth(event.rupture, shift_m)
-        return replace(event, start_depth_m=event.start_depth_m + shift_m, rupture=rupture)
+        return replace(
+            event, start_depth_m=event.start_depth_m + shift_m, rupture=rupture
+        )
     names = ("depth_m", "alarm_depth_m", "contact_depth_m")
     return replace(event, **{name: getattr(event, name) + shift_m for name in names})
 
@@ -208,7 +234,9 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
     if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
         _check_array(state, initial, place)
     elif hasattr(initial, "_fields") and type(state) is not type(initial):
-        raise InvalidSnapshotError(f"{place} is {state!r:.80}, expected {type(initial).__name__}")
+        raise InvalidSnapshotError(
+            f"{place} is {state!r:.80}, expected {type(initial).__name__}"
+        )
     elif damage := getattr(state, "damage", ""):  # it checks itself
         raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {damage}")
     elif isinstance(state, tuple):
@@ -220,10 +248,16 @@ def check_state(state: Any, initial: Any, place: str = "state") -> None:
 def _check_array(array: Any, initial: Any, place: str) -> None:
     is_array = isinstance(array, np.ndarray) and array.dtype == np.float64
     if not is_array or not array.flags.c_contiguous:
-        raise InvalidSnapshotError(f"{place} is {array!r:.80}, expected an array of floats")
+        raise InvalidSnapshotError(
+            f"{place} is {array!r:.80}, expected an array of floats"
+        )
     if not np.isfinite(array).all():
-        raise InvalidSnapshotError(f"{place} has numbers that are not finite: {array!r:.80}")
+        raise InvalidSnapshotError(
+            f"{place} has numbers that are not finite: {array!r:.80}"
+        )
     # Of a history that is empty at first the rows are free, and so are hypotheses.
     free = initial is None or not len(initial) or ".bank." in place
     if initial is not None and array.shape[free:] != initial.shape[free:]:
-        raise InvalidSnapshotError(f"{place} has shape {array.shape}, expected {initial.shape}")
+        raise InvalidSnapshotError(
+            f"{place} has shape {array.shape}, expected {initial.shape}"
+        )

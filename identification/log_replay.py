@@ -48,7 +48,9 @@ class SignCheck:
         self._least_N = min(self._least_N, float(force.min()))
         self._largest_N = max(self._largest_N, float(force.max()))
         if speed_m_s is not None:
-            self._agreement += float(change @ np.where(np.isfinite(speed_m_s), speed_m_s, 0.0))
+            self._agreement += float(
+                change @ np.where(np.isfinite(speed_m_s), speed_m_s, 0.0)
+            )
 
     def hints(self) -> tuple[str, ...]:
         """One sentence per suspicion; none for a recording that looks right."""
@@ -58,7 +60,9 @@ class SignCheck:
         if span > _LARGEST_DEPTH_M:
             hints.append(f"depth spans {span:.3g} m; is it in millimetres?")
         if start is None or span < _LEAST_TRAVEL_M:
-            still = f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify"
+            still = (
+                f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify"
+            )
             return (*hints, still)
         if self._fresh_m > 0.0 and self._pushed_Nm / self._fresh_m < -_LEAST_FORCE_N:
             hints.append(
@@ -70,7 +74,9 @@ class SignCheck:
                 "depth falls before it rises; it must grow into the tissue: flip its sign?"
             )
         if self._agreement < 0.0:
-            hints.append("speed has the sign opposite to the change of depth: flip one of them")
+            hints.append(
+                "speed has the sign opposite to the change of depth: flip one of them"
+            )
         return tuple(hints)
 
 
@@ -141,9 +147,13 @@ class ReplayStream:
         self._gaps += int((dt_s > self._gap_s).sum())
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
-        depths, forces, steps, times = (each.tolist() for each in (depth_m, force_N, dt_s, t_s))
+        depths, forces, steps, times = (
+            each.tolist() for each in (depth_m, force_N, dt_s, t_s)
+        )
         stds = repeat(0.0) if force_std_N is None else force_std_N.tolist()
-        estimates = list(map(self._identifier.update, depths, speeds, forces, steps, times, stds))
+        estimates = list(
+            map(self._identifier.update, depths, speeds, forces, steps, times, stds)
+        )
         self._rejected.update(estimate.status for estimate in estimates)
         return estimates
 
@@ -186,7 +196,10 @@ def replay(
         InvalidLogError: Empty or ragged columns.
     """
     t = read_column("t_s", t_s)
-    z, f = read_column("depth_m", depth_m, len(t)), read_column("force_N", force_N, len(t))
+    z, f = (
+        read_column("depth_m", depth_m, len(t)),
+        read_column("force_N", force_N, len(t)),
+    )
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     # A stamp that is no number spoils its own row only.
     latest_s = np.fmax.accumulate(np.concatenate((t[:1], t[:-1])))
@@ -194,4 +207,6 @@ def replay(
     stream = ReplayStream(config)
     estimates = stream.run(t, steps, z, f, v)
     t.setflags(write=False)
-    return Replay(t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints)
+    return Replay(
+        t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints
+    )

@@ -38,7 +38,9 @@ class LayerSpan:
         if not np.all(np.isfinite(values)):
             raise InvalidConfigError(f"layer span has non-finite values: {values}")
         if self.thickness_m <= 0:
-            raise InvalidConfigError(f"thickness_m must be positive, got {self.thickness_m}")
+            raise InvalidConfigError(
+                f"thickness_m must be positive, got {self.thickness_m}"
+            )
         if self.rupture_s <= self.start_s:
             raise InvalidConfigError(
                 f"a layer must rupture after it starts: start {self.start_s} s, "
@@ -47,7 +49,11 @@ class LayerSpan:
 
 
 def regression_matrix(
-    t_s: Array, depth_m: Array, speed_m_s: Array, layers: Sequence[LayerSpan], model: Model = "ml"
+    t_s: Array,
+    depth_m: Array,
+    speed_m_s: Array,
+    layers: Sequence[LayerSpan],
+    model: Model = "ml",
 ) -> Array:
     """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5), the l layers as entered.
 
@@ -65,13 +71,17 @@ def regression_matrix(
     if model not in ("ml", "kv"):
         raise InvalidConfigError(f"unknown model {model!r}; choose 'ml' or 'kv'")
     if not layers:
-        raise InvalidConfigError("at least one layer is needed to build a regression matrix")
+        raise InvalidConfigError(
+            "at least one layer is needed to build a regression matrix"
+        )
     columns = []
     for layer in layers:
         reach_m, is_entered = depth_m - layer.start_depth_m, t_s > layer.start_s
         is_acting = is_entered & (t_s <= layer.rupture_s)
         columns.append(np.where(is_acting, np.maximum(reach_m, 0.0), 0.0))
-        embedded = np.clip(reach_m, 0.0, layer.thickness_m) if model == "ml" else reach_m > 0.0
+        embedded = (
+            np.clip(reach_m, 0.0, layer.thickness_m) if model == "ml" else reach_m > 0.0
+        )
         columns.append(np.where(is_entered, embedded, 0.0) * speed_m_s)
     return np.column_stack(columns)
 
@@ -126,7 +136,9 @@ def read_column(
         raise InvalidLogError(f"{name} has {len(column)} rows where t_s has {rows}")
     bad = np.flatnonzero(~np.isfinite(column))
     if finite and len(bad):
-        raise InvalidLogError(f"{name} is not finite at row {bad[0]} ({len(bad)} in all)")
+        raise InvalidLogError(
+            f"{name} is not finite at row {bad[0]} ({len(bad)} in all)"
+        )
     return column
 
 
@@ -140,7 +152,9 @@ class OfflineLayer:
     friction: float  # B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`
     friction_std: float
     friction_identified: bool
-    cumulative_friction_Ns_per_m: float  # B_i d_i for `ml` (the values of Table I), B_i for `kv`
+    cumulative_friction_Ns_per_m: (
+        float  # B_i d_i for `ml` (the values of Table I), B_i for `kv`
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -185,7 +199,9 @@ def identify_offline(
     """
     t = read_column("t_s", t_s, finite=True)
     if np.any(np.diff(t) <= 0):
-        raise InvalidLogError("t_s must increase; sort the recording or drop repeated samples")
+        raise InvalidLogError(
+            "t_s must increase; sort the recording or drop repeated samples"
+        )
     others = {"depth_m": depth_m, "speed_m_s": speed_m_s, "force_N": force_N}
     z, v, f = (read_column(name, others[name], len(t), finite=True) for name in others)
     matrix = regression_matrix(t, z, v, layers, model)
@@ -194,7 +210,9 @@ def identify_offline(
     predicted.setflags(write=False)
     found = []
     for k, span in enumerate(layers):
-        (stiffness, friction), stds, known = (each[2 * k : 2 * k + 2].tolist() for each in columns)
+        (stiffness, friction), stds, known = (
+            each[2 * k : 2 * k + 2].tolist() for each in columns
+        )
         found.append(
             OfflineLayer(
                 stiffness_N_per_m=stiffness,
@@ -203,7 +221,8 @@ def identify_offline(
                 friction=friction,
                 friction_std=stds[1],
                 friction_identified=known[1],
-                cumulative_friction_Ns_per_m=friction * (span.thickness_m if model == "ml" else 1),
+                cumulative_friction_Ns_per_m=friction
+                * (span.thickness_m if model == "ml" else 1),
             )
         )
     return OfflineIdentification(

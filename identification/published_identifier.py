@@ -12,7 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identification.config import PublishedConfig
-from identification.estimate import Array, LayerEstimate, Outputs, Rupture, RuptureState, Sample
+from identification.estimate import (
+    Array,
+    LayerEstimate,
+    Outputs,
+    Rupture,
+    RuptureState,
+    Sample,
+)
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled, working_copy
 
 _FULL = 1.0 - 1e-9  # length of a reset window in periods, but for rounding
@@ -25,7 +32,9 @@ _NO_RUPTURE, _EXPECTED, _DETECTED, _MEASURING, _IDENTIFIED = range(5)
 
 Motion = tuple[float, float, float, float]  # interval, depth, speed, force
 Pair = tuple[float, float]
-Rls = tuple[float, float, float, float, float]  # K, B, covariance Psi[0, 0], Psi[0, 1], Psi[1, 1]
+Rls = tuple[
+    float, float, float, float, float
+]  # K, B, covariance Psi[0, 0], Psi[0, 1], Psi[1, 1]
 Sums = tuple[float, float, float, float, float, float, float]
 """Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
 and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
@@ -37,12 +46,22 @@ Setting = tuple[bool, float, float, float, float, float]
 # reset and the time since; g_k of (9); time and mean speed in the layer; filtered derivative; the
 # last force, whether there is one, the one before; time since the detection; phi' theta + B_d v
 # before the last sample was used.
-_RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = 0, 2, 5, 12, 13, 14, 15
+_RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = (
+    0,
+    2,
+    5,
+    12,
+    13,
+    14,
+    15,
+)
 _DERIVATIVE, _FORCE, _HAS_FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 22)
 # What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the derivative,
 # T_drop, ruptures detected; number of the rupture machine's state.
 _START_M, _CUMULATIVE, _BETA, _DROP_S, _RUPTURES, _STATE, _SIZE = range(22, 29)
-NO_WINDOWS = np.empty((0, len(NO_SUMS)))  # sums of the windows of a layer, one row of `Sums` each
+NO_WINDOWS = np.empty(
+    (0, len(NO_SUMS))
+)  # sums of the windows of a layer, one row of `Sums` each
 NO_WINDOWS.setflags(write=False)
 
 
@@ -58,7 +77,11 @@ class RupturedLayer(NamedTuple):
     def damage(self) -> str:
         """What is wrong with a restored one, if anything; checked before compiled code reads it."""
         shape = np.shape(self.windows)
-        return "" if shape[1:] == NO_WINDOWS.shape[1:] else f"its windows have the shape {shape}"
+        return (
+            ""
+            if shape[1:] == NO_WINDOWS.shape[1:]
+            else f"its windows have the shape {shape}"
+        )
 
 
 class PublishedState(NamedTuple):
@@ -66,15 +89,23 @@ class PublishedState(NamedTuple):
 
     memory: Array  # What every sample changes, shape (28,)
     windows: Array = NO_WINDOWS  # Sums of the closed reset windows of the current layer
-    ruptured: RupturedLayer | None = None  # The last layer, until its friction is subtracted
+    ruptured: RupturedLayer | None = (
+        None  # The last layer, until its friction is subtracted
+    )
     layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
 
     @property
     def damage(self) -> str:
         """What is wrong with the covariance, if anything."""
         first, both, second = np.ravel(self.memory)[_COVARIANCE:_SUMS].tolist()
-        is_definite = min(first, second) >= 0.0 and both * both <= 1.002 * first * second
-        return "" if is_definite else "the covariance in its memory is not positive semi-definite"
+        is_definite = (
+            min(first, second) >= 0.0 and both * both <= 1.002 * first * second
+        )
+        return (
+            ""
+            if is_definite
+            else "the covariance in its memory is not positive semi-definite"
+        )
 
 
 class PublishedMethod:
@@ -86,12 +117,19 @@ class PublishedMethod:
     def __init__(self, config: PublishedConfig) -> None:
         self._config = config
         cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
-        rates = config.reset_frequency_Hz, config.derivative_time_constant_s, config.least_speed_m_s
+        rates = (
+            config.reset_frequency_Hz,
+            config.derivative_time_constant_s,
+            config.least_speed_m_s,
+        )
         self._setting: Any = config.model == "ml", *map(float, (*cusum, *rates))
         self._psi0 = float(config.var_stiffness), 0.0, float(config.var_friction)
         memory = np.zeros(_SIZE)
         memory[_COVARIANCE:_SUMS] = self._psi0
-        memory[[_START_M, _BETA]] = config.contact_depth_m, config.derivative_threshold_N_per_s
+        memory[[_START_M, _BETA]] = (
+            config.contact_depth_m,
+            config.derivative_threshold_N_per_s,
+        )
         self.restore(PublishedState(memory))
 
     @property
@@ -105,7 +143,9 @@ class PublishedMethod:
         self._memory = working_copy(state.memory)
         _, self._windows, self._ruptured, self.layers = state
 
-    def report(self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any) -> tuple[Any, ...]:
+    def report(
+        self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any
+    ) -> tuple[Any, ...]:
         """What there is to report without a sample, or of the last one."""
         outputs = published_outputs(motion, self._memory, self._setting)
         state = _STATES[int(self._memory[_STATE])]
@@ -114,7 +154,9 @@ class PublishedMethod:
     def update(self, sample: Sample) -> tuple[Any, ...]:
         """Use one sample: what to report of it, from the rupture state to the events."""
         motion = sample[1], sample[2], sample[3], sample[6]
-        at, is_full, is_news, outputs = published_step(motion, self._memory, self._setting)
+        at, is_full, is_news, outputs = published_step(
+            motion, self._memory, self._setting
+        )
         if not (is_full or is_news):
             return (_STATES[at], *outputs, None, None, None)
         rupture = layer = None
@@ -128,7 +170,9 @@ class PublishedMethod:
         return self.report(motion, rupture, layer)
 
     def _closed(self, windows: Array) -> Array:
-        return append_window(windows, self._memory[_SUMS:_WINDOW_S], self._config.most_windows)
+        return append_window(
+            windows, self._memory[_SUMS:_WINDOW_S], self._config.most_windows
+        )
 
     def _reset_covariance(self) -> None:
         self._memory[_COVARIANCE:_SUMS] = self._psi0
@@ -173,10 +217,19 @@ class PublishedMethod:
         The sums of the layer after it are corrected for the friction now known, so its estimate
         goes on as if that friction had been subtracted from the rupture onwards.
         """
-        m, rupture, known = self._memory, ruptured.rupture, float(self._memory[_CUMULATIVE])
+        m, rupture, known = (
+            self._memory,
+            ruptured.rupture,
+            float(self._memory[_CUMULATIVE]),
+        )
         drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
-        elastic, friction_ratio = force_ratios(drop, rupture.force_N, known, rupture.speed_m_s)
-        speed, (stiff, _, damp) = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S), self._psi0
+        elastic, friction_ratio = force_ratios(
+            drop, rupture.force_N, known, rupture.speed_m_s
+        )
+        speed, (stiff, _, damp) = (
+            max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S),
+            self._psi0,
+        )
         variance = reweighted_friction_variance(damp, elastic, friction_ratio, speed)
         stiffness, friction = rerun_windows(ruptured.windows, (stiff, float(variance)))
         thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
@@ -195,7 +248,9 @@ class PublishedMethod:
             friction_N=damping * rupture.speed_m_s,
         )
         windows = np.vstack((self._windows, m[_SUMS:_WINDOW_S]))
-        windows[:, _OF_FORCE] -= damping * windows[:, _OF_SPEED]  # as if it were not felt
+        windows[:, _OF_FORCE] -= (
+            damping * windows[:, _OF_SPEED]
+        )  # as if it were not felt
         windows.setflags(write=False)
         m[_RLS:_SUMS] = *rerun_windows(windows, (stiff, damp)), *self._psi0
         m[_SUMS:_WINDOW_S] = windows[-1].tolist()
@@ -233,7 +288,12 @@ def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
     """Add one sample to the sums of its window."""
     kk, kb, bb, kf, bf, kv, bv = sums
     x, y = phi
-    kf, bf, kv, bv = kf + x * force_N, bf + y * force_N, kv + x * speed_m_s, bv + y * speed_m_s
+    kf, bf, kv, bv = (
+        kf + x * force_N,
+        bf + y * force_N,
+        kv + x * speed_m_s,
+        bv + y * speed_m_s,
+    )
     return kk + x * x, kb + x * y, bb + y * y, kf, bf, kv, bv
 
 
@@ -316,15 +376,23 @@ def published_step(
         m[k] += dt_s
     m[_MEAN_SPEED] += (speed_m_s - m[_MEAN_SPEED]) * dt_s / m[_TRAVEL_S]
     m[_DECISION] = cusum_step(m[_DECISION], error, drift) if is_watching else 0.0
-    m[_DERIVATIVE] = derivative_step(m[_DERIVATIVE], force_N - before_N, dt_s, constant_s)
+    m[_DERIVATIVE] = derivative_step(
+        m[_DERIVATIVE], force_N - before_N, dt_s, constant_s
+    )
     m[_PREDICTED] = own - error + earlier
-    at, is_full = _next_state(m, threshold, reset_Hz, is_watching), m[_WINDOW_S] * reset_Hz >= _FULL
+    at, is_full = (
+        _next_state(m, threshold, reset_Hz, is_watching),
+        m[_WINDOW_S] * reset_Hz >= _FULL,
+    )
     m[_STATE] = float(at)
     return at, is_full, at != before, published_outputs(motion, m, setting)
 
 
 def force_ratios(
-    drop_N: float, force_at_rupture_N: float, cumulative_friction_Ns_per_m: float, speed_m_s: float
+    drop_N: float,
+    force_at_rupture_N: float,
+    cumulative_friction_Ns_per_m: float,
+    speed_m_s: float,
 ) -> Pair:
     """Elastic and friction ratio (r_K, r_B) of the layer just traversed, equation (11).
 
@@ -338,14 +406,21 @@ def force_ratios(
 
 
 def reweighted_friction_variance(
-    var_friction: float, elastic_ratio: float, friction_ratio: float, mean_speed_m_s: float
+    var_friction: float,
+    elastic_ratio: float,
+    friction_ratio: float,
+    mean_speed_m_s: float,
 ) -> float:
     """sigma'^2_B,0 = (1 / v^2) (r_B / r_K) sigma^2_B,0, equation (12).
 
     With collinear columns least squares moves the estimate along Psi phi, so that
     (B v dz) / (K dz) settles at sigma'^2_B v^2 / sigma^2_K = r_B / r_K.
     """
-    return var_friction * friction_ratio / (elastic_ratio * mean_speed_m_s * mean_speed_m_s)
+    return (
+        var_friction
+        * friction_ratio
+        / (elastic_ratio * mean_speed_m_s * mean_speed_m_s)
+    )
 
 
 def append_window(windows: Array, sums: Sums, most: int) -> Array:
@@ -379,7 +454,10 @@ def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
         first, second = 1.0 + q * bb, 1.0 + p * kk
         excitation = max(kk * bb - kb * kb, 0.0)
         scale = 1.0 / (second + q * bb + (p * q) * excitation)
-        own_k, own_b = p * (first * kf - qb * bf) * scale, q * (second * bf - pb * kf) * scale
+        own_k, own_b = (
+            p * (first * kf - qb * bf) * scale,
+            q * (second * bf - pb * kf) * scale,
+        )
         k_before, k = k, own_k + first * scale * k - pb * scale * b
         b = own_b - qb * scale * k_before + second * scale * b
     return float(k), float(b)

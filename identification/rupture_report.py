@@ -22,22 +22,33 @@ _MM = 1e3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
 """Least released force for an alarm: in standard deviations of a block's force, and in newtons (two
 thirds of the least rupture seen in real liver)."""
-_VISIBLE = 0.3  # Fraction of it by which the force must have fallen: else it only grows slower
+_VISIBLE = (
+    0.3  # Fraction of it by which the force must have fallen: else it only grows slower
+)
 _LATE_S = 0.5  # If an alarm comes later than this, the force must still be lower
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
 """Falls, as fractions of the force: one, and one per second [1/s], that no robot makes by braking
 before its speed is known; and one that counts as large."""
 _SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
 """Lag of the speed: at least; per ratio of the filter's noise of depth and of speed; at most."""
-_LEAST_SLOWED = 0.02  # fraction of the speed lost below which it is noise of the filtered speed
+_LEAST_SLOWED = (
+    0.02  # fraction of the speed lost below which it is noise of the filtered speed
+)
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
 """Largest relative fall that braking explains, per fraction of the speed lost: more than 1, since
 the speed is late and travel shows its mean. The second is for a large fall."""
 _STEADY = 0.9  # of the usual speed; slower, friction's dependence on the speed may look like a fall
-_LEAST_TRUSTED = 1e-6  # Probability of all hypotheses that the answer's mean may rest on
+_LEAST_TRUSTED = (
+    1e-6  # Probability of all hypotheses that the answer's mean may rest on
+)
 _RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed better, less noisy
-_LEAST_PROBABILITY = 0.3  # Total of all hypotheses with the last rupture, to say what it was
-_OF_MEAN, _OF_FACT = (law.RELEASED, law.KEPT, law.HELD, law.OFFSET), (law.KIND, law.IS_HELD)
+_LEAST_PROBABILITY = (
+    0.3  # Total of all hypotheses with the last rupture, to say what it was
+)
+_OF_MEAN, _OF_FACT = (
+    (law.RELEASED, law.KEPT, law.HELD, law.OFFSET),
+    (law.KIND, law.IS_HELD),
+)
 _OF_RECORD, _LAYER = (law.RUPTURE_S, law.RUPTURE_FORCE, law.LEAST_FORCE), int(law.LAYER)
 """Indices for compiled code, which does not use constants of another file."""
 _NAMES = ("stiffness", "coulomb", "viscous")
@@ -60,11 +71,17 @@ def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
     before_mm = -math.inf if alarm is None else _MM * alarm.depth_m - LEAST_MM
     ruptures, rupture_mm = bank.facts[:, law.RUPTURES], bank.records[:, law.RUPTURE_MM]
     denied = np.minimum(ruptures, known - 1.0)
-    return Evidence(bank, bank.weights, np.where(rupture_mm < before_mm, denied, ruptures))
+    return Evidence(
+        bank, bank.weights, np.where(rupture_mm < before_mm, denied, ruptures)
+    )
 
 
 def answer_at(
-    memory: BankMemory, evidence: Evidence, place: Place, counts: tuple[int, int], speed: float
+    memory: BankMemory,
+    evidence: Evidence,
+    place: Place,
+    counts: tuple[int, int],
+    speed: float,
 ) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
 
@@ -79,7 +96,9 @@ def answer_at(
     weights = evidence.weights
     trusted = np.where((evidence.ruptures <= reported) | ~is_slow, weights, 0.0)
     rows = trusted if trusted.sum() > _LEAST_TRUSTED else weights, weights
-    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(memory.store, *rows, scene)
+    answer[1], answer[2:], all_met, contact, tip = law.shaft_mixture(
+        memory.store, *rows, scene
+    )
     # Friction is known no better than the law is, whose error the texture shows.
     law_variance = all_met * place.law_error**2
     answer[(2 + LEFT_COULOMB, 2 + COULOMB), (LEFT_COULOMB, COULOMB)] += law_variance
@@ -103,19 +122,35 @@ def _evaluate(
     parts: tuple[Matrix, Matrix, Matrix, Vector, Vector],
     known: float,
     now: tuple[float, float, float],
-    places: tuple[tuple[int, int, int, int], tuple[int, int], tuple[int, int, int], int],
+    places: tuple[
+        tuple[int, int, int, int], tuple[int, int], tuple[int, int, int], int
+    ],
 ) -> tuple[float, float, int]:
     """The first three numbers of an `Evaluation`; `now`: time, force, least fall that is clear."""
     (means, facts, records, weights, ruptures), (time_s, force, least) = parts, now
-    (released, kept, held, offset), (kind, is_held), (rupture_s, before, lowest), layer = places
+    (
+        (released, kept, held, offset),
+        (kind, is_held),
+        (rupture_s, before, lowest),
+        layer,
+    ) = places
     # After a partial rupture part of the force is held: what has fallen is the rest.
     is_partial = (facts[:, kind] == layer) & (facts[:, is_held] > 0.0)
-    fallen = means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
-    fallen = np.minimum(fallen, records[:, before] - means[:, offset])  # At most all of the force
+    fallen = (
+        means[:, released] - means[:, kept] - np.where(is_partial, means[:, held], 0.0)
+    )
+    fallen = np.minimum(
+        fallen, records[:, before] - means[:, offset]
+    )  # At most all of the force
     # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
-    is_undone = (time_s - records[:, rupture_s] > _LATE_S) & (records[:, before] <= force)
+    is_undone = (time_s - records[:, rupture_s] > _LATE_S) & (
+        records[:, before] <= force
+    )
     is_more = (ruptures > known) & (fallen > least) & ~is_undone
-    more, fewer = np.where(is_more, weights, 0.0), np.where(ruptures < known, weights, 0.0).sum()
+    more, fewer = (
+        np.where(is_more, weights, 0.0),
+        np.where(ruptures < known, weights, 0.0).sum(),
+    )
     if not is_more.any():
         return 0.0, fewer, -1
     pick = int(np.argmax(np.where(is_more, weights, -1.0)))
@@ -125,7 +160,10 @@ def _evaluate(
 
 def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    (bank, weights, ruptures), least = evidence, max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
+    (bank, weights, ruptures), least = (
+        evidence,
+        max(_CLEAR_SIGMAS * place.noise, _CLEAR_N),
+    )
     parts = bank.means, bank.facts, bank.records, weights, ruptures
     places = _OF_MEAN, _OF_FACT, _OF_RECORD, _LAYER
     found = _evaluate(parts, float(known), (place.time_s, place.force, least), places)
@@ -142,17 +180,27 @@ def speed_lag(depth_std: float, speed_std: float) -> float:
 
 
 def may_be_braking(
-    bank: Bank, evaluation: Evaluation, place: Place, time_s: float, tissue: TissueMotion
+    bank: Bank,
+    evaluation: Evaluation,
+    place: Place,
+    time_s: float,
+    tissue: TissueMotion,
 ) -> bool:
     """Whether a needle that slows down could explain the fall of the force.
 
     Friction falls with the speed at once, but the speed is known late. So a relatively small fall
     waits until the speed would show braking, and counts only if it exceeds what that explains.
     """
-    record, offset = bank.records[evaluation.pick], float(bank.means[evaluation.pick, law.OFFSET])
+    record, offset = (
+        bank.records[evaluation.pick],
+        float(bank.means[evaluation.pick, law.OFFSET]),
+    )
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
-    rupture_s, since_s = float(record[law.RUPTURE_S]), time_s - float(record[law.RUPTURE_S])
+    rupture_s, since_s = (
+        float(record[law.RUPTURE_S]),
+        time_s - float(record[law.RUPTURE_S]),
+    )
     if since_s < place.lag_s and fall < max(_EARLY_FALL, _FALL_RATE * since_s) * force:
         return True
     speed, before = place.speed, float(record[law.RUPTURE_SPEED])
@@ -169,14 +217,21 @@ def may_be_braking(
 
 
 def rupture_of(
-    evidence: Evidence, pick: int, layer: int, probability: float, alarm: tuple[float, float, float]
+    evidence: Evidence,
+    pick: int,
+    layer: int,
+    probability: float,
+    alarm: tuple[float, float, float],
 ) -> Rupture:
     """The last rupture of hypothesis `pick`.
 
     `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
     """
     record = evidence.bank.records[pick]
-    since_s, ruptures = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0), evidence.ruptures[pick]
+    since_s, ruptures = (
+        max(alarm[2] - float(record[law.RUPTURE_S]), 0.0),
+        evidence.ruptures[pick],
+    )
     return Rupture(
         layer=layer,
         alarm_s=alarm[0],
@@ -187,7 +242,9 @@ def rupture_of(
         speed_m_s=float(record[law.RUPTURE_SPEED]) / _MM,
         probability=min(probability, 1.0),
         contact_depth_m=float(record[law.CONTACT_MM]) / _MM,
-        partial_rupture_probability=partial_rupture_probability(evidence, int(ruptures)),
+        partial_rupture_probability=partial_rupture_probability(
+            evidence, int(ruptures)
+        ),
     )
 
 
@@ -236,7 +293,10 @@ def layer_left(
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
         value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2]
-        value, deviation = factor * max(value, 0.0), factor * math.sqrt(max(variance, 0.0))
+        value, deviation = (
+            factor * max(value, 0.0),
+            factor * math.sqrt(max(variance, 0.0)),
+        )
         fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
         fields[f"{name}_identified"] = deviation <= IDENTIFIED * value
     before = max(record[law.PART_FRICTION], 0.0)
@@ -249,13 +309,18 @@ def layer_left(
         thickness_m=thickness,
         rupture=rupture,
         force_drop_N=float(bank.means[best, law.RELEASED]),
-        force_drop_std_N=math.sqrt(max(float(bank.spreads[best, law.RELEASED, law.RELEASED]), 0.0)),
+        force_drop_std_N=math.sqrt(
+            max(float(bank.spreads[best, law.RELEASED, law.RELEASED]), 0.0)
+        ),
         **fields,  # type: ignore[arg-type]
     )
 
 
 def _friction(
-    friction: tuple[float, float], own: tuple[float, float, float], thickness_m: float, speed: float
+    friction: tuple[float, float],
+    own: tuple[float, float, float],
+    thickness_m: float,
+    speed: float,
 ) -> dict[str, float | bool]:
     """Fields of a layer that its friction and its deviation [N] say.
 

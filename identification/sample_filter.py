@@ -21,7 +21,9 @@ _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timed
 """Types that Python or numpy would convert to a float although they are no measurements."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
 """Time steps outside this range are wrong units or garbage; quotients or sums would overflow."""
-LARGEST_MOTION = 1e3  # no needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow
+LARGEST_MOTION = (
+    1e3  # no needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow
+)
 _ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
 one standard deviation. Starts and stops are quicker, see `_density`."""
@@ -37,8 +39,12 @@ _RISE_S = 8.0
 """Smooth noise: length of a block, blocks before it counts, memory of the least scatter. Motion of
 the needle adds to the scatter of means, so the least counts (minimum statistics, Martin 2001)."""
 _HASTE_S = 0.05  # averaging time of the standardised innovations
-_SIGNIFICANT = 4.0  # squared mean innovation, over its variance, that chance does not explain
-_MOST_SURPRISE = 5.0  # An innovation is clipped to so many deviations: one odd depth is no turn
+_SIGNIFICANT = (
+    4.0  # squared mean innovation, over its variance, that chance does not explain
+)
+_MOST_SURPRISE = (
+    5.0  # An innovation is clipped to so many deviations: one odd depth is no turn
+)
 _GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
 _FASTEST_M_S = 0.1  # assumed speed of a needle in a gap, where its motion is not seen
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
@@ -52,7 +58,17 @@ LAST_USED = _TIME_GAP
 # Indices of the memory. Of the check: time since the start, smoothed time step; last finite depth,
 # of a sample used or rejected; sum of all jumps removed; recent travel by depth and by speed; time
 # since that last depth, whether there is one, and time from the last sample used to it.
-TIME, _USUAL_DT, _RAW_DEPTH, SHIFT, _BY_DEPTH, _BY_SPEED, _PENDING, _HAS_DEPTH, _REJECTED = range(9)
+(
+    TIME,
+    _USUAL_DT,
+    _RAW_DEPTH,
+    SHIFT,
+    _BY_DEPTH,
+    _BY_SPEED,
+    _PENDING,
+    _HAS_DEPTH,
+    _REJECTED,
+) = range(9)
 # Of the filter: its state and covariance; the part of the covariance that is due to noise of the
 # samples alone; means of the latest standardised innovations of depth and of a measured speed.
 _DEPTH, _SPEED, _VAR_DEPTH, _COVARIANCE, _VAR_SPEED = range(9, 14)
@@ -90,13 +106,20 @@ def as_scalar(value: Any) -> float | None:
         return None if np.ndim(value) > 0 else float(value)
     except OverflowError:
         return math.inf
-    except Exception:  # foreign objects convert by code of their own, which may raise anything
+    except (
+        Exception
+    ):  # foreign objects convert by code of their own, which may raise anything
         return None
 
 
 @compiled
 def _check_motion(
-    depth: float, speed: float, dt_s: float, is_measured: bool, m: WrittenVector, limits: Limits
+    depth: float,
+    speed: float,
+    dt_s: float,
+    is_measured: bool,
+    m: WrittenVector,
+    limits: Limits,
 ) -> tuple[int, float]:
     """Compare depth with speed; returns the status and the time since the last sample used."""
     gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
@@ -116,8 +139,15 @@ def _check_motion(
     elif has_depth and dt <= gap and is_measured:
         # The speed now says nothing about travel during a gap, or before the first depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
-    is_contrary = by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
-    m[_BY_DEPTH], m[_BY_SPEED], m[_RAW_DEPTH], m[_HAS_DEPTH] = by_depth, by_speed, depth, 1.0
+    is_contrary = (
+        by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
+    )
+    m[_BY_DEPTH], m[_BY_SPEED], m[_RAW_DEPTH], m[_HAS_DEPTH] = (
+        by_depth,
+        by_speed,
+        depth,
+        1.0,
+    )
     m[_PENDING], m[_REJECTED], status = 0.0, 0.0, _OK
     if is_jump or is_contrary:
         status, m[_REJECTED] = (_DEPTH_JUMP if is_jump else _SPEED_SIGN), elapsed
@@ -149,7 +179,9 @@ def _check_numbers(
 
 
 @compiled
-def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least: float) -> None:
+def learn_noise(
+    memory: WrittenVector, at: int, value: float, dt_s: float, least: float
+) -> None:
     """Learn from one value, `dt_s` after the last one, the noise whose numbers begin at `at`.
 
     With weights a, 1 - a of its neighbours the middle of three values is off their line by
@@ -157,7 +189,11 @@ def learn_noise(memory: WrittenVector, at: int, value: float, dt_s: float, least
     or rounded: they say nothing.
     """
     variance, seen = memory[at + _VARIANCE], memory[at + _SEEN]
-    last, before, last_dt = memory[at + _LAST], memory[at + _BEFORE], memory[at + _LAST_DT]
+    last, before, last_dt = (
+        memory[at + _LAST],
+        memory[at + _BEFORE],
+        memory[at + _LAST_DT],
+    )
     if last_dt > 0.0 and not (value == last and last == before):
         a = last_dt / (last_dt + dt_s)
         off = last - (a * value + (1.0 - a) * before)
@@ -181,7 +217,12 @@ def _density(memory: WrittenVector, gain: float) -> float:
 @compiled
 def _measure(m: WrittenVector, k: int, value: float, noise: float) -> float:
     """Use a measurement of depth (k = 0) or speed (1); returns the standardised innovation."""
-    own, other, n_own, n_other = _VAR_DEPTH + 2 * k, _VAR_SPEED - 2 * k, _NOISE_DEPTH, _NOISE_SPEED
+    own, other, n_own, n_other = (
+        _VAR_DEPTH + 2 * k,
+        _VAR_SPEED - 2 * k,
+        _NOISE_DEPTH,
+        _NOISE_SPEED,
+    )
     if k == 1:
         n_own, n_other = _NOISE_SPEED, _NOISE_DEPTH
     total = m[own] + noise
@@ -210,7 +251,10 @@ def _learn_smooth_noise(
 ) -> None:
     """Learn from a block's mean the noise whose numbers begin at `at`, and its least variance."""
     learn_noise(memory, at, value, dt_s, floor)
-    variance, last = memory[at + _VARIANCE], memory[least] * math.exp(min(dt_s / _RISE_S, 50.0))
+    variance, last = (
+        memory[at + _VARIANCE],
+        memory[least] * math.exp(min(dt_s / _RISE_S, 50.0)),
+    )
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
         return
     is_mean = memory[at + _SEEN] >= _FIRST  # of few blocks the least is too small
@@ -228,17 +272,29 @@ def _fill_block(
     m[_SPEED_SUM] += speed_m_s
     if m[_FILLED] < _BLOCK_S:
         return
-    depth, speed, length_s = m[_DEPTH_SUM] / m[_SAMPLES], m[_SPEED_SUM] / m[_SAMPLES], m[_FILLED]
-    _learn_smooth_noise(m, _OF_DEPTHS, LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE)
+    depth, speed, length_s = (
+        m[_DEPTH_SUM] / m[_SAMPLES],
+        m[_SPEED_SUM] / m[_SAMPLES],
+        m[_FILLED],
+    )
+    _learn_smooth_noise(
+        m, _OF_DEPTHS, LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE
+    )
     if is_measured:
-        _learn_smooth_noise(m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE)
+        _learn_smooth_noise(
+            m, _OF_SPEEDS, _LEAST_SPEEDS, speed, length_s, _LEAST_SPEED_VARIANCE
+        )
     for k in range(_FILLED, LEAST_DEPTHS):
         m[k] = 0.0
 
 
 @compiled
 def filter_travel(
-    depth_m: float, speed_m_s: float, dt_s: float, is_measured: bool, memory: WrittenVector
+    depth_m: float,
+    speed_m_s: float,
+    dt_s: float,
+    is_measured: bool,
+    memory: WrittenVector,
 ) -> Motion:
     """Use one checked sample; time steps may differ, the filter is exact for each."""
     m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
@@ -264,9 +320,14 @@ def filter_travel(
         learn_noise(m, _OF_SPEED, speed_m_s, dt_s, _LEAST_SPEED_VARIANCE)
     if is_measured and m[_OF_SPEED + _SEEN] > 0.0:
         noise = _noise(m, _OF_SPEED, _LEAST_SPEEDS, dt_s)
-        m[_SPEED_SURPRISE] += gain * (_measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE])
+        m[_SPEED_SURPRISE] += gain * (
+            _measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE]
+        )
     _fill_block(m, depth_m, speed_m_s, dt_s, is_measured)
-    depth_variance, speed_variance = max(m[_NOISE_DEPTH], 0.0), max(m[_NOISE_SPEED], 0.0)
+    depth_variance, speed_variance = (
+        max(m[_NOISE_DEPTH], 0.0),
+        max(m[_NOISE_SPEED], 0.0),
+    )
     return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 
 
@@ -292,7 +353,9 @@ def take_sample(
     speed = speed_m_s if is_measured else memory[_SPEED]
     number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0
     if number == _OK:
-        number, elapsed_s = _check_motion(depth_m, speed, dt_s, is_measured, memory, limits)
+        number, elapsed_s = _check_motion(
+            depth_m, speed, dt_s, is_measured, memory, limits
+        )
     elif LEAST_DT_S <= dt_s <= LARGEST_DT_S:
         memory[TIME] += dt_s
         memory[_PENDING] += dt_s

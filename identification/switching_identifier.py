@@ -16,9 +16,28 @@ from identification import hypothesis_filter as law
 from identification import rupture_report as reports
 from identification import switching_update as samples
 from identification.config import MultilayerConfig
-from identification.disturbance_levels import BEATS, COLOUR_S, DisturbanceLevels, transitions
-from identification.estimate import Array, Events, LayerEstimate, Rupture, RuptureState, Sample
-from identification.hypothesis_bank import KEPT, STEP_MM, Bank, BankMemory, Place, first_bank
+from identification.disturbance_levels import (
+    BEATS,
+    COLOUR_S,
+    DisturbanceLevels,
+    transitions,
+)
+from identification.estimate import (
+    Array,
+    Events,
+    LayerEstimate,
+    Rupture,
+    RuptureState,
+    Sample,
+)
+from identification.hypothesis_bank import (
+    KEPT,
+    STEP_MM,
+    Bank,
+    BankMemory,
+    Place,
+    first_bank,
+)
 from identification.speed_trend import NO_TREND, follow_speed
 from identification.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
@@ -34,25 +53,41 @@ _USUAL_S, _USUAL_MM = 10.0, 3.0
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
 more of it: at a stop the force falls without any rupture."""
-_CHANNEL_MM = 0.02  # Behind the deepest point by more than this and the noise: in its own channel
-_DEADBAND = 3.0  # deviations of the speed's noise within which it is the same, in moving tissue
+_CHANNEL_MM = (
+    0.02  # Behind the deepest point by more than this and the noise: in its own channel
+)
+_DEADBAND = (
+    3.0  # deviations of the speed's noise within which it is the same, in moving tissue
+)
 _UNSETTLED = 0.3  # Error of friction while presliding turns or after a rest, as part of the force
 _TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
-_PROVISIONAL_M, _FINAL_M = 1e-3, 3e-3  # travel after a rupture at which its layer is reported
+_PROVISIONAL_M, _FINAL_M = (
+    1e-3,
+    3e-3,
+)  # travel after a rupture at which its layer is reported
 _REVISE_S = 0.1  # time between two revisions of the layers left
-_MOTION_MM = 0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
+_MOTION_MM = (
+    0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
+)
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
-_LAYERS, _RUPTURES = 4, 8  # added where the layer left, or ruptures, are to be reported first
-Noise = tuple[float, float, float]  # deviations of depth and speed; variance of force by motion
+_LAYERS, _RUPTURES = (
+    4,
+    8,
+)  # added where the layer left, or ruptures, are to be reported first
+Noise = tuple[
+    float, float, float
+]  # deviations of depth and speed; variance of force by motion
 
 
 class SwitchingState(NamedTuple):
     """All that the switching filter remembers; immutable."""
 
     bank: Bank
-    memory: Array = samples.FIRST_MEMORY  # what every sample changes, see `switching_update`
+    memory: Array = (
+        samples.FIRST_MEMORY
+    )  # what every sample changes, see `switching_update`
     answer: Array = samples.NO_ANSWER  # see `switching_update`
     levels: DisturbanceLevels = DisturbanceLevels()
     tissue: TissueMotion = TissueMotion()  # its motion by itself
@@ -62,7 +97,9 @@ class SwitchingState(NamedTuple):
     stage: int = _NOTHING  # what is left to do for that block
     deepest: float = -_FAR_MM  # point so far [mm]
     spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
-    resumed: float = 0.0  # how much of a rest or reversal is left in the friction, 0 to 1
+    resumed: float = (
+        0.0  # how much of a rest or reversal is left in the friction, 0 to 1
+    )
     force_std_in_air: float = 0.0  # of the force's slow error before the contact [N]
     ruptures: int = 0  # in the hypotheses that the last report followed
     alarm: Rupture | None = None  # the last one raised and not taken back
@@ -88,11 +125,17 @@ class SwitchingMethod:
     @property
     def state(self) -> SwitchingState:
         """All that it remembers."""
-        arrays = self._bank.bank.copied(), np.array(self._memory), np.array(self._answer)
+        arrays = (
+            self._bank.bank.copied(),
+            np.array(self._memory),
+            np.array(self._answer),
+        )
         course = self._place, self._stage, self._deepest, self._spawned, self._resumed
         found = self._ruptures, self._alarm, self.layers, self._rupture_state
         learned = self._levels, self._tissue, self._trend, self._texture
-        return SwitchingState(*arrays, *learned, *course, self._force_std_in_air, *found)
+        return SwitchingState(
+            *arrays, *learned, *course, self._force_std_in_air, *found
+        )
 
     @property
     def contact_depth_m(self) -> float | None:
@@ -104,20 +147,37 @@ class SwitchingMethod:
         """Go on from there."""
         self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
         self._answer, self._events = working_copy(state.answer), Events()
-        self._levels, self._tissue, self._trend = state.levels, state.tissue, state.trend
+        self._levels, self._tissue, self._trend = (
+            state.levels,
+            state.tissue,
+            state.trend,
+        )
         self._texture = state.texture
-        self._place, self._stage, self._resumed = state.place, state.stage, state.resumed
+        self._place, self._stage, self._resumed = (
+            state.place,
+            state.stage,
+            state.resumed,
+        )
         self._deepest, self._spawned = state.deepest, state.spawned
-        self._force_std_in_air, self._rupture_state = state.force_std_in_air, state.rupture_state
+        self._force_std_in_air, self._rupture_state = (
+            state.force_std_in_air,
+            state.rupture_state,
+        )
         self._ruptures, self._alarm = state.ruptures, state.alarm
         self._keep(state.layers)
 
     def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those left, with what every sample needs of them."""
         self.layers, self._left = layers, np.zeros((len(layers), 4))
-        for row, layer in zip(self._left, layers, strict=True):  # see `switching_outputs`
-            coulomb = min((layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N)
-            viscous = (layer.friction_N - coulomb) / max(_MM * layer.rupture.speed_m_s, 1e-3)
+        for row, layer in zip(
+            self._left, layers, strict=True
+        ):  # see `switching_outputs`
+            coulomb = min(
+                (layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N
+            )
+            viscous = (layer.friction_N - coulomb) / max(
+                _MM * layer.rupture.speed_m_s, 1e-3
+            )
             row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
 
     def report(self) -> tuple[Any, ...]:
@@ -130,11 +190,17 @@ class SwitchingMethod:
         if self._tissue.is_known:
             time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
             place_m, speed = (part / _MM for part in self._tissue.at(clock_s))
-            depth_m, speed_m_s, raw_m = depth_m - place_m, speed_m_s - speed, raw_m - place_m
+            depth_m, speed_m_s, raw_m = (
+                depth_m - place_m,
+                speed_m_s - speed,
+                raw_m - place_m,
+            )
             # As the tissue, which moves, meets the needle.
             sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
         known = self._memory, self._answer, self._left
-        is_full, outputs = samples.update_switching(sample[2:9], arm_m_s, sample[1], *known)
+        is_full, outputs = samples.update_switching(
+            sample[2:9], arm_m_s, sample[1], *known
+        )
         if not is_full and self._stage == _NOTHING:
             return (self._rupture_state, *outputs, None, None, None)
         self._events = Events()
@@ -144,7 +210,9 @@ class SwitchingMethod:
                 break
         if is_full:
             self._use_block(sample)
-            if self._stage < _RUPTURES:  # it does not advance: the next sample has nothing to add
+            if (
+                self._stage < _RUPTURES
+            ):  # it does not advance: the next sample has nothing to add
                 self._report(sample)
         return self._outputs(sample)
 
@@ -171,7 +239,11 @@ class SwitchingMethod:
             self._bank.prune(self._place)
             self._stage = self._after(clock_s)
             return
-        before, self._stage, self._tissue = self._tissue, _NOTHING, self._tissue.worked(clock_s)
+        before, self._stage, self._tissue = (
+            self._tissue,
+            _NOTHING,
+            self._tissue.worked(clock_s),
+        )
         if self._tissue.fit is not before.fit:
             # The needle stays where it is in the tissue that is now known to be elsewhere.
             by_mm = before.at(clock_s)[0] - self._tissue.at(clock_s)[0]
@@ -195,26 +267,46 @@ class SwitchingMethod:
 
     def _use_block(self, sample: Sample) -> None:
         """Let every hypothesis predict the force of the block, and learn from it."""
-        clock_s, last, deepest, bank = sample[-1], self._place, self._deepest, self._bank
-        place, (depth_std, speed_std, by_motion) = _block(clock_s, self._memory, last.force)
+        clock_s, last, deepest, bank = (
+            sample[-1],
+            self._place,
+            self._deepest,
+            self._bank,
+        )
+        place, (depth_std, speed_std, by_motion) = _block(
+            clock_s, self._memory, last.force
+        )
         dt_s, z, v = place.dt_s, place.depth, place.speed
         fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
         faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
-        usual, is_gap = max(last.usual_speed * faded, v), dt_s > max(_GAP_S, 10.0 * last.dt_s)
+        usual, is_gap = (
+            max(last.usual_speed * faded, v),
+            dt_s > max(_GAP_S, 10.0 * last.dt_s),
+        )
         own = self._own_speed(place, (depth_std, speed_std), is_gap=is_gap)
         is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
         is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
-        left, self._deepest = self._levels.beside(self._tissue, clock_s), max(deepest, z)
+        left, self._deepest = (
+            self._levels.beside(self._tissue, clock_s),
+            max(deepest, z),
+        )
         by_speed = last.by_speed + _damping(bank, z) * (own - last.speed)
-        place = place._replace(speed=own, usual_speed=usual, noise=left.noise, by_speed=by_speed)
+        place = place._replace(
+            speed=own, usual_speed=usual, noise=left.noise, by_speed=by_speed
+        )
         _predict(bank, place, fresh, left, self._tissue)
-        is_met, self._stage = self._answer[0][samples.IN_CONTACT] > 0.0, self._after(clock_s)
+        is_met, self._stage = (
+            self._answer[0][samples.IN_CONTACT] > 0.0,
+            self._after(clock_s),
+        )
         if (is_advancing or not is_met) and not is_gap:
             self._resumed *= math.exp(-fresh / _RESUMED_MM)
             # A force that is being released is no noise, nor is what the speed does; beats are.
             force = place.force - by_speed
             is_release, levels = self._is_open and not self._is_series, self._levels
-            levels = levels.restarted() if is_release else levels.with_force(force, dt_s, v)
+            levels = (
+                levels.restarted() if is_release else levels.with_force(force, dt_s, v)
+            )
             self._levels, left = levels, levels.beside(self._tissue, clock_s)
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's change.
@@ -227,13 +319,20 @@ class SwitchingMethod:
             self._pause(place, fresh, is_gap=is_gap)
         self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
         axial = place.force - bank.likeliest[0][law.OFFSET]
-        self._place = place._replace(law_error=self._texture.law_error(axial, sample[7]))
+        self._place = place._replace(
+            law_error=self._texture.law_error(axial, sample[7])
+        )
         if not is_gap:
-            self._tissue = self._tissue.with_block(place._replace(speed=v), is_met=is_met)
+            self._tissue = self._tissue.with_block(
+                place._replace(speed=v), is_met=is_met
+            )
 
     def _pause(self, place: Place, fresh: float, *, is_gap: bool) -> None:
         """A block from which nothing is learnt: after a gap, at rest, in a channel already cut."""
-        self._levels, self._texture = self._levels.restarted(), self._texture.restarted()
+        self._levels, self._texture = (
+            self._levels.restarted(),
+            self._texture.restarted(),
+        )
         if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
             # The needle went on: something may have happened half way or near the end, dated alike,
             # so that either may prove right without taking back an alarm. The next block prunes.
@@ -241,7 +340,9 @@ class SwitchingMethod:
             for ago_s in (0.5 * place.dt_s, 0.1 * place.dt_s):
                 scene = place.depth - place.speed * ago_s, place.speed, place.deflection
                 force = float(law.regressor(store[3][0], scene) @ store[0][0])
-                self._place = place._replace(time_s=end_s, dt_s=2.0 * ago_s, before=force)
+                self._place = place._replace(
+                    time_s=end_s, dt_s=2.0 * ago_s, before=force
+                )
                 self._branch()
             is_new = store[4][:, law.RUPTURE_MM] > place.depth - fresh
             store[4][is_new, law.RUPTURE_S] = end_s - ago_s
@@ -252,7 +353,9 @@ class SwitchingMethod:
         is_rest = is_gap or place.speed + rate < _HALF * place.usual_speed
         self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
 
-    def _own_speed(self, place: Place, noise: tuple[float, float], *, is_gap: bool) -> float:
+    def _own_speed(
+        self, place: Place, noise: tuple[float, float], *, is_gap: bool
+    ) -> float:
         """The needle's own speed, less jitter; less the tissue's, if that moves."""
         trend, tissue = NO_TREND if is_gap else self._trend, self._tissue
         at_mm, rate = tissue.at(place.time_s) if tissue.is_known else (0.0, 0.0)
@@ -267,14 +370,21 @@ class SwitchingMethod:
     @property
     def _is_open(self) -> bool:
         """Whether the layer of the last alarm is not among the layers yet."""
-        return self._alarm is not None and layers_traversed(self.layers) < self._alarm.layer
+        return (
+            self._alarm is not None
+            and layers_traversed(self.layers) < self._alarm.layer
+        )
 
     @property
     def _is_series(self) -> bool:
         """Whether the last alarm came so soon after another that a heart may have raised both."""
         if self._alarm is None:
             return False
-        before = [layer.rupture.time_s for layer in self.layers if layer.layer < self._alarm.layer]
+        before = [
+            layer.rupture.time_s
+            for layer in self.layers
+            if layer.layer < self._alarm.layer
+        ]
         return bool(before) and self._alarm.time_s - before[-1] < _SERIES_S
 
     def _report(self, sample: Sample) -> None:
@@ -283,14 +393,20 @@ class SwitchingMethod:
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         found = reports.count_ruptures(evidence, self._ruptures, place)
         now = RuptureState.EXPECTED if found.more > 0.5 else RuptureState.NO_RUPTURE
-        self._rupture_state = RuptureState.FORCE_DROP_MEASURING if self._is_open else now
+        self._rupture_state = (
+            RuptureState.FORCE_DROP_MEASURING if self._is_open else now
+        )
         if (
             found.more > self._config.alarm_probability
             and self._is_settled(evidence.bank, found.pick)
-            and not reports.may_be_braking(evidence.bank, found, place, sample[-1], self._tissue)
+            and not reports.may_be_braking(
+                evidence.bank, found, place, sample[-1], self._tissue
+            )
         ):
             self._raise_alarm(evidence, sample, found)
-            self._stage += _RUPTURES  # the next sample answers: this one has had enough to do
+            self._stage += (
+                _RUPTURES  # the next sample answers: this one has had enough to do
+            )
             return
         if alarm is not None and found.fewer > _TAKEN_BACK:
             # The force has come back: no rupture was there but for what is left of its probability.
@@ -298,7 +414,11 @@ class SwitchingMethod:
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
             self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
-        elif alarm is not None and self._events.rupture is None and self._is_layer_due(alarm):
+        elif (
+            alarm is not None
+            and self._events.rupture is None
+            and self._is_layer_due(alarm)
+        ):
             self._stage += _LAYERS
         last = self._alarm or (self.layers[-1].rupture if self.layers else None)
         speed = 0.0 if last is None else _MM * last.speed_m_s
@@ -346,19 +466,30 @@ class SwitchingMethod:
         is_due = self._is_final(alarm)
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction, and the law's.
-        grown = max(force_std**2 - self._force_std_in_air**2, 0.0) + self._place.law_error**2
+        grown = (
+            max(force_std**2 - self._force_std_in_air**2, 0.0)
+            + self._place.law_error**2
+        )
         friction = reports.friction_left(evidence, self._ruptures, grown)
         if is_open:
-            layer = friction and reports.layer_left(evidence, alarm, self._ruptures, friction)
+            layer = friction and reports.layer_left(
+                evidence, alarm, self._ruptures, friction
+            )
             if layer is not None:
                 self._keep((*layers, layer))
                 self._events = self._events._replace(identified_layer=layer)
                 self._rupture_state = RuptureState.FRICTION_IDENTIFIED
             return
-        layer = layers[-1] if friction is None else reports.with_friction(layers[-1], *friction)
+        layer = (
+            layers[-1]
+            if friction is None
+            else reports.with_friction(layers[-1], *friction)
+        )
         if is_due:
             partial = reports.partial_rupture_probability(evidence, self._ruptures)
-            rupture = replace(layer.rupture, is_final=True, partial_rupture_probability=partial)
+            rupture = replace(
+                layer.rupture, is_final=True, partial_rupture_probability=partial
+            )
             layer = replace(layer, is_final=True, rupture=rupture)
             self._events = self._events._replace(identified_layer=layer)
         kept = [*layers[:-1], layer]
@@ -390,15 +521,25 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, Noise]:
 def _damping(bank: BankMemory, depth: float) -> float:
     """Viscous friction of the whole shaft [N/(mm/s)], by the likeliest hypothesis."""
     best, fact = bank.store[0][0], bank.store[3][0]
-    return float(best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0))
+    return float(
+        best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0)
+    )
 
 
 def _predict(
-    bank: BankMemory, place: Place, fresh: float, levels: DisturbanceLevels, tissue: TissueMotion
+    bank: BankMemory,
+    place: Place,
+    fresh: float,
+    levels: DisturbanceLevels,
+    tissue: TissueMotion,
 ) -> None:
     # Errors of the law are the same for all: what claims less would be believed more.
     best, fact = bank.likeliest
-    slope = best[law.STIFFNESS] + best[law.OWN_COULOMB] + best[law.OWN_VISCOUS] * place.speed
+    slope = (
+        best[law.STIFFNESS]
+        + best[law.OWN_COULOMB]
+        + best[law.OWN_VISCOUS] * place.speed
+    )
     slope = max(slope, 0.004)
     held = fresh * (_HELD_DRIFT * min(max(best[law.HELD], 0.02), 2.0 * slope)) ** 2
     left = place.deflection * best[law.COULOMB] + place.speed * best[law.VISCOUS]
@@ -414,7 +555,11 @@ def _predict(
 
 
 def _learn(
-    bank: BankMemory, place: Place, levels: DisturbanceLevels, resumed: float, noise: Noise
+    bank: BankMemory,
+    place: Place,
+    levels: DisturbanceLevels,
+    resumed: float,
+    noise: Noise,
 ) -> None:
     (depth_std, speed_std, by_motion), (best, fact) = noise, bank.likeliest
     damping = _damping(bank, place.depth)
@@ -433,9 +578,16 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
     best, fact = bank.likeliest
     travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
     slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
-    slope += best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
-    damping, variance = max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0), 0.0
-    for level, (hz, _), most in zip(levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True):
+    slope += (
+        best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
+    )
+    damping, variance = (
+        max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0),
+        0.0,
+    )
+    for level, (hz, _), most in zip(
+        levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True
+    ):
         rate = 2.0 * math.pi * hz
         moved = level / (max(slope, 0.0) ** 2 + 1e-4 + (rate * damping) ** 2)
         variance += rate**2 * min(moved, most)

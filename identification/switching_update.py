@@ -42,7 +42,9 @@ _NOWHERE_M = -1e9  # deepest point before the first sample
 # motion [N² s]. That deflection, -1 to 1; depth less the jitter of its measurement; how far
 # friction may have let go at rest, 0 to 1; deepest point so far; noise of the last depth and speed;
 # the arm's speed with a lag; square of the force that accelerates it, at most; that variance now.
-FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, BY_MOTION_SUM = range(7)
+FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, BY_MOTION_SUM = range(
+    7
+)
 _DEFLECTION, _FOLLOWER, _REST, _DEEPEST, DEPTH_STD, SPEED_STD = range(7, 13)
 _LAGGED, _INERTIA, _BY_MOTION = range(13, 16)
 FIRST_MEMORY = np.zeros(16)
@@ -56,7 +58,9 @@ FIRST_MEMORY.setflags(write=False)
 # before the first, to take the present one; variance of the law's error. The second row holds the
 # mean, the others the covariance of: force in free air; Coulomb and viscous friction of the layers
 # left, and of the whole shaft; their growth with depth; stiffness of the tip's force.
-IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED, _LAW = range(8)
+IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED, _LAW = (
+    range(8)
+)
 _OFFSET, LEFT_COULOMB, LEFT_VISCOUS, COULOMB, VISCOUS = range(5)
 _OWN_COULOMB, _OWN_VISCOUS, _STIFFNESS = range(5, 8)
 NO_ANSWER = np.zeros((10, 8))
@@ -85,10 +89,14 @@ def _variance(answer: Matrix, first: int, w: float, speed: float) -> float:
 
 
 @compiled
-def _with_offset(answer: Matrix, first: int, w: float, speed: float, variance: float) -> float:
+def _with_offset(
+    answer: Matrix, first: int, w: float, speed: float, variance: float
+) -> float:
     """Standard deviation of a force less the offset and such a friction of that variance."""
     both = w * answer[2][first] + speed * answer[2][first + 1]
-    return math.sqrt(max(answer[0][NOISE] + answer[2][_OFFSET] + variance + 2.0 * both, 0.0))
+    return math.sqrt(
+        max(answer[0][NOISE] + answer[2][_OFFSET] + variance + 2.0 * both, 0.0)
+    )
 
 
 @compiled
@@ -106,13 +114,22 @@ def _not_pulled(tip: float, variance: float) -> tuple[float, float]:
     """
     std = math.sqrt(max(variance, _TINY))
     a = max(tip / std, -30.0)
-    rise = math.sqrt(2.0 / math.pi) * math.exp(-0.5 * a * a) / math.erfc(-math.sqrt(0.5) * a)
+    rise = (
+        math.sqrt(2.0 / math.pi)
+        * math.exp(-0.5 * a * a)
+        / math.erfc(-math.sqrt(0.5) * a)
+    )
     return std * (a + rise), variance * rise * (rise + a)
 
 
 @compiled
 def _forces(
-    depth_m: float, speed: float, force: float, memory: Vector, answer: Matrix, layers: Matrix
+    depth_m: float,
+    speed: float,
+    force: float,
+    memory: Vector,
+    answer: Matrix,
+    layers: Matrix,
 ) -> tuple[float, float, float, float, float, float, float]:
     """Enhanced force, tip force and shaft friction, each with its standard deviation [N].
 
@@ -140,8 +157,12 @@ def _forces(
     variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
     left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance + by_motion)
     if is_unloaded:
-        own = w * max(mean[COULOMB] - mean[LEFT_COULOMB] + mean[_OWN_COULOMB] * further, 0.0)
-        own += speed * max(mean[VISCOUS] - mean[LEFT_VISCOUS] + mean[_OWN_VISCOUS] * further, 0.0)
+        own = w * max(
+            mean[COULOMB] - mean[LEFT_COULOMB] + mean[_OWN_COULOMB] * further, 0.0
+        )
+        own += speed * max(
+            mean[VISCOUS] - mean[LEFT_VISCOUS] + mean[_OWN_VISCOUS] * further, 0.0
+        )
         return force - left, left_std, 0.0, std, force, std, offset + left + own
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
@@ -149,11 +170,17 @@ def _forces(
     predicted, enhanced = offset + friction + tip, force - left
     # A force counts less, the more uncertain motion makes it, beside what is not known of friction.
     kept = 1.0 - by_motion / (answer[0][NOISE] + max(variance, 0.0) + by_motion + _TINY)
-    force, excess = kept * force + (1.0 - kept) * (friction + tip), max(friction - force, 0.0)
+    force, excess = (
+        kept * force + (1.0 - kept) * (friction + tip),
+        max(friction - force, 0.0),
+    )
     tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
     # At rest the force may relax faster than this friction says.
     variance += kept * by_motion + excess**2 - known
-    tip_std, std = _with_offset(answer, COULOMB, w, speed, variance), math.sqrt(max(variance, 0.0))
+    tip_std, std = (
+        _with_offset(answer, COULOMB, w, speed, variance),
+        math.sqrt(max(variance, 0.0)),
+    )
     return enhanced, left_std, tip, tip_std, force - tip, std, predicted
 
 
@@ -171,7 +198,12 @@ def _layer(depth_m: float, answer: Matrix, layers: Matrix) -> int:
 
 @compiled
 def switching_outputs(
-    depth_m: float, speed_m_s: float, force_N: float, memory: Vector, answer: Matrix, layers: Matrix
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    memory: Vector,
+    answer: Matrix,
+    layers: Matrix,
 ) -> Outputs:
     """What to report of a sample: the fields of an `Estimate` from ``in_contact`` to the events.
 
@@ -185,11 +217,20 @@ def switching_outputs(
     if answer[0][CUMULATIVE_SPEED] != 0.0:
         speed = answer[0][CUMULATIVE_SPEED]
     d, d_std = _per_speed(answer, LEFT_COULOMB, speed)
-    k, k_std = _MM * mean[_STIFFNESS], _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS])
+    k, k_std = (
+        _MM * mean[_STIFFNESS],
+        _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS]),
+    )
     b, b_std = _MM * _MM * b, _MM * _MM * b_std
     in_contact = answer[0][IN_CONTACT] > 0.0
     stiffness = (k, k_std, in_contact and k_std <= IDENTIFIED * abs(k))
-    damping = (b, b_std, in_contact and b_std <= IDENTIFIED * abs(b), _MM * d, _MM * d_std)
+    damping = (
+        b,
+        b_std,
+        in_contact and b_std <= IDENTIFIED * abs(b),
+        _MM * d,
+        _MM * d_std,
+    )
     # Numba knows no starred parts of a tuple.
     return (in_contact, _layer(depth_m, answer, layers)) + forces + stiffness + damping  # noqa: RUF005
 
@@ -227,7 +268,9 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
             travel = depth[k] - depth[k - 1]
             deflection[course, k] = _presliding(deflection[course, k - 1], travel)[0]
             deepest = max(deepest, depth[k])
-            left[course, k] = min(max(1.0 - (deepest - depth[k]) / _UNLOADING_MM, 0.0), 1.0)
+            left[course, k] = min(
+                max(1.0 - (deepest - depth[k]) / _UNLOADING_MM, 0.0), 1.0
+            )
     return deflection, left
 
 
@@ -248,7 +291,10 @@ def update_switching(
 
     Returns whether the block being filled is full, and what to report, see `switching_outputs`.
     """
-    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = memory, sample
+    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = (
+        memory,
+        sample,
+    )
     m[_LAGGED] += (arm_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
     change = max(abs(arm_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
     inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
@@ -258,7 +304,11 @@ def update_switching(
     if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
     deadband = max(_DEADBAND * depth_std_m, _LEAST_DEADBAND_M)
-    follower = depth_m - deadband if last < depth_m - deadband else min(last, depth_m + deadband)
+    follower = (
+        depth_m - deadband
+        if last < depth_m - deadband
+        else min(last, depth_m + deadband)
+    )
     if follower != last:
         w, kept = _presliding(w, _MM * (follower - last))
         rest *= kept
@@ -274,6 +324,8 @@ def update_switching(
     m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
     m[_DEEPEST] = max(m[_DEEPEST], depth_m)
     m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s
-    is_far = _MM * abs(m[SPEED_SUM]) >= _BLOCK_MM and m[FILLED] > _LEAST_S * (1.0 - 1e-6)
+    is_far = _MM * abs(m[SPEED_SUM]) >= _BLOCK_MM and m[FILLED] > _LEAST_S * (
+        1.0 - 1e-6
+    )
     is_full = is_far or m[FILLED] > _BLOCK_S * (1.0 - 1e-6)
     return is_full, switching_outputs(depth_m, speed_m_s, force_N, m, answer, layers)

@@ -24,9 +24,14 @@ _FINE, _WITHOUT_HEART, _PROVEN = 0.12, 0.25, 5
 heartbeat (seen: 1/8 to 1/280), and how many steps in a row both must hold."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
-_STEPS, _STEPS_EACH = 8, 7  # Gauss-Newton steps of a fit, and of each start of one with two beats
+_STEPS, _STEPS_EACH = (
+    8,
+    7,
+)  # Gauss-Newton steps of a fit, and of each start of one with two beats
 _SLOW, _SIZES = np.linspace(0.15, 0.45, 7), (0.7, 1.4)  # Breaths that those begin with
-_SCANNED = len(windows.BREATH) + 2 * len(windows.HEART)  # units of a search before the first fit
+_SCANNED = len(windows.BREATH) + 2 * len(
+    windows.HEART
+)  # units of a search before the first fit
 _BOTH = 2 * _STEPS - 1 + len(_SLOW) * (1 + _STEPS_EACH)
 _DONE = _STEPS - 1, _BOTH, _BOTH + _STEPS
 """Units after those at which a fit is done: the heart alone, both, the breath alone."""
@@ -34,14 +39,24 @@ _UNITS = _SCANNED + _DONE[-1] + 2
 _FADE_S, _BELIEF_S = 1.0, 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned without it."""
 _EMPTY = (0.0,) * 5
-_IDLE: dict[str, Any] = {"unit": -1, "bad": 0, "tried": Fit(), "best": Fit(), "first": Fit()}
+_IDLE: dict[str, Any] = {
+    "unit": -1,
+    "bad": 0,
+    "tried": Fit(),
+    "best": Fit(),
+    "first": Fit(),
+}
 
 
 class TissueMotion(NamedTuple):
     """What is known of the motion; immutable."""
 
-    window: Array = np.zeros((0, 4))  # means of time, depth, speed and force, in two layers
-    filling: tuple[float, ...] = _EMPTY  # length of the mean being filled, integrals of those
+    window: Array = np.zeros(
+        (0, 4)
+    )  # means of time, depth, speed and force, in two layers
+    filling: tuple[float, ...] = (
+        _EMPTY  # length of the mean being filled, integrals of those
+    )
     until_s: float = 0.0  # the layer before ended
     from_s: float = 0.0  # its last layer begins, what lies between is not used
     fit: Fit = Fit()  # the motion in use, if it has beats
@@ -49,7 +64,9 @@ class TissueMotion(NamedTuple):
     bad: int = 0  # steps in a row at which it was no good fit
     next_s: float = 0.0  # when it is looked at again
     unit: int = -1  # the next one of a search, -1 outside one
-    found: Array = np.zeros((3, 3))  # of breath, heart, one beside the other: error, frequencies
+    found: Array = np.zeros(
+        (3, 3)
+    )  # of breath, heart, one beside the other: error, frequencies
     tried: Fit = Fit()  # being fitted in a search
     best: Fit = Fit()  # so far in that search
     first: Fit = Fit()  # the best of its starts with two beats
@@ -59,7 +76,11 @@ class TissueMotion(NamedTuple):
     @property
     def damage(self) -> str:
         """What is wrong with a restored one, if anything."""
-        return "" if self.unit in range(-1, _UNITS) else f"there is no unit {self.unit!r:.80}"
+        return (
+            ""
+            if self.unit in range(-1, _UNITS)
+            else f"there is no unit {self.unit!r:.80}"
+        )
 
     @property
     def is_known(self) -> bool:
@@ -71,7 +92,10 @@ class TissueMotion(NamedTuple):
         at_s = np.array([time_s - self.fit.at_s])
         place, speed = (float(each[0]) for each in displacement(self.fit.beats, at_s))
         part = min(max((time_s - self.since_s) / _FADE_S, 0.0), 1.0)
-        kept, rate = part * part * (3.0 - 2.0 * part), 6.0 * part * (1.0 - part) / _FADE_S
+        kept, rate = (
+            part * part * (3.0 - 2.0 * part),
+            6.0 * part * (1.0 - part) / _FADE_S,
+        )
         return kept * place, kept * speed + rate * place
 
     def limits(self, time_s: float) -> tuple[float, float, float]:
@@ -95,19 +119,29 @@ class TissueMotion(NamedTuple):
             window, fit = window[is_last], self.fit
             until_s = float(window[-_MARGIN, 0])
         from_s, since_s = time_s + _SETTLE_S, self.since_s
-        return TissueMotion(window, until_s=until_s, from_s=from_s, fit=fit, since_s=since_s)
+        return TissueMotion(
+            window, until_s=until_s, from_s=from_s, fit=fit, since_s=since_s
+        )
 
     def with_block(self, block: Place, *, is_met: bool) -> "TissueMotion":
         """Use means of a block of samples, in the tissue's frame, once tissue has been met."""
         if not is_met:
             return self if len(self.window) == 0 else TissueMotion()
         place, speed = self.at(block.time_s) if self.is_known else (0.0, 0.0)
-        means = (1.0, block.time_s, block.depth + place, block.speed + speed, block.force)
+        means = (
+            1.0,
+            block.time_s,
+            block.depth + place,
+            block.speed + speed,
+            block.force,
+        )
         sums = zip(self.filling, means, strict=True)
         filling = tuple(total + block.dt_s * mean for total, mean in sums)
         if filling[0] < windows.STEP_S * (1.0 - 1e-9):
             return self._replace(filling=filling)
-        window = np.vstack((self.window[-windows.SIZE + 1 :], np.array(filling[1:]) / filling[0]))
+        window = np.vstack(
+            (self.window[-windows.SIZE + 1 :], np.array(filling[1:]) / filling[0])
+        )
         return self._replace(window=window, filling=_EMPTY)
 
     def is_due(self, time_s: float) -> bool:
@@ -141,8 +175,13 @@ class TissueMotion(NamedTuple):
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
-        likely, unit = fit if fit.error < windows.FAIR * window.count else Fit(), max(self.unit, 0)
-        return self._replace(likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S)
+        likely, unit = (
+            fit if fit.error < windows.FAIR * window.count else Fit(),
+            max(self.unit, 0),
+        )
+        return self._replace(
+            likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S
+        )
 
     def _known(self, fit: Fit, time_s: float) -> "TissueMotion":
         return self._replace(fit=fit, since_s=time_s, likely=Fit(), held=0, **_IDLE)
@@ -208,7 +247,9 @@ class TissueMotion(NamedTuple):
                 return state._replace(fit=best)
             # The law may have changed within the window, or the motion have ended: it begins anew.
             # Before it is full a breath may be missing, which wants all of it.
-            most = _LOST * window.count if len(self.window) == windows.SIZE else math.inf
+            most = (
+                _LOST * window.count if len(self.window) == windows.SIZE else math.inf
+            )
             is_lost = self.fit.error > min(most, window.still)
             newer = self.window[len(self.window) // 2 :]
             new = TissueMotion(newer, until_s=self.until_s, from_s=self.from_s)

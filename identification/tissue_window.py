@@ -53,7 +53,9 @@ Pair = tuple[Matrix, Matrix]
 class Fit(NamedTuple):
     """A motion fitted to a window."""
 
-    beats: Array = np.zeros((0, 5))  # f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first
+    beats: Array = np.zeros(
+        (0, 5)
+    )  # f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first
     at_s: float = 0.0  # time from which their phases count
     error: float = 1e30  # sum of squares it leaves
     rms_N: float = 0.0  # of what it leaves
@@ -77,7 +79,10 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
 @compiled
 def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     """Derivatives of place and speed at n times by the five numbers of each beat, (5 beats, n)."""
-    places, speeds = np.zeros((beats.size, len(time_s))), np.zeros((beats.size, len(time_s)))
+    places, speeds = (
+        np.zeros((beats.size, len(time_s))),
+        np.zeros((beats.size, len(time_s))),
+    )
     for k in range(len(beats)):
         row, phase = 5 * k, 2.0 * math.pi * beats[k, 0] * time_s
         cosine, sine = np.cos(phase), np.sin(phase)
@@ -95,7 +100,9 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
 
 
 @compiled
-def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[Vector, Vector]:
+def _fitted(
+    rows: Matrix, force: Vector, known: Matrix, pull: Vector
+) -> tuple[Vector, Vector]:
     """Least squares beside what is known beforehand: the unknowns, and the error they leave."""
     square = np.dot(rows.T, rows) + known
     # Of unknowns that nothing separates as well.
@@ -105,15 +112,28 @@ def _fitted(rows: Matrix, force: Vector, known: Matrix, pull: Vector) -> tuple[V
 
 
 @compiled
-def _waves(hz: Vector, courses: Matrix, one: Vector, force: Vector) -> tuple[Vector, float]:
+def _waves(
+    hz: Vector, courses: Matrix, one: Vector, force: Vector
+) -> tuple[Vector, float]:
     """Fit of a smooth course and waves that grow with the travel; mean square of the rest.
 
     `courses`, shape (4, n), are time, travel, speed, and travel in a second layer, negative before;
     `one` and `force` are over its deviation.
     """
-    time_s, y, v, later = courses[0] - courses[0, -1], courses[1], courses[2], courses[3]
+    time_s, y, v, later = (
+        courses[0] - courses[0, -1],
+        courses[1],
+        courses[2],
+        courses[3],
+    )
     columns, row = np.ones((8 + 8 * len(hz), len(y))), 8
-    columns[1], columns[2], columns[3], columns[4], columns[5] = y, y * y, y**3, v, v * y
+    columns[1], columns[2], columns[3], columns[4], columns[5] = (
+        y,
+        y * y,
+        y**3,
+        v,
+        v * y,
+    )
     columns[6], columns[7] = 1.0 * (later >= 0.0), np.maximum(later, 0.0)
     for k in range(2 * len(hz)):
         phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * time_s
@@ -130,7 +150,11 @@ def _waves(hz: Vector, courses: Matrix, one: Vector, force: Vector) -> tuple[Vec
 
 @compiled
 def _rows(
-    contact: tuple[Vector, Vector], depth: Vector, speed: Vector, one: Vector, begin: int
+    contact: tuple[Vector, Vector],
+    depth: Vector,
+    speed: Vector,
+    one: Vector,
+    begin: int,
 ) -> Matrix:
     """Rows of the law in its linear unknowns, three and `_OWN` a layer, each over its deviation.
 
@@ -150,13 +174,19 @@ def _rows(
             rows[k, at], rows[k, at + 1] = rows[k, 1] * shaft, rows[k, 2] * shaft
             if (begin > 0 and k >= begin) == (layer == 1):
                 tip, back = g[k] * one[k], shaft - deepest + depth[k]
-                rows[k, at + 2], rows[k, at + 3], rows[k, at + 4] = tip, tip * shaft, tip * shaft**2
+                rows[k, at + 2], rows[k, at + 3], rows[k, at + 4] = (
+                    tip,
+                    tip * shaft,
+                    tip * shaft**2,
+                )
                 rows[k, at + 5], rows[k, at + 6] = back * one[k], back**2 * one[k]
     return rows
 
 
 @compiled
-def _changes(contact: Pair, courses: Pair, one: Vector, begin: int, linear: Vector) -> Matrix:
+def _changes(
+    contact: Pair, courses: Pair, one: Vector, begin: int, linear: Vector
+) -> Matrix:
     """What m courses of depth and speed change of the force of the first, shape (n, m - 1)."""
     (w, g), (depths, speeds) = contact, courses
     forces = np.zeros((len(depths), len(one)))
@@ -182,14 +212,21 @@ def _step(
     for k in range(len(stds)):
         held = stds[k] ** -2.0
         known[n + k, n + k] = held + damping * (held + (slopes[:, k] ** 2).sum())
-    return _fitted(np.concatenate((linear, slopes), axis=1), error, known, pulled)[0][n:]
+    return _fitted(np.concatenate((linear, slopes), axis=1), error, known, pulled)[0][
+        n:
+    ]
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
     """The same motion with its phases counted from another time."""
     beats, shift = fit.beats.copy(), time_s - fit.at_s
     phase = 2.0 * math.pi * shift * fit.beats[:, :1] * np.array([1.0, 2.0])
-    cosine, sine, a, b = np.cos(phase), np.sin(phase), fit.beats[:, 1::2], fit.beats[:, 2::2]
+    cosine, sine, a, b = (
+        np.cos(phase),
+        np.sin(phase),
+        fit.beats[:, 1::2],
+        fit.beats[:, 2::2],
+    )
     beats[:, 1::2], beats[:, 2::2] = a * cosine + b * sine, b * cosine - a * sine
     return fit._replace(beats=beats, at_s=time_s)
 
@@ -230,7 +267,10 @@ class Window:
         # Growth of friction as a part of the force's; how both frictions split it, and the rest.
         parts = [(1, 2, -COULOMB_SPEED, 0.3 * most / slope)]
         for c in range(3, len(stds), _OWN):
-            parts += [(c, c + 1, self.pace, FRACTION_STD), (c, c + 1, -COULOMB_SPEED, 0.3)]
+            parts += [
+                (c, c + 1, self.pace, FRACTION_STD),
+                (c, c + 1, -COULOMB_SPEED, 0.3),
+            ]
             pull[c] = FRACTION / (FRACTION_STD**2 * slope)
             pull[c + 1] = self.pace * pull[c]
         for i, j, other, std in parts:
@@ -244,7 +284,9 @@ class Window:
         """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
         place, speed = displacement(beats, self.time_s - at_s)
         w, g = contact_along((self.depth - place)[None])
-        rows = _rows((w[0], g[0]), self.depth - place, self.speed - speed, self.one, self.begin)
+        rows = _rows(
+            (w[0], g[0]), self.depth - place, self.speed - speed, self.one, self.begin
+        )
         linear, error = _fitted(rows, self.force, *self.prior)
         return rows, linear, float(error @ error), error
 
@@ -295,10 +337,16 @@ class Window:
     def first_fit(self, hz: Array, time_s: float) -> Fit:
         """A motion of these frequencies that damping would turn into the waves of the force."""
         found, y = self.waves(hz)[0], float(self.travel[-1])
-        damping = self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        waves = found[8:].reshape(len(hz), 2, 2, 2) @ np.array([1.0, y])  # beat, harmonic, cos/sin
+        damping = (
+            self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
+        )
+        waves = found[8:].reshape(len(hz), 2, 2, 2) @ np.array(
+            [1.0, y]
+        )  # beat, harmonic, cos/sin
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
-        sizes = np.stack((waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2).reshape(-1, 4)
+        sizes = np.stack(
+            (waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2
+        ).reshape(-1, 4)
         fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
         for scale in (0.5, 1.0, 2.0):
             limited = np.minimum(np.maximum(scale * sizes, -most), most)
@@ -322,12 +370,20 @@ class Window:
         rows, linear, _, error = self.solved(beats, at_s)
         stds, target = _stds(beats), beats.copy()
         if is_prior:
-            stds[:, 0], stds[:, 1:] = 0.02, 0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:]
+            stds[:, 0], stds[:, 1:] = (
+                0.02,
+                0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:],
+            )
         else:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
         step = _step(
-            (rows, self._slopes(fit, linear)), error, self.prior[0], stds.ravel(), pull, fit.damping
+            (rows, self._slopes(fit, linear)),
+            error,
+            self.prior[0],
+            stds.ravel(),
+            pull,
+            fit.damping,
         )
         change, left = step.reshape(beats.shape), float(error @ error)
         before = left + float((((beats - target) / stds) ** 2).sum())
@@ -335,14 +391,23 @@ class Window:
             tried = beats + change
             error = self.solved(tried, at_s)[2]
             if error + float((((tried - target) / stds) ** 2).sum()) < before:
-                return Fit(tried, at_s, error, self._rms(error), max(0.5 * fit.damping, 1e-3))
+                return Fit(
+                    tried, at_s, error, self._rms(error), max(0.5 * fit.damping, 1e-3)
+                )
             change = 0.3 * change
-        return fit._replace(error=left, rms_N=self._rms(left), damping=min(3.0 * fit.damping, 1.0))
+        return fit._replace(
+            error=left, rms_N=self._rms(left), damping=min(3.0 * fit.damping, 1.0)
+        )
 
     def _rms(self, error: float) -> float:
         middle = np.partition(self.one, len(self.one) // 2)[len(self.one) // 2]
         # Of a short window a motion goes on for less long as it was.
-        return math.sqrt(error / self.count) / max(float(middle), 1.0) * SIZE / max(self.count, 50)
+        return (
+            math.sqrt(error / self.count)
+            / max(float(middle), 1.0)
+            * SIZE
+            / max(self.count, 50)
+        )
 
 
 def _stds(beats: Array) -> Array:

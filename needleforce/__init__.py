@@ -49,7 +49,9 @@ _NAMES_OF = {
     "residual": "SensorConfig SensorWarning Status VirtualForceSensor WrenchEstimate",
     "urdf": "NeedleTool Payload Robot load_lwr load_urdf",
 }
-_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names.split()}
+_MODULE_OF = {
+    name: module for module, names in _NAMES_OF.items() for name in names.split()
+}
 
 __all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 

@@ -11,7 +11,9 @@ from typing import BinaryIO
 
 
 @contextmanager
-def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> Iterator[BinaryIO]:
+def whole_file(
+    path: str | os.PathLike[str], *, is_in_place: bool = False
+) -> Iterator[BinaryIO]:
     """Open a file that takes the place of an older one when the block has ended without an error.
 
     Otherwise the older one stays as it was. A pipe or a device stays what it is and is written to,
@@ -23,7 +25,9 @@ def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> It
     if not stays:
         # A new file, under a name where nobody can plant a link.
         part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
-    stream = _open_pipe(place) if place.is_fifo() else part.open("wb" if stays else "xb")
+    stream = (
+        _open_pipe(place) if place.is_fifo() else part.open("wb" if stays else "xb")
+    )
     try:
         yield stream
         stream.flush()
@@ -31,7 +35,9 @@ def whole_file(path: str | os.PathLike[str], *, is_in_place: bool = False) -> It
             os.fsync(stream.fileno())
             part.replace(place)
     finally:
-        with suppress(OSError):  # on a full disk closing fails, too, but that has been reported
+        with suppress(
+            OSError
+        ):  # on a full disk closing fails, too, but that has been reported
             stream.close()
         if not stays:
             part.unlink(missing_ok=True)

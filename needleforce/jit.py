@@ -22,7 +22,9 @@ WrittenBlocks = Annotated[NDArray[np.float64], 3, "written"]
 """The same, and of shape (k, m, n), for results: the function writes into them."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-COMPILER = "" if numba is None or numba.config.DISABLE_JIT else f"numba {numba.__version__}"
+COMPILER = (
+    "" if numba is None or numba.config.DISABLE_JIT else f"numba {numba.__version__}"
+)
 """What compiles, with its version; empty where functions run as plain Python."""
 
 
@@ -48,7 +50,9 @@ def compiled(function: Function) -> Function:
     early = () if None in types else (tuple(types),)
     try:
         return numba.njit(*early, cache=True)(function)
-    except Exception:  # no folder in which the result could be kept, or a damaged file in it
+    except (
+        Exception
+    ):  # no folder in which the result could be kept, or a damaged file in it
         return numba.njit(*early)(function)
 
 
@@ -79,7 +83,9 @@ def _numba_type(hint: Any) -> Any:
         dimensions, *marks = hint.__metadata__
         # A parameter that is only read takes read-only arrays and others.
         read_only = "written" not in marks
-        return numba.types.Array(numba.types.float64, dimensions, "C", readonly=read_only)
+        return numba.types.Array(
+            numba.types.float64, dimensions, "C", readonly=read_only
+        )
     if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
         parts = [_numba_type(part) for part in get_args(hint)]
         return None if None in parts else numba.types.Tuple(parts)

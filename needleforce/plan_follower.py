@@ -50,15 +50,21 @@ class PlanFollower:
         state: What the plan says; None without one, or not read yet.
     """
 
-    def __init__(self, plan: Plan | None, entry_in_base_m: NDArray[np.float64] | None) -> None:
+    def __init__(
+        self, plan: Plan | None, entry_in_base_m: NDArray[np.float64] | None
+    ) -> None:
         self._plan, self._entry_m = plan, entry_in_base_m
         where = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
         self.memory = PlanMemory("" if plan is None else plan.fingerprint + where)
         self.state: PlanState | None = None
 
-    def begin(self, start_in_base_m: NDArray[np.float64], axis: NDArray[np.float64]) -> None:
+    def begin(
+        self, start_in_base_m: NDArray[np.float64], axis: NDArray[np.float64]
+    ) -> None:
         """Count depth from a point, and forget the ruptures."""
-        above_m = 0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
+        above_m = (
+            0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
+        )
         self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
 
     def follow(self, found: Estimate, depth_m: float, identifier: Identifier) -> None:
@@ -70,14 +76,22 @@ class PlanFollower:
             wrong_s = found.retracted.alarm_s
             ruptures = tuple(one for one in ruptures if one[0] != wrong_s)
         # A needle that is pushed in again may rupture what it has ruptured before.
-        if rupture is not None and all(rupture.depth_m >= depth_m for _, depth_m in ruptures):
+        if rupture is not None and all(
+            rupture.depth_m >= depth_m for _, depth_m in ruptures
+        ):
             ruptures = (*ruptures, (rupture.alarm_s, rupture.depth_m))
         is_same = ruptures == last.ruptures
-        if is_same and last.depth_m is not None and abs(depth_m - last.depth_m) < STEP_m:
+        if (
+            is_same
+            and last.depth_m is not None
+            and abs(depth_m - last.depth_m) < STEP_m
+        ):
             return
         deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
         entry = last.fingerprint, last.entry_depth_m
-        memory = PlanMemory(*entry, ruptures, depth_m, deepest_m, identifier.contact_depth_m)
+        memory = PlanMemory(
+            *entry, ruptures, depth_m, deepest_m, identifier.contact_depth_m
+        )
         self.resume(memory, self.read(memory))
 
     def read(self, memory: PlanMemory) -> "PlanState | None":

@@ -22,7 +22,13 @@ from identification import Snapshot as IdentifierSnapshot
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
 from needleforce.tip_travel import TravelZero, travel_step
 from residual import DEFAULT as DEFAULT_SENSOR
-from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor, WrenchEstimate
+from residual import (
+    SensorConfig,
+    SensorWarning,
+    Status,
+    VirtualForceSensor,
+    WrenchEstimate,
+)
 from residual.bias_model import Tare
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
@@ -157,15 +163,31 @@ class InsertionSession:
     ) -> None:
         for name, value, kind, hint in (
             ("robot", robot, Robot, "load_lwr() or load_urdf(path) of urdf makes one"),
-            ("sensor_config", sensor_config, SensorConfig, "SensorConfig() is the default"),
+            (
+                "sensor_config",
+                sensor_config,
+                SensorConfig,
+                "SensorConfig() is the default",
+            ),
         ):
             if not isinstance(value, kind):
                 given = f"{name} is a {type(value).__name__}"
                 raise SettingError(f"{given}, expected a {kind.__name__}; {hint}")
-        if not (isinstance(speed_lag_s, numbers.Real) and 0.0 <= float(speed_lag_s) < math.inf):
-            raise SettingError(f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0")
-        self._sensor, self.sensor_config = VirtualForceSensor(robot, sensor_config), sensor_config
-        self._identifier, self._identifier_config = Identifier(identifier_config), identifier_config
+        if not (
+            isinstance(speed_lag_s, numbers.Real)
+            and 0.0 <= float(speed_lag_s) < math.inf
+        ):
+            raise SettingError(
+                f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
+            )
+        self._sensor, self.sensor_config = (
+            VirtualForceSensor(robot, sensor_config),
+            sensor_config,
+        )
+        self._identifier, self._identifier_config = (
+            Identifier(identifier_config),
+            identifier_config,
+        )
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
         self._plan = PlanFollower(None, None)
@@ -208,14 +230,20 @@ class InsertionSession:
         return self._follow(self._sensor.update(q, dq, tau, dt_s))
 
     def update_external_torque(
-        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
+        self,
+        q: ArrayLike,
+        dq: ArrayLike | None,
+        external_torque: ArrayLike,
+        dt_s: float,
     ) -> SessionEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
         As `update`, with the torque of the environment on the joints [Nm], shape (n,), in place of
         the measured one.
         """
-        return self._follow(self._sensor.update_external_torque(q, dq, external_torque, dt_s))
+        return self._follow(
+            self._sensor.update_external_torque(q, dq, external_torque, dt_s)
+        )
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -235,7 +263,9 @@ class InsertionSession:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
         self._sensor.start_tare_recording()
 
-    def follow(self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None) -> None:
+    def follow(
+        self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None
+    ) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
         Args:
@@ -248,10 +278,18 @@ class InsertionSession:
             SettingError: For anything but a plan, or an entry that is no point.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
-            raise SettingError(f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy")
-        entry_m = None if entry_in_base_m is None else np.array(entry_in_base_m, dtype=float)
-        if entry_m is not None and not (entry_m.shape == (3,) and np.isfinite(entry_m).all()):
-            raise SettingError(f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers")
+            raise SettingError(
+                f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy"
+            )
+        entry_m = (
+            None if entry_in_base_m is None else np.array(entry_in_base_m, dtype=float)
+        )
+        if entry_m is not None and not (
+            entry_m.shape == (3,) and np.isfinite(entry_m).all()
+        ):
+            raise SettingError(
+                f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers"
+            )
         self._plan = PlanFollower(plan, entry_m)
         self._plan.begin(*self.zero)
 
@@ -275,7 +313,12 @@ class InsertionSession:
     def snapshot(self) -> SessionSnapshot:
         """All that the session remembers; `write_snapshot` stores it."""
         self._keep_checkpoint()
-        parts = self._sensor.snapshot(), self._identifier.snapshot(), self.zero, self._travel
+        parts = (
+            self._sensor.snapshot(),
+            self._identifier.snapshot(),
+            self.zero,
+            self._travel,
+        )
         times_s = self._speed_lag_s, self._unused_s, self._time_s
         return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
 
@@ -292,7 +335,10 @@ class InsertionSession:
             raise SnapshotMismatchError(
                 f"expected a SessionSnapshot, got {type(snapshot).__name__}"
             )
-        if type(snapshot.plan) is not type(self._plan.memory) or len(snapshot.earlier) != 2:
+        if (
+            type(snapshot.plan) is not type(self._plan.memory)
+            or len(snapshot.earlier) != 2
+        ):
             raise SnapshotMismatchError("the snapshot is damaged: plan or checkpoints")
         if snapshot.speed_lag_s != self._speed_lag_s:
             raise SnapshotMismatchError(
@@ -302,7 +348,9 @@ class InsertionSession:
         if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
             what = "with another plan or entry: follow() the same"
             what = what if snapshot.plan.fingerprint else "without a plan: follow(None)"
-            raise SnapshotMismatchError(f"the snapshot is of a session {what} before restore()")
+            raise SnapshotMismatchError(
+                f"the snapshot is of a session {what} before restore()"
+            )
         plan_state = self._try_out(snapshot)
         # The last that can fail, and it fails as a whole.
         self._sensor.restore(snapshot.sensor)
@@ -310,7 +358,11 @@ class InsertionSession:
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
         self._travel, self._unused_s = snapshot.travel, snapshot.unused_s
-        self._time_s, self._earlier, self._is_due = snapshot.time_s, snapshot.earlier, False
+        self._time_s, self._earlier, self._is_due = (
+            snapshot.time_s,
+            snapshot.earlier,
+            False,
+        )
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
 
@@ -318,19 +370,35 @@ class InsertionSession:
         """Refuse what would fail in later updates; nothing of this session changes."""
         twin = Identifier(self._identifier_config)
         try:
-            for part in (*(each.identifier for each in snapshot.earlier), snapshot.identifier):
+            for part in (
+                *(each.identifier for each in snapshot.earlier),
+                snapshot.identifier,
+            ):
                 twin.restore(part)
             for _ in range(3):
                 twin.update(*snapshot.travel[:2], 0.0, 1e-3)
-            numbers = *snapshot.travel, snapshot.unused_s, snapshot.time_s, *np.ravel(snapshot.zero)
+            numbers = (
+                *snapshot.travel,
+                snapshot.unused_s,
+                snapshot.time_s,
+                *np.ravel(snapshot.zero),
+            )
             shapes = np.shape(snapshot.zero), np.shape(snapshot.travel)
-            if shapes != ((2, 3), (4,)) or not np.isfinite(numbers).all() or snapshot.time_s < 0.0:
-                raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")
+            if (
+                shapes != ((2, 3), (4,))
+                or not np.isfinite(numbers).all()
+                or snapshot.time_s < 0.0
+            ):
+                raise SnapshotMismatchError(
+                    "the snapshot is damaged: zero, travel or time"
+                )
             return self._plan.read(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
         except Exception as error:  # whatever a damaged state makes of its parts
-            raise SnapshotMismatchError(f"the snapshot is damaged: {error!r}") from error
+            raise SnapshotMismatchError(
+                f"the snapshot is damaged: {error!r}"
+            ) from error
 
     def _zero_depth(self) -> None:
         """Count depth from where the tip is, along the needle's present direction."""
@@ -338,7 +406,10 @@ class InsertionSession:
         self._count_from(TravelZero(tool.pose[:3, 3].copy(), tool.axis_in_base.copy()))
 
     def _count_from(self, zero: TravelZero) -> None:
-        self.zero, self._start_m = zero, float(zero.axis_in_base.dot(zero.start_in_base_m))
+        self.zero, self._start_m = (
+            zero,
+            float(zero.axis_in_base.dot(zero.start_in_base_m)),
+        )
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
@@ -355,7 +426,9 @@ class InsertionSession:
         sensor, tool, axis = self._sensor, self._tool, self.zero.axis_in_base
         elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
         tip = axis, tool.needle, sensor.velocity_rad_s
-        self._travel = travel = travel_step(tip, self._start_m, self._travel, elapsed_s, lags_s)
+        self._travel = travel = travel_step(
+            tip, self._start_m, self._travel, elapsed_s, lags_s
+        )
         if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
             return self._skip(wrench, elapsed_s)
         if self._unused_s:
@@ -364,14 +437,19 @@ class InsertionSession:
             elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
         _, _, depth_m, speed_m_s = travel
         time_s, force_N, std_N = self._time_s, wrench.axial_unsmoothed, wrench.axial_std
-        found = self._identifier.update(depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N)
+        found = self._identifier.update(
+            depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N
+        )
         if found.rupture is not None:
             # A push on the arm looks like a rupture, even before the checks, every 20 ms, know it.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & _PUSHED:
                 return self._skip(wrench, 0.0)  # its time was used: that is taken back
         self._identification = found
-        self._had_events, due_s = found.has_events, self._earlier[1].time_s + _TAKEN_BACK_S
+        self._had_events, due_s = (
+            found.has_events,
+            self._earlier[1].time_s + _TAKEN_BACK_S,
+        )
         self._is_due = self._had_events or self._time_s >= due_s
         self._plan.follow(found, depth_m, self._identifier)
         at = (found.status in _USED, self._time_s, self._plan.state)
@@ -380,7 +458,10 @@ class InsertionSession:
     def _keep_checkpoint(self) -> None:
         """Keep where to go back to, not before events: what was reported is not reported again."""
         if self._is_due:  # since the last sample, which had enough to do
-            now, self._is_due = Checkpoint(self._time_s, self._identifier.snapshot()), False
+            now, self._is_due = (
+                Checkpoint(self._time_s, self._identifier.snapshot()),
+                False,
+            )
             self._earlier = now if self._had_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
@@ -394,11 +475,16 @@ class InsertionSession:
         if used_s > 0.5 * elapsed_s and wrench.warnings & _PUSHED:
             self._identifier.resume(before.identifier)  # checks take longer than a tick
             self._identification = before.identifier.last
-            self._unused_s, self._earlier = self._time_s - before.time_s, (before, before)
+            self._unused_s, self._earlier = (
+                self._time_s - before.time_s,
+                (before, before),
+            )
         return self._idle(wrench)
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
         """A tick that is not used for identification."""
         last = self._identification = self._identification.without_events()
         at = (False, self._time_s, self._plan.state)
-        return _new(SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at))
+        return _new(
+            SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at)
+        )

@@ -24,12 +24,20 @@ from residual.snapshot import arrays
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = 26  # Grows whenever a file of the one before cannot be read, or is misread
-MOST_BYTES = 64 << 20  # A snapshot has one or two megabytes; a wrong file is not read to its end
+SNAPSHOT_VERSION = (
+    26  # Grows whenever a file of the one before cannot be read, or is misread
+)
+MOST_BYTES = (
+    64 << 20
+)  # A snapshot has one or two megabytes; a wrong file is not read to its end
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot
 
-_KINDS = {"session": SessionSnapshot, "sensor": SensorState, "identifier": IdentifierSnapshot}
+_KINDS = {
+    "session": SessionSnapshot,
+    "sensor": SensorState,
+    "identifier": IdentifierSnapshot,
+}
 # The annotations of an identifier's snapshot name both methods; the envelope says which it is.
 _METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
@@ -61,15 +69,21 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
         SnapshotFileError: For anything but such a snapshot.
         OSError: If the file cannot be written.
     """
-    kind = next((name for name, type_ in _KINDS.items() if type(snapshot) is type_), None)
+    kind = next(
+        (name for name, type_ in _KINDS.items() if type(snapshot) is type_), None
+    )
     if kind is None:
         raise SnapshotFileError(
             "expected what snapshot() of a session, a sensor or an identifier returns, got a "
             f"{type(snapshot).__name__}"
         )
-    identifier = snapshot.identifier if isinstance(snapshot, SessionSnapshot) else snapshot
+    identifier = (
+        snapshot.identifier if isinstance(snapshot, SessionSnapshot) else snapshot
+    )
     config = type(getattr(identifier, "config", None))
-    method = next((name for name, types in _METHODS.items() if types["config"] is config), "")
+    method = next(
+        (name for name, types in _METHODS.items() if types["config"] is config), ""
+    )
     data = msgspec.msgpack.encode(snapshot, enc_hook=_plain_array)
     digest = hashlib.sha256(data).hexdigest()
     envelope = _Envelope(SNAPSHOT_FORMAT, SNAPSHOT_VERSION, kind, method, digest, data)
@@ -99,7 +113,9 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     try:
         envelope = msgspec.msgpack.decode(content, type=_Envelope)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise SnapshotFileError(f"{path} is no snapshot, or cut short: {error}") from error
+        raise SnapshotFileError(
+            f"{path} is no snapshot, or cut short: {error}"
+        ) from error
     _check_envelope(envelope, path)
     try:
         snapshot = _decoded(envelope)
@@ -146,7 +162,9 @@ def _decoded(envelope: _Envelope) -> AnySnapshot:
     checkpoint = _annotated(Checkpoint, {"identifier": identifier})
     special = {"identifier": identifier, "earlier": tuple[checkpoint, checkpoint]}
     found = _typed(envelope.data, _annotated(SessionSnapshot, special))
-    older, newer = (Checkpoint(at, IdentifierSnapshot(*part)) for at, part in found.earlier)
+    older, newer = (
+        Checkpoint(at, IdentifierSnapshot(*part)) for at, part in found.earlier
+    )
     return SessionSnapshot(*found)._replace(
         identifier=IdentifierSnapshot(*found.identifier), earlier=(older, newer)
     )
@@ -170,7 +188,11 @@ def _plain_array(value: Any) -> Any:
     if isinstance(value, np.floating | np.integer | np.bool_):
         return value.item()
     if not isinstance(value, np.ndarray) or value.dtype != np.float64:
-        kind = f"array of {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
+        kind = (
+            f"array of {value.dtype}"
+            if isinstance(value, np.ndarray)
+            else type(value).__name__
+        )
         raise SnapshotFileError(f"a snapshot cannot hold an object of the type {kind}")
     order = "F" if value.flags.f_contiguous and not value.flags.c_contiguous else "C"
     return list(value.shape), order, value.tobytes(order)

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from needleforce.jit import Matrix, Vector, compiled, dot
 
 Array = NDArray[np.float64]
-Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]  # `residual.ToolKinematics.needle`
+Needle = tuple[
+    Vector, Matrix, Matrix, Vector, Vector
+]  # `residual.ToolKinematics.needle`
 
 
 class TravelZero(NamedTuple):
@@ -32,7 +34,11 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
     along = direction[0] * axes[0] + direction[1] * axes[1] + direction[2] * axes[2]
     twist, (x, y, z), (a, b, c) = dq.dot(jacobian), at, along
     speed = a * twist[0] + b * twist[1] + c * twist[2]
-    speed += (y * c - z * b) * twist[3] + (z * a - x * c) * twist[4] + (x * b - y * a) * twist[5]
+    speed += (
+        (y * c - z * b) * twist[3]
+        + (z * a - x * c) * twist[4]
+        + (x * b - y * a) * twist[5]
+    )
     return float(dot(axis, at)), float(speed)
 
 
@@ -66,4 +72,9 @@ def travel_step(
     if force_lag_s <= 0.0:
         return depth, speed, depth, speed
     kept = math.exp(-dt_s / force_lag_s)
-    return depth, speed, depth + kept * (late_depth - depth), speed + kept * (late_speed - speed)
+    return (
+        depth,
+        speed,
+        depth + kept * (late_depth - depth),
+        speed + kept * (late_speed - speed),
+    )

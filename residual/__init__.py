@@ -8,7 +8,13 @@ measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` an
 
 from residual.bias_model import BiasPrior
 from residual.config import DEFAULT, HAND_DRIVEN, PUBLISHED, SensorConfig
-from residual.errors import ConfigurationError, ResidualError, SampleError, SnapshotError, TareError
+from residual.errors import (
+    ConfigurationError,
+    ResidualError,
+    SampleError,
+    SnapshotError,
+    TareError,
+)
 from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.momentum_observer import MomentumObserver

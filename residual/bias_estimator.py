@@ -18,7 +18,9 @@ from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-MOST_BLOCKS = 400  # Then the older half is merged in pairs: fitting 400 takes part of a second
+MOST_BLOCKS = (
+    400  # Then the older half is merged in pairs: fitting 400 takes part of a second
+)
 WEIGH_S = 0.25
 """Time after which the covariance is renewed: it changes with pose and age, both slowly. It is
 renewed at once when motion makes a variance grow by `MOST_GROWTH` of itself."""
@@ -47,10 +49,14 @@ class TareRecorder:
         """Nothing recorded yet."""
         return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
 
-    def add(self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float) -> None:
+    def add(
+        self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float
+    ) -> None:
         """Add position [rad], joint states and residual [Nm] a time after the last ones."""
         one = np.ones_like(q)
-        self.open += np.vstack((one, now_s * one, q, residual, residual * residual, states))
+        self.open += np.vstack(
+            (one, now_s * one, q, residual, residual * residual, states)
+        )
         self.age_s += dt_s
 
     def close_block(self) -> None:
@@ -59,7 +65,9 @@ class TareRecorder:
         self.open, self.age_s = np.zeros_like(self.open), 0.0
         if len(self.sums) >= MOST_BLOCKS:
             older = self.sums[: MOST_BLOCKS // 2]
-            self.sums = np.concatenate((older[::2] + older[1::2], self.sums[MOST_BLOCKS // 2 :]))
+            self.sums = np.concatenate(
+                (older[::2] + older[1::2], self.sums[MOST_BLOCKS // 2 :])
+            )
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
         """What was recorded, or the last ``window_s`` of it [s]; there must be a block."""
@@ -85,12 +93,16 @@ class BiasState:
     """All that a `BiasEstimator` remembers."""
 
     recorder: TareRecorder  # Free motion recorded for the next tare
-    joint_memory: Array  # Memory of hysteresis and friction, see `residual.joint_states`
+    joint_memory: (
+        Array  # Memory of hysteresis and friction, see `residual.joint_states`
+    )
     states: Array  # States of hysteresis and friction, shape (states, n)
     torque_sum: Array  # Sum of the torques since the last renewal [Nm], shape (n,)
     bias: Array  # Bias that is subtracted [Nm], shape (n,)
     motion_Nm2: Array  # Variance of the residual's error due to motion, shape (n,)
-    most_motion_Nm2: Array  # Value beyond which the covariance is renewed at once, shape (n,)
+    most_motion_Nm2: (
+        Array  # Value beyond which the covariance is renewed at once, shape (n,)
+    )
     weighed_s: float = -WEIGH_S  # When the covariance was renewed last [s]
     q: Array  # Last position [rad], shape (n,)
     dq: Array  # Last velocity [rad/s], shape (n,)
@@ -185,14 +197,21 @@ class BiasEstimator:
             memory.joint_memory[-2:] = torque, q
             memory.smooth_dq, memory.started = memory.dq, True
         if dt_s > 0.0:
-            followed, stribeck = (memory.joint_memory, memory.states), basis.prior.stribeck_rad_s
-            follow_joints(*followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s)
+            followed, stribeck = (
+                (memory.joint_memory, memory.states),
+                basis.prior.stribeck_rad_s,
+            )
+            follow_joints(
+                *followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s
+            )
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
         # A tare is recorded in slow motion: it corrects masses and first moments as far as gravity
         # shows them. Torque that accelerates the links stays as uncertain as the prior's masses.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
-        motion = pin.rnea(self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S)
+        motion = pin.rnea(
+            self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S
+        )
         memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
 
     def record(self, residual: Array, dt_s: float) -> None:
@@ -215,7 +234,9 @@ class BiasEstimator:
     def covariance_Nm2(self) -> Array:
         """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
         memory = self.memory
-        covariance = self._basis.covariance_Nm2(memory.tare, memory.q, memory.states, self._age_s)
+        covariance = self._basis.covariance_Nm2(
+            memory.tare, memory.q, memory.states, self._age_s
+        )
         covariance += np.diag(memory.motion_Nm2)
         memory.weighed_s = memory.now_s
         memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * covariance.diagonal()
@@ -226,7 +247,11 @@ class BiasEstimator:
         return self.memory.now_s - self.memory.tared_s
 
     def tare(
-        self, wrench: WrenchEstimator, *, ignore_contact: bool, is_external: bool = False
+        self,
+        wrench: WrenchEstimator,
+        *,
+        ignore_contact: bool,
+        is_external: bool = False,
     ) -> Tare:
         """Fit the offset to what was recorded; arguments as of `check_free_of_contact`.
 

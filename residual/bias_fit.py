@@ -17,15 +17,23 @@ from residual.errors import Array
 LEARNT = ("links", "friction", "drift")
 """Groups of columns whose size is learnt, as is the random walk's; offset and ripple show directly
 in the data."""
-OCTAVES = np.arange(-2.0, 5.1)  # sizes that are tried: powers of two, relative to the prior's
-OCTAVES_STD = 1.5  # prior deviation of that exponent: holds sizes that the motion does not show
+OCTAVES = np.arange(
+    -2.0, 5.1
+)  # sizes that are tried: powers of two, relative to the prior's
+OCTAVES_STD = (
+    1.5  # prior deviation of that exponent: holds sizes that the motion does not show
+)
 SWEEPS = 3  # passes over the groups, one at a time
 WALK_TERMS = 8  # of the Karhunen-Loeve series of a random walk: 96 % of its variance
 CONTACT_STD_N = 100.0  # prior deviation of a contact's force: practically any
 FEW_BLOCKS = 8
 """Least blocks for a variance from their differences: seven give it to two thirds of itself, fewer
 may give nearly zero by chance, and the blocks would get too much weight."""
-BATCHES = (1, 2, 4)  # blocks averaged to see coloured noise: a filter of 8 Hz outlasts two blocks
+BATCHES = (
+    1,
+    2,
+    4,
+)  # blocks averaged to see coloured noise: a filter of 8 Hz outlasts two blocks
 
 
 class FreeMotionFit:
@@ -57,7 +65,9 @@ class FreeMotionFit:
         learn: bool = True,
     ) -> None:
         self.basis, self.blocks = basis, blocks
-        columns = np.stack(list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s)))
+        columns = np.stack(
+            list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s))
+        )
         touched = columns[:, :, :0] if contact is None else contact
         self._columns = np.concatenate((columns, touched), axis=2)
         residual = blocks.residual_Nm
@@ -66,11 +76,15 @@ class FreeMotionFit:
         self._walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
         groups = {name: basis.groups[name] for name in LEARNT if name in basis.groups}
-        std = np.concatenate((basis.std, np.full(touched.shape[2], CONTACT_STD_N), walk_std))
+        std = np.concatenate(
+            (basis.std, np.full(touched.shape[2], CONTACT_STD_N), walk_std)
+        )
         if terms:
             groups["walk"] = slice(len(std) - len(walk_std), len(std))
 
-        noise_Nm2 = self._fit(basis, std, groups if learn and not is_few else {}, is_few)
+        noise_Nm2 = self._fit(
+            basis, std, groups if learn and not is_few else {}, is_few
+        )
         own = slice(0, len(basis.std))
         self.tare = Tare(
             self._mean[own].copy(),
@@ -82,12 +96,16 @@ class FreeMotionFit:
         for array in self.tare:
             array.setflags(write=False)
 
-    def _fit(self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool) -> Array:
+    def _fit(
+        self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool
+    ) -> Array:
         """Both passes; returns the variance of a single residual about the fit, shape (n,)."""
         blocks, residual = self.blocks, self.blocks.residual_Nm
         # With few blocks their differences mean nothing: a block then counts as noisy as a sample.
         least = np.square(basis.prior.resolution_fraction * basis.effort_Nm)
-        white = least + (blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,)))
+        white = least + (
+            blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,))
+        )
         self._whiteners = [np.eye(len(residual)) / v for v in white]
         left = self._solve(std, groups)
         density = white if is_few else least + _noise_density(left, BATCHES)
@@ -98,7 +116,9 @@ class FreeMotionFit:
             for d, w, far in zip(density, wave, apart, strict=True)
         ]
         self._left = self._solve(std, groups)
-        return blocks.scatter_Nm2 + np.maximum(white + wave, np.square(self._left).mean(axis=0))
+        return blocks.scatter_Nm2 + np.maximum(
+            white + wave, np.square(self._left).mean(axis=0)
+        )
 
     def contact_N(self, axis: Array) -> tuple[float, float]:
         """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
@@ -128,8 +148,13 @@ class FreeMotionFit:
         units = np.outer(std, std)
         covariance = np.linalg.inv(np.eye(len(std)) + information * units).astype(float)
         mean = covariance @ (std * evidence)
-        self._mean, self._covariance = std * self._lagging(mean, covariance), covariance * units
-        return np.stack([residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1)
+        self._mean, self._covariance = (
+            std * self._lagging(mean, covariance),
+            covariance * units,
+        )
+        return np.stack(
+            [residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1
+        )
 
     def _lagging(self, mean: Array, covariance: Array) -> Array:
         """Parameters, in units of the prior, with non-negative sizes of the wide hysteresis loops.
@@ -186,7 +211,9 @@ def _likeliest_sizes(
 
     def likelihood(octaves: dict[str, float]) -> float:
         scaled = _sized(std, groups, {name: 2.0**k for name, k in octaves.items()})
-        root = np.linalg.cholesky(np.eye(len(std)) + information * np.outer(scaled, scaled))
+        root = np.linalg.cholesky(
+            np.eye(len(std)) + information * np.outer(scaled, scaled)
+        )
         pull = np.linalg.solve(root, scaled * evidence)
         far = np.square(np.array(list(octaves.values())) / OCTAVES_STD).sum()
         return 0.5 * (pull @ pull - far) - float(np.log(root.diagonal()).sum())
@@ -216,7 +243,9 @@ def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
     return np.max(found, axis=0)
 
 
-def _wave_variance(left: Array, white: Array, travel_rad: Array, basis: BiasModel) -> Array:
+def _wave_variance(
+    left: Array, white: Array, travel_rad: Array, basis: BiasModel
+) -> Array:
     """Variance of the sensors' waviness per joint [Nm^2], shape (n,).
 
     It is what the first pass left beyond the white noise. In a joint that moved less than a few

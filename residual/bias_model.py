@@ -95,9 +95,16 @@ class BiasPrior:
             numbers = np.asarray(value)
             is_real = numbers.dtype.kind in "fiu"
             if not (is_real and np.isfinite(numbers).all() and (numbers > 0).all()):
-                raise ConfigurationError(f"{name} is {value!r}, expected finite numbers > 0")
-            if name in ("hysteresis_widths", "presliding_rad", "gear_ratio") and numbers.ndim != 1:
-                raise ConfigurationError(f"{name} must be a tuple of numbers, got {value!r}")
+                raise ConfigurationError(
+                    f"{name} is {value!r}, expected finite numbers > 0"
+                )
+            if (
+                name in ("hysteresis_widths", "presliding_rad", "gear_ratio")
+                and numbers.ndim != 1
+            ):
+                raise ConfigurationError(
+                    f"{name} must be a tuple of numbers, got {value!r}"
+                )
 
 
 class Tare(NamedTuple):
@@ -107,7 +114,9 @@ class Tare(NamedTuple):
     covariance: Array  # Of the parameters, shape (m, m)
     noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
     scatter_Nm2: Array  # Part of its diagonal that the mean of a recorded block removes, shape (n,)
-    walk_Nm2_per_s: Array  # Variance that the sensors' random walk adds in a second, shape (n,)
+    walk_Nm2_per_s: (
+        Array  # Variance that the sensors' random walk adds in a second, shape (n,)
+    )
 
     @property
     def kind(self) -> TareKind:
@@ -117,7 +126,12 @@ class Tare(NamedTuple):
 
 @compiled
 def all_columns(
-    links: Matrix, q: Vector, states: Matrix, age_s: float, fading_s: float, ripple_per_rad: Vector
+    links: Matrix,
+    q: Vector,
+    states: Matrix,
+    age_s: float,
+    fading_s: float,
+    ripple_per_rad: Vector,
 ) -> Array:
     """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
     (joints, first), count = links.shape, len(states)
@@ -126,7 +140,10 @@ def all_columns(
     own[:count], own[count] = states, age_s
     own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
     if len(ripple_per_rad):
-        own[count + 2], own[count + 3] = np.sin(ripple_per_rad * q), np.cos(ripple_per_rad * q)
+        own[count + 2], own[count + 3] = (
+            np.sin(ripple_per_rad * q),
+            np.cos(ripple_per_rad * q),
+        )
     columns = np.zeros((joints, joints + first + own.size))
     columns[:, joints : joints + first] = links
     for k in range(joints):
@@ -159,7 +176,10 @@ class BiasModel:
                 f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or none"
             )
         self.ripple_per_rad = 2.0 * np.array(ratio, dtype=np.float64)
-        self.loops, self.elements = len(prior.hysteresis_widths), len(prior.presliding_rad)
+        self.loops, self.elements = (
+            len(prior.hysteresis_widths),
+            len(prior.presliding_rad),
+        )
         self.states = self.loops + self.elements + 2
         std = self._prior_std()
         self.std = np.concatenate(list(std.values()))
@@ -174,7 +194,9 @@ class BiasModel:
         links = []
         for inertia in list(self._model.inertias)[1:]:
             mass = max(inertia.mass, 1e-3)
-            moment = mass * np.hypot(prior.com_m, prior.mass_fraction * np.abs(inertia.lever))
+            moment = mass * np.hypot(
+                prior.com_m, prior.mass_fraction * np.abs(inertia.lever)
+            )
             links += [prior.mass_fraction * mass, *moment]
         coulomb, viscous = prior.friction_fraction, prior.viscous_fraction_s
         std = {
@@ -206,13 +228,17 @@ class BiasModel:
         if self.kind == "constant":
             return np.eye(self.joints)
         fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
-        return all_columns(self.regressor(q), q, states, age_s, fading_s, ripple_per_rad)
+        return all_columns(
+            self.regressor(q), q, states, age_s, fading_s, ripple_per_rad
+        )
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
         """Residual without contact at a position, states and age: H theta, shape (n,)."""
         return self.columns(q, states, age_s).dot(tare.mean)
 
-    def covariance_Nm2(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
+    def covariance_Nm2(
+        self, tare: Tare, q: Array, states: Array, age_s: float
+    ) -> Array:
         """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
         columns = self.columns(q, states, age_s)
         model = columns.dot(tare.covariance).dot(columns.T)
@@ -238,7 +264,9 @@ class TareBlocks:
     states: Array  # Of hysteresis and friction, shape (m, states, n)
     residual_Nm: Array  # Residuals before offset removal, shape (m, n)
     age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
-    scatter_Nm2: Array  # Variance of single residuals about their block's mean, shape (n,)
+    scatter_Nm2: (
+        Array  # Variance of single residuals about their block's mean, shape (n,)
+    )
 
     def part(self, kept: NDArray[np.bool_]) -> "TareBlocks":
         """Some of the blocks, shape (m,)."""

@@ -85,26 +85,41 @@ class SensorConfig:
         self._check_numbers()
         for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
             if not isinstance(value := getattr(self, name), bool | np.bool_):
-                raise ConfigurationError(f"{name} is {shown(value)}, expected True or False")
+                raise ConfigurationError(
+                    f"{name} is {shown(value)}, expected True or False"
+                )
         unit_axis(self.insertion_axis)
         check_offset(self.tool_offset_m)
         if not isinstance(self.prior, BiasPrior):
             raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
-        if self.friction is not None and not callable(getattr(self.friction, "torque", None)):
+        if self.friction is not None and not callable(
+            getattr(self.friction, "torque", None)
+        ):
             raise ConfigurationError(
                 f"friction is {self.friction!r}, expected a JointFriction or another object that "
                 "gives a torque(dq), or None"
             )
-        kinds = {"alignment": Alignment, "mode": Mode, "weighting": Weighting, "axes": Axes}
+        kinds = {
+            "alignment": Alignment,
+            "mode": Mode,
+            "weighting": Weighting,
+            "axes": Axes,
+        }
         for name, choices in (kinds | {"tare": TareKind}).items():
             check_choice(name, getattr(self, name), get_args(choices))
 
     def _check_numbers(self) -> None:
-        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else (self.gain_per_s,)
+        gains = (
+            self.gain_per_s
+            if isinstance(self.gain_per_s, tuple)
+            else (self.gain_per_s,)
+        )
         for gain in gains or (None,):
             check_positive("gain_per_s", gain)
         bandwidth_per_s = self.velocity_bandwidth_per_s
-        check_positive("velocity_bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6)
+        check_positive(
+            "velocity_bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6
+        )
         for name in ("contact_force_N", "max_gap_s"):
             check_positive(name, getattr(self, name))
         for name in ("tare_window_s", "force_bandwidth_per_s"):
@@ -112,12 +127,18 @@ class SensorConfig:
                 check_positive(name, getattr(self, name))
         if self.expected_force_N is not None:
             # Its inverse square is calculated with.
-            check_positive("expected_force_N", self.expected_force_N, least=1e-6, most=1e9)
+            check_positive(
+                "expected_force_N", self.expected_force_N, least=1e-6, most=1e9
+            )
 
     @property
     def slowest_gain_per_s(self) -> float:
         """The smallest gain of any joint [1/s]: it sets the lag."""
-        return min(self.gain_per_s) if isinstance(self.gain_per_s, tuple) else self.gain_per_s
+        return (
+            min(self.gain_per_s)
+            if isinstance(self.gain_per_s, tuple)
+            else self.gain_per_s
+        )
 
 
 DEFAULT = SensorConfig()  # Ours

@@ -25,10 +25,16 @@ MEMORY_S = 10.0
 forget."""
 LONGEST_S = 0.2  # a trapezoid over a longer step means nothing
 MOST_ACCELERATION_RAD_S2 = 20.0  # as in `residual.fault_detection`: a jump has no rate
-LEAST_TRAVEL_RAD = 0.015  # ten steps of a very coarse encoder; 60 mm in air make thrice as much
+LEAST_TRAVEL_RAD = (
+    0.015  # ten steps of a very coarse encoder; 60 mm in air make thrice as much
+)
 DQ_RATIO = 20.0  # with so many times that travel by dq alone a joint is checked whatever q does
-TOLERATED_LAG_S = 0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
-TOLERATED_RAD = 0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
+TOLERATED_LAG_S = (
+    0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
+)
+TOLERATED_RAD = (
+    0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
+)
 LEAST_SECONDS = 1.0  # of motion, before anything is reported
 LEAST_BEYOND = 0.01  # least rms difference beyond the tolerated, relative to the travel
 
@@ -40,26 +46,38 @@ FACTORS = {
     1.0: "is its sign the other one?",
 }
 """Factors with a likely reason; each may come with the other sign."""
-OTHER_FACTOR = "is it in other units, or of the motor before its gear, or are time stamps wrong?"
+OTHER_FACTOR = (
+    "is it in other units, or of the motor before its gear, or are time stamps wrong?"
+)
 NEAR = 0.05
 """Relative distance within which a factor is one of these, or dq's travel is another joint's."""
-MOST_OFF = 0.4  # relative rms difference of dq's travel from q's that noise does not reach
+MOST_OFF = (
+    0.4  # relative rms difference of dq's travel from q's that noise does not reach
+)
 LEAST_OFF = 0.12  # the same if another joint or a lag explains the difference
 UNEXPLAINED = 0.1
 """Fraction that may be left: by a factor of dq's mean square travel, by a lag of the difference."""
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
 """A longer lag is reported, after so many seconds of motion; a filtered velocity is late by only
 20 ms."""
-STILL = 1e-3  # a signal whose travel is less than this fraction of the other's stands still
+STILL = (
+    1e-3  # a signal whose travel is less than this fraction of the other's stands still
+)
 
 LIMIT_MARGIN_RAD = 0.01  # half a degree from its limit a joint counts as being there
-MOST_RAD = 4.0 * math.pi  # two turns: beyond a limit and this a position is hardly in radians
+MOST_RAD = (
+    4.0 * math.pi
+)  # two turns: beyond a limit and this a position is hardly in radians
 LEAST_SINGULAR_VALUE = 0.05
 """[m] At this value a newton makes a twentieth of a newton metre in all joints together, as much as
 the noise of one torque sample; below it the pose is near singular."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
-NOW_S, BEFORE_S, USUAL_S = 0.06, 0.6, 8.0  # memory of the torque now, before, of their difference
+NOW_S, BEFORE_S, USUAL_S = (
+    0.06,
+    0.6,
+    8.0,
+)  # memory of the torque now, before, of their difference
 PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
 """Mean square of a torque change that no wrench explains, in units of the usual one. From PUSHED on
 the arm is pushed, until below LET_GO; below USUAL it is learnt as usual. From BESIDE on, for what
@@ -105,7 +123,9 @@ def travels(motion: Matrix) -> NDArray[np.bool_]:
 
 
 @compiled
-def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Array, bool]:
+def travel_step(
+    motion: Matrix, q: Vector, dq: Vector, dt_s: float
+) -> tuple[Array, bool]:
     """``motion`` of a `VelocityMatch` at the next check, and whether any joint travels."""
     way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
@@ -118,11 +138,15 @@ def travel_step(motion: Matrix, q: Vector, dq: Vector, dt_s: float) -> tuple[Arr
 
 
 @compiled
-def sums_step(last: Matrix, motion: Matrix, sums: Sums, dt_s: float) -> tuple[Array, ...]:
+def sums_step(
+    last: Matrix, motion: Matrix, sums: Sums, dt_s: float
+) -> tuple[Array, ...]:
     """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the last motion."""
     a, b = motion[3], motion[4]
     way, way_dq = motion[0] - last[0], 0.5 * dt_s * (motion[1] + last[1])
-    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(np.abs(way), np.abs(way_dq))
+    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
+        np.abs(way), np.abs(way_dq)
+    )
     beyond = np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2
     own = np.stack((b, a, (a - last[3]) / dt_s), axis=1)
     pairs = own.reshape(-1, 3, 1) * own.reshape(-1, 1, 3)
@@ -137,7 +161,9 @@ def sums_step(last: Matrix, motion: Matrix, sums: Sums, dt_s: float) -> tuple[Ar
     )
 
 
-def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
+def velocity_match_step(
+    match: VelocityMatch, q: Array, dq: Array, dt_s: float
+) -> VelocityMatch:
     """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
     motion, is_moving = travel_step(match.motion, q, dq, dt_s)
     if not is_moving:
@@ -147,7 +173,11 @@ def velocity_match_step(match: VelocityMatch, q: Array, dq: Array, dt_s: float) 
 
 def velocity_fault(match: VelocityMatch) -> str:
     """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
-    square_dq, product, own = match.moments[:, 0, 0], match.moments[:, 0, 1], match.moments[:, 1, 1]
+    square_dq, product, own = (
+        match.moments[:, 0, 0],
+        match.moments[:, 0, 1],
+        match.moments[:, 1, 1],
+    )
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
         return ""
@@ -164,12 +194,18 @@ def velocity_fault(match: VelocityMatch) -> str:
             is_sure |= bool(match.beyond[i] > least**2 * own[i])
     if not is_sure:
         return ""
-    return "; ".join(f"dq at {named_joints(found)} {fault}" for fault, found in joints.items())
+    return "; ".join(
+        f"dq at {named_joints(found)} {fault}" for fault, found in joints.items()
+    )
 
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
     """The joint whose rate dq of joint i is, if there is one; its own dq must be wrong, too."""
-    squares, products, square_dq = match.squares[i], match.products[i], match.moments[i, 0, 0]
+    squares, products, square_dq = (
+        match.squares[i],
+        match.products[i],
+        match.moments[i, 0, 0],
+    )
     is_right = (match.seconds >= LEAST_SECONDS) & ~off
     moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
     left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
@@ -229,7 +265,9 @@ class TorqueChange(NamedTuple):
 
 
 @compiled
-def unexplained_change(rows: Matrix, covariance: Matrix, change: Vector) -> tuple[float, Array]:
+def unexplained_change(
+    rows: Matrix, covariance: Matrix, change: Vector
+) -> tuple[float, Array]:
     """Like `unusual_change`, for a given covariance [Nm^2]; also the explained part [Nm], (n,)."""
     precision = np.linalg.inv(covariance).T  # the same, with its rows in order
     weighted = rows.dot(precision)
@@ -254,14 +292,21 @@ def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -
     covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
     square, explained = unexplained_change(rows, covariance, change)
     if square > enough:
-        covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(len(change))
+        covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(
+            len(change)
+        )
         square, explained = unexplained_change(rows, covariance, change)
     return square
 
 
 @compiled
 def change_step(
-    rows: Matrix, residual: Vector, last: Matrix, learned_s: float, pushed_s: float, dt_s: float
+    rows: Matrix,
+    residual: Vector,
+    last: Matrix,
+    learned_s: float,
+    pushed_s: float,
+    dt_s: float,
 ) -> tuple[Array, float, float]:
     """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` > 0 later."""
     torques, square = last.copy(), 0.0
@@ -276,7 +321,9 @@ def change_step(
         before[:] = now
     if square < USUAL:
         learned_s += dt_s
-        usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (np.outer(change, change) - usual)
+        usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (
+            np.outer(change, change) - usual
+        )
     before -= math.expm1(-dt_s / BEFORE_S) * (now - before)
     return torques, learned_s, 0.0
 
@@ -284,10 +331,14 @@ def change_step(
 class MonitorState(NamedTuple):
     """All that a `ConsistencyMonitor` remembers."""
 
-    mismatch_squared: float = 0.0  # Smoothed, in units of the covariance before it was widened
+    mismatch_squared: float = (
+        0.0  # Smoothed, in units of the covariance before it was widened
+    )
     widening: float = 1.0  # Factor by which the covariance in use was widened
     warnings: int = 0  # Of the last check, as a number
-    at_limit: tuple[int, ...] = ()  # Indices of joints at a position limit in that check
+    at_limit: tuple[
+        int, ...
+    ] = ()  # Indices of joints at a position limit in that check
     # Of measured velocities with positions; None before a check, and where velocities are estimated
     match: VelocityMatch | None = None
     change: TorqueChange | None = None  # None before the tare
@@ -326,7 +377,9 @@ class ConsistencyMonitor:
         """
         found = SensorWarning.NONE
         lower, upper = self._lower, self._upper
-        at_limit = tuple(i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i])
+        at_limit = tuple(
+            i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i]
+        )
         if at_limit:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
@@ -357,7 +410,9 @@ class ConsistencyMonitor:
         """The next `TorqueChange`: how far torques have changed as no wrench changes them."""
         last, n = self.state.change, len(residual)
         if last is None or dt_s <= 0.0:
-            return last or TorqueChange(np.vstack((residual, residual, np.zeros((n, n)))))
+            return last or TorqueChange(
+                np.vstack((residual, residual, np.zeros((n, n))))
+            )
         return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
 
     @property
@@ -390,12 +445,20 @@ class ConsistencyMonitor:
         Meant for alarms and for the end of a gap, not for every sample: a knock raises it, too. The
         sample before must show it as well, since an arm that brakes hard raises it for one sample.
         """
-        square = min(self._wrench.mismatch_squared(each.residual) for each in (last, before))
+        square = min(
+            self._wrench.mismatch_squared(each.residual) for each in (last, before)
+        )
         is_off = self.state.widening * square > MOST_MISMATCH**2
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
-            axial, torques = self._wrench.kinematics.axial_jacobian[None], change.torques
-            if unusual_change(axial, torques[0] - torques[1], torques[2:], BESIDE) > BESIDE:
+            axial, torques = (
+                self._wrench.kinematics.axial_jacobian[None],
+                change.torques,
+            )
+            if (
+                unusual_change(axial, torques[0] - torques[1], torques[2:], BESIDE)
+                > BESIDE
+            ):
                 found |= SensorWarning.ARM_PUSHED
         reasons = [text for one, text in _REASONS.items() if one in found]
         message = "; ".join(filter(None, (last.message, *reasons)))
@@ -410,7 +473,9 @@ class ConsistencyMonitor:
     @property
     def question(self) -> str:
         """The same if positions are so far beyond that they are hardly in radians; else empty."""
-        is_far = self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
+        is_far = (
+            self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
+        )
         return f"{self.limit}: is q in degrees?" if is_far else ""
 
     def restore(self, state: MonitorState) -> None:
@@ -427,7 +492,9 @@ class ConsistencyMonitor:
         if self.warnings:
             reasons = [text for one, text in _REASONS.items() if one in self.warnings]
             self.message = "; ".join(
-                filter(None, (self.velocity_fault, self.question or self.limit, *reasons))
+                filter(
+                    None, (self.velocity_fault, self.question or self.limit, *reasons)
+                )
             )
 
 

@@ -34,7 +34,9 @@ class SampleError(ResidualError, ValueError):
             torque.
     """
 
-    def __init__(self, message: str, warning: SensorWarning = SensorWarning.NONE) -> None:
+    def __init__(
+        self, message: str, warning: SensorWarning = SensorWarning.NONE
+    ) -> None:
         super().__init__(message)
         self.warning = warning
 

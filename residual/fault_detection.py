@@ -20,12 +20,16 @@ from residual.stuck_signals import NoiseProbe, SingleSignalDetector, StuckSignal
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-SIGMAS = 12.0  # A jump within this many standard deviations of the signal's noise is noise
+SIGMAS = (
+    12.0  # A jump within this many standard deviations of the signal's noise is noise
+)
 TORQUE_RATIO = 0.02
 """Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
 at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
 by more, see `is_contact`."""
-LEAST_TORQUE_NM = 0.7  # the gears of a moving wrist of 12 Nm make as much in a millisecond
+LEAST_TORQUE_NM = (
+    0.7  # the gears of a moving wrist of 12 Nm make as much in a millisecond
+)
 TORQUE_RATIO_PER_S = 2.0  # of the effort limit, beyond the step: for lost samples
 ACCELERATION_RAD_S2 = 20.0  # an arm that inserts a needle stays far below
 LEAST_POSITION_RAD = 1e-4
@@ -41,18 +45,26 @@ needle it is nothing: 0.1 rad/s make half a milliradian of it."""
 HELD_ACCELERATION_RAD_S2 = 4.0
 """Change of an estimated velocity that positions do not show while they repeat. Far less than what
 a single step may be off by: an arm at rest repeats its positions for ever."""
-MOST_STEP_N = 100.0  # may come or go within a sample: a rupture is newtons, a contact tens
+MOST_STEP_N = (
+    100.0  # may come or go within a sample: a rupture is newtons, a contact tens
+)
 MOST_UNEXPLAINED = 0.35
 """Fraction of the jump that the force may leave over; a spike of one joint leaves most of
 itself."""
 CHECK_S = 0.02  # every so often each torque is checked by itself [s]
 STAYED_S = 5e-3  # A jump that has stayed for this long is accepted: the signal is elsewhere now [s]
-LONGEST_HOLD_S = 0.1  # whatever a signal that jumps does, it is not held back for longer
-SATURATED_RATIO = 0.99  # fraction of the effort limit from which a torque counts as clipped
+LONGEST_HOLD_S = (
+    0.1  # whatever a signal that jumps does, it is not held back for longer
+)
+SATURATED_RATIO = (
+    0.99  # fraction of the effort limit from which a torque counts as clipped
+)
 MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
 """Whether all positions, positions with velocities, and all torques of a sample repeat."""
-STILL_S = 1.0  # a torque unchanged for so long may be missing, or come from a simulation
+STILL_S = (
+    1.0  # a torque unchanged for so long may be missing, or come from a simulation
+)
 LOADED_RATIO = 0.9  # fraction of the effort limit from which every torque is watched
 
 
@@ -64,7 +76,9 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
     shape (2 n,) or (3 n,), n joints; no weight is 0.
     """
     off = (now - last) * weight
-    if (off[0] == 0.0 and not off[:joints].any()) or (off[-1] == 0.0 and not off[-joints:].any()):
+    if (off[0] == 0.0 and not off[:joints].any()) or (
+        off[-1] == 0.0 and not off[-joints:].any()
+    ):
         return math.inf
     return math.sqrt(np.vdot(off, off))  # `dot` warns of an overflow
 
@@ -93,7 +107,9 @@ class GuardState:
     velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
     alone: SingleSignalDetector  # Of the check for single torques that repeat
     noise: Array | None = None  # Learnt noise of the same signals; None until learnt
-    probe: NoiseProbe | None = None  # What is known of the noise so far; None once it is learnt
+    probe: NoiseProbe | None = (
+        None  # What is known of the noise so far; None once it is learnt
+    )
     rejected: Array | None = None  # Last sample held back as a spike, or None
     step_s: float = 0.0  # Time between the last two accepted samples [s]; 0 before two
     missed_s: float = 0.0  # Time since the last accepted sample [s]
@@ -102,7 +118,9 @@ class GuardState:
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
     # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = 0.5 * CHECK_S  # Time since each torque was checked; not when bias is renewed [s]
+    age_s: float = (
+        0.5 * CHECK_S
+    )  # Time since each torque was checked; not when bias is renewed [s]
     is_loaded: bool = False  # Whether a torque was near its limit at that check
     warning: str = ""  # What seemed frozen at that check
     question: str = ""  # What may be missing: it has not changed for long
@@ -128,7 +146,12 @@ class FaultDetector:
     """
 
     def __init__(
-        self, robot: Robot, tool: ToolKinematics, velocity_delay_s: float, *, has_velocity: bool
+        self,
+        robot: Robot,
+        tool: ToolKinematics,
+        velocity_delay_s: float,
+        *,
+        has_velocity: bool,
     ) -> None:
         n = self._joints = robot.nv
         size = (3 if has_velocity else 2) * n
@@ -142,7 +165,9 @@ class FaultDetector:
                 last=np.zeros(size),
                 before=np.zeros(size),
                 velocity=np.zeros(n),
-                alone=SingleSignalDetector(np.zeros(n), np.zeros(n), np.full(n, np.inf)),
+                alone=SingleSignalDetector(
+                    np.zeros(n), np.zeros(n), np.full(n, np.inf)
+                ),
                 probe=NoiseProbe(np.zeros((stuck.MOST_SAMPLES, size))),
             )
         )
@@ -229,18 +254,24 @@ class FaultDetector:
         """
         memory, speed = self.memory, np.abs(velocity)
         if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, stuck.LONGEST_USUAL_S)
+            speed = speed + HELD_ACCELERATION_RAD_S2 * min(
+                memory.held_s, stuck.LONGEST_USUAL_S
+            )
         if memory.swept is None:
             return speed * dt_s
         # Forgets, so that noise of the velocity does not add up while an arm rests.
-        return memory.swept * max(1.0 - dt_s / stuck.LONGEST_USUAL_S, 0.0) + speed * dt_s
+        return (
+            memory.swept * max(1.0 - dt_s / stuck.LONGEST_USUAL_S, 0.0) + speed * dt_s
+        )
 
     def _learn(self, rows: Array) -> None:
         """The first half second, shape (m, size), is over: learn noise and resolution."""
         n, memory = self._joints, self.memory
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
-        memory.noise = np.concatenate([stuck.white_noise(stuck.new_rows(each)) for each in signals])
+        memory.noise = np.concatenate(
+            [stuck.white_noise(stuck.new_rows(each)) for each in signals]
+        )
         memory.probe = None
         self._set_gates(memory.noise)
         torque = stuck.stands_out(rows[:, -n:])
@@ -259,22 +290,30 @@ class FaultDetector:
         memory.age_s = 0.0
         memory.warning = memory.question = ""
         if alone and not memory.torque.repeats:
-            memory.warning = f"tau at {named_joints(alone)} repeats bit for bit: check its sensor"
-        elif memory.torque.seems_stuck or memory.motion.seems_stuck:
             memory.warning = (
-                "all joints still repeat bit for bit; no longer held back, the arm may rest"
+                f"tau at {named_joints(alone)} repeats bit for bit: check its sensor"
             )
+        elif memory.torque.seems_stuck or memory.motion.seems_stuck:
+            memory.warning = "all joints still repeat bit for bit; no longer held back, the arm may rest"
         elif memory.alone.longest_s >= STILL_S:
             still = np.flatnonzero(memory.alone.still_s >= STILL_S)
             is_all = memory.held_s >= STILL_S and len(still) == self._joints
-            what = "neither q nor tau has" if is_all else f"tau at {named_joints(still)} has not"
+            what = (
+                "neither q nor tau has"
+                if is_all
+                else f"tau at {named_joints(still)} has not"
+            )
             memory.question = f"{what} changed for a second: is it stale?"
 
     def _check_saturated(self, now: Array) -> None:
         load = np.abs(now[-self._joints :]) / self._limit_Nm
         clipped = np.flatnonzero(load >= SATURATED_RATIO)
         if clipped.size:
-            what = "it seems to be in mNm" if load.max() > MOST_LOAD else "the true one may be more"
+            what = (
+                "it seems to be in mNm"
+                if load.max() > MOST_LOAD
+                else "the true one may be more"
+            )
             raise SampleError(
                 f"tau is at the effort limit at {named_joints(clipped)}: {what}; unload the arm, "
                 "or correct the limits of the robot's description",
@@ -338,5 +377,7 @@ class FaultDetector:
     def restore(self, memory: GuardState) -> None:
         """Go on from a `memory`, which is kept, of a detector of the same robot and signals."""
         self.memory = memory
-        self._set_gates(np.zeros_like(memory.last) if memory.noise is None else memory.noise)
+        self._set_gates(
+            np.zeros_like(memory.last) if memory.noise is None else memory.noise
+        )
         self._repeats = _NO_REPEATS

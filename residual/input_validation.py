@@ -12,16 +12,24 @@ import numpy as np
 
 from residual.errors import Array, ConfigurationError, SampleError, named_joints
 
-MOST_PLAUSIBLE = 1e5  # no joint signal in SI units comes near it; far beyond it products overflow
-SHORTEST_STEP_S = 1e-12  # no clock ticks faster, and the inverse of what is far shorter overflows
+MOST_PLAUSIBLE = (
+    1e5  # no joint signal in SI units comes near it; far beyond it products overflow
+)
+SHORTEST_STEP_S = (
+    1e-12  # no clock ticks faster, and the inverse of what is far shorter overflows
+)
 LONGEST_STEP_S = 86_400.0
 """A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
 ROUNDING_S = 1e-5
 """Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
 rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
-MILLISECONDS_S = 0.5  # time steps from here on are in milliseconds, or of a very slow log
+MILLISECONDS_S = (
+    0.5  # time steps from here on are in milliseconds, or of a very slow log
+)
 _ndarray = np.ndarray
-FLOAT64 = np.dtype(np.float64)  # The ``dtype`` of arrays of floats: comparing it takes no call
+FLOAT64 = np.dtype(
+    np.float64
+)  # The ``dtype`` of arrays of floats: comparing it takes no call
 
 
 def check_interval(dt_s: Any) -> float:
@@ -36,7 +44,9 @@ def check_interval(dt_s: Any) -> float:
             "skip this sample or repair the clock"
         )
     if step_s < SHORTEST_STEP_S:
-        raise SampleError(f"dt_s is {step_s:.4g} s, shorter than any clock ticks; repair the clock")
+        raise SampleError(
+            f"dt_s is {step_s:.4g} s, shorter than any clock ticks; repair the clock"
+        )
     if step_s > LONGEST_STEP_S:
         raise SampleError(
             f"dt_s is {step_s:.4g} s, more than a day: the clock was set; skip this sample and "
@@ -73,13 +83,17 @@ def shown(value: object) -> str:
     """A value as a message can show it, whatever its type makes of that."""
     try:
         text = repr(value)
-    except Exception:  # an integer of more digits than Python prints, or a stranger's type
+    except (
+        Exception
+    ):  # an integer of more digits than Python prints, or a stranger's type
         text = f"a {type(value).__name__} that cannot be shown"
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def _is_real(value: object) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool | np.timedelta64)
+    return isinstance(value, numbers.Real) and not isinstance(
+        value, bool | np.timedelta64
+    )
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> Array:
@@ -102,7 +116,9 @@ def check_joint_vector(name: str, value: object, joints: int) -> Array:
         bad = named_joints(np.flatnonzero(~np.isfinite(array)))
         raise SampleError(f"{name} is not finite at {bad}; skip this sample")
     most = np.abs(array).max()
-    raise SampleError(f"{name} reaches {most:.3g}, expected SI units far below {MOST_PLAUSIBLE:g}")
+    raise SampleError(
+        f"{name} reaches {most:.3g}, expected SI units far below {MOST_PLAUSIBLE:g}"
+    )
 
 
 def _real(value: Any) -> Array:
@@ -142,7 +158,9 @@ def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -
         rows = np.array(values)
     else:
         vectors = zip(names, values, strict=True)
-        rows = np.stack([check_joint_vector(name, value, joints) for name, value in vectors])
+        rows = np.stack(
+            [check_joint_vector(name, value, joints) for name, value in vectors]
+        )
     rows.setflags(False)  # pyright: ignore[reportCallIssue]  # by name it takes thrice as long
     return rows
 
@@ -155,11 +173,15 @@ def check_rows(names: tuple[str, ...], rows: Array) -> None:
             check_joint_vector(name, row, len(row))
 
 
-def check_positive(name: str, value: object, *, least: float = 1e-30, most: float = 1e30) -> None:
+def check_positive(
+    name: str, value: object, *, least: float = 1e-30, most: float = 1e30
+) -> None:
     """Refuse a setting that is not a positive number, or one whose square over- or underflows."""
     number = as_float(value)
     if not 0.0 < number < math.inf:
-        raise ConfigurationError(f"{name} is {shown(value)}, expected a finite number > 0")
+        raise ConfigurationError(
+            f"{name} is {shown(value)}, expected a finite number > 0"
+        )
     if not least <= number <= most:
         raise ConfigurationError(
             f"{name} is {number:g}, expected a number between {least:g} and {most:g}"
@@ -169,7 +191,9 @@ def check_positive(name: str, value: object, *, least: float = 1e-30, most: floa
 def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Refuse a setting that is none of the choices."""
     if not (isinstance(value, str) and value in choices):
-        raise ConfigurationError(f"{name} is {shown(value)}, expected one of {list(choices)}")
+        raise ConfigurationError(
+            f"{name} is {shown(value)}, expected one of {list(choices)}"
+        )
 
 
 def vector_of_three(name: str, value: object) -> Array:
@@ -179,7 +203,9 @@ def vector_of_three(name: str, value: object) -> Array:
     except Exception:  # a stranger's type may raise anything
         given = np.zeros(0)
     if given.shape != (3,) or not np.isfinite(given).all():
-        raise ConfigurationError(f"{name} is {shown(value)}, expected three finite numbers")
+        raise ConfigurationError(
+            f"{name} is {shown(value)}, expected three finite numbers"
+        )
     return given
 
 
@@ -220,7 +246,9 @@ class SampleClock:
             self.missed_s += step_s
 
 
-LEAST_LIMIT = 1e-6  # no motor is weaker [Nm, N]; what is expected in fractions of it would vanish
+LEAST_LIMIT = (
+    1e-6  # no motor is weaker [Nm, N]; what is expected in fractions of it would vanish
+)
 
 
 def known_limits(limits: Array, instead: float) -> Array:

@@ -9,7 +9,9 @@ from residual.errors import Array, ConfigurationError
 from residual.input_validation import check_positive
 from urdf.errors import InputError, finite_array
 
-_MOST_EXPONENT = 700.0  # Its exponential is a float still, and the sigmoid is zero there
+_MOST_EXPONENT = (
+    700.0  # Its exponential is a float still, and the sigmoid is zero there
+)
 
 
 class FrictionModel(Protocol):
@@ -30,7 +32,9 @@ def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
         object.__setattr__(owner, name, array)
     sizes = {getattr(owner, name).size for name in names}
     if len(sizes) > 1:
-        raise ConfigurationError(f"{', '.join(names)} differ in length: {sorted(sizes)}")
+        raise ConfigurationError(
+            f"{', '.join(names)} differ in length: {sorted(sizes)}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,18 +98,28 @@ class SigmoidFriction:
 
     def torque(self, dq: Array) -> Array:
         """Friction torque opposing the motion [Nm], shape (n,)."""
-        return self.amplitude_Nm * (self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest)
+        return self.amplitude_Nm * (
+            self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest
+        )
 
     def _sigmoid(self, speed: Array) -> Array:
-        return 1.0 / (1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT)))
+        return 1.0 / (
+            1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT))
+        )
 
 
 def check_friction(friction: FrictionModel, joints: int) -> None:
     """Refuse, with a `ConfigurationError`, a model that does not fit so many joints."""
     try:
-        torques = [friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)]
+        torques = [
+            friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)
+        ]
     except ValueError as error:
-        raise ConfigurationError(f"friction does not fit {joints} joints: {error}") from error
+        raise ConfigurationError(
+            f"friction does not fit {joints} joints: {error}"
+        ) from error
     for torque in torques:
         if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
-            raise ConfigurationError(f"friction gives {torque!r}, expected {joints} finite numbers")
+            raise ConfigurationError(
+                f"friction gives {torque!r}, expected {joints} finite numbers"
+            )

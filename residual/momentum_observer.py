@@ -40,7 +40,9 @@ Alignment = Literal["hold", "trapezoid"]
 BANDWIDTH_PER_S = 10.0
 """Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque, which alone
 carries a rupture."""
-NOISE_THRESHOLD_SIGMAS = 3.0  # Distance of the momentum at which the bandwidth has doubled
+NOISE_THRESHOLD_SIGMAS = (
+    3.0  # Distance of the momentum at which the bandwidth has doubled
+)
 _LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
 _MOST_SQUARED = 3.0 * (1.0 + 1e-9) * MOST_PLAUSIBLE**2
@@ -55,7 +57,9 @@ Joints = tuple[Matrix, Matrix, Vector]  # likewise
 
 
 @compiled
-def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, held: bool) -> None:
+def set_step_weights(
+    weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, held: bool
+) -> None:
     """Set the weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``.
 
     With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is linear in the
@@ -74,7 +78,9 @@ def set_step_weights(weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, h
         row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
-def _momentum_by_numpy(motion: Motion, joints: Joints, velocity: Array, rows: Array) -> None:
+def _momentum_by_numpy(
+    motion: Motion, joints: Joints, velocity: Array, rows: Array
+) -> None:
     """`set_momentum` where nothing compiles."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
     directions.dot(momenta.ravel(), rows[MOMENTUM + END])
@@ -85,7 +91,9 @@ def _momentum_by_numpy(motion: Motion, joints: Joints, velocity: Array, rows: Ar
 
 
 @compiled_or(_momentum_by_numpy)
-def set_momentum(motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix) -> None:
+def set_momentum(
+    motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix
+) -> None:
     """Write momentum p and C' dq at the end of a tick; arguments as of `momentum_step`."""
     (twists, momenta), (directions, crossing, armature) = motion, joints
     for j in range(len(velocity)):
@@ -165,7 +173,9 @@ class MomentumState:
 
     rows: Array  # Of the last step, shape (ROWS, n)
     started: bool = False  # Whether there was one
-    noise: Array | None = None  # Momentum noise per joint for smoothing, shape (n,); None without
+    noise: Array | None = (
+        None  # Momentum noise per joint for smoothing, shape (n,); None without
+    )
 
 
 class MomentumObserver:
@@ -207,7 +217,9 @@ class MomentumObserver:
         n = self._joints = robot.nv
         # One where it serves all: on an uneven clock its weights change every tick.
         is_fit = np.shape(gain_per_s) in ((), (n,))
-        self._gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1)
+        self._gains = np.array(
+            gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1
+        )
         if not (np.isfinite(self._gains).all() and (self._gains > 0).all()):
             raise ConfigurationError(
                 f"gain_per_s is {gain_per_s!r}, expected one positive number or {n} of them [1/s]"
@@ -218,7 +230,11 @@ class MomentumObserver:
         axes = [joint_axis(joint) for joint in list(robot.model.joints)[1:]]
         # v x S = -(S x v)
         crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in axes)))
-        armature = np.array(robot.model.armature) if np.any(robot.model.armature) else np.zeros(0)
+        armature = (
+            np.array(robot.model.armature)
+            if np.any(robot.model.armature)
+            else np.zeros(0)
+        )
         self._directions = np.asarray(block_diag(*axes)), crossing, armature
         self._data = robot.create_data()
         self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
@@ -281,7 +297,9 @@ class MomentumObserver:
             load += self._friction.torque(still)
         pin.computeCentroidalMomentum(model, data, q, dq)
         motion, joints = self._motion, self._directions
-        if not momentum_step(rows, motion, joints, load, sample, weights, threshold, dt_s):
+        if not momentum_step(
+            rows, motion, joints, load, sample, weights, threshold, dt_s
+        ):
             check_rows(_NAMES, sample)
         memory.started = True
         return rows[0].copy()
@@ -301,8 +319,12 @@ class MomentumObserver:
             q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
                 noise of velocity into noise of momentum.
         """
-        noise = check_joint_vector("velocity_noise_rad_s", velocity_noise_rad_s, self._joints)
-        inertia = pin.crba(self._model, self._data, check_joint_vector("q", q, self._joints))
+        noise = check_joint_vector(
+            "velocity_noise_rad_s", velocity_noise_rad_s, self._joints
+        )
+        inertia = pin.crba(
+            self._model, self._data, check_joint_vector("q", q, self._joints)
+        )
         variance = np.square(inertia).dot(np.square(noise))
         self.memory.noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
         self.restore(self.memory)
@@ -316,11 +338,17 @@ class MomentumObserver:
         """
         rows, noise, n = memory.rows, memory.noise, self._joints
         if rows.shape != (ROWS, n):
-            raise ConfigurationError(f"state has rows of shape {rows.shape}, expected {(ROWS, n)}")
+            raise ConfigurationError(
+                f"state has rows of shape {rows.shape}, expected {(ROWS, n)}"
+            )
         if noise is not None and not (noise.shape == (n,) and (noise > 0.0).all()):
-            raise ConfigurationError(f"state has noise {noise}, expected {n} positive numbers")
+            raise ConfigurationError(
+                f"state has noise {noise}, expected {n} positive numbers"
+            )
         self.memory = memory
-        self._noise_threshold = np.zeros(0) if noise is None else NOISE_THRESHOLD_SIGMAS * noise
+        self._noise_threshold = (
+            np.zeros(0) if noise is None else NOISE_THRESHOLD_SIGMAS * noise
+        )
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""
@@ -339,5 +367,7 @@ def _shared_rows(vectors: Any) -> Array:
     first, last, step = vectors[1].vector, vectors[len(vectors) - 1].vector, 6 * 8
     rows = np.lib.stride_tricks.as_strided(first, (len(vectors) - 1, 6), (step, 8))
     if rows[-1].ctypes.data != last.ctypes.data:
-        raise ConfigurationError("this version of pinocchio lays out its workspace in another way")
+        raise ConfigurationError(
+            "this version of pinocchio lays out its workspace in another way"
+        )
     return rows

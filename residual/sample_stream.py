@@ -36,10 +36,16 @@ class TorqueSample(NamedTuple):
 class StreamState:
     """All that a stream remembers."""
 
-    velocity: VelocityState | None  # Of the velocity estimator; None where velocities are measured
+    velocity: (
+        VelocityState | None
+    )  # Of the velocity estimator; None where velocities are measured
     guard: GuardState | None  # Of the fault detector; None where there is none
-    observer: MomentumState | None  # Of the momentum observer; None for external torques
-    probe: NoiseProbe | None  # Of the noise to smooth; None once it is known, and without smoothing
+    observer: (
+        MomentumState | None
+    )  # Of the momentum observer; None for external torques
+    probe: (
+        NoiseProbe | None
+    )  # Of the noise to smooth; None once it is known, and without smoothing
     age_s: float = 0.0  # Time since the filters started [s]
     missed_s: float = 0.0  # Time that the observer has not seen yet [s]
 
@@ -60,7 +66,12 @@ class SampleStream:
     """
 
     def __init__(
-        self, robot: Robot, config: SensorConfig, *, has_velocity: bool, is_external: bool = False
+        self,
+        robot: Robot,
+        config: SensorConfig,
+        *,
+        has_velocity: bool,
+        is_external: bool = False,
     ) -> None:
         n = self._joints = robot.nv
         self.is_external, self.has_velocity = is_external, has_velocity
@@ -124,7 +135,11 @@ class SampleStream:
         # What is hardly off the last sample needs no other check, nor one of its numbers.
         if guard is None or not guard.surely_passes(now):
             check_rows(self._names, rows)
-            if guard is not None and guard.check(now, dt_s) and self._velocity is not None:
+            if (
+                guard is not None
+                and guard.check(now, dt_s)
+                and self._velocity is not None
+            ):
                 self._velocity.reset()  # the position reading is elsewhere now
         sample = self._estimate(rows, dt_s)
         if guard is not None:
@@ -149,7 +164,9 @@ class SampleStream:
         memory.age_s = 0.0 if dt_s > self._max_gap_s else memory.age_s + dt_s
         if memory.probe is not None:
             # Learn the velocity's noise from the first samples, then smooth the momentum.
-            samples = memory.probe.add(rows[0 if self._velocity is not None else 1], last_s)
+            samples = memory.probe.add(
+                rows[0 if self._velocity is not None else 1], last_s
+            )
             if samples is not None:
                 noise = white_noise(samples)
                 if self._velocity is not None:

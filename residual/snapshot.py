@@ -22,7 +22,9 @@ LIKE = {
     "stream.guard.swept": "stream.guard.velocity",
 }
 """Places of arrays that a new sensor has not got yet, and others of the same shape."""
-LARGEST = 1e30  # No number of a state is larger; its square can still be calculated with
+LARGEST = (
+    1e30  # No number of a state is larger; its square can still be calculated with
+)
 _SPEEDS_RAD_S = np.array([0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0])
 
 
@@ -42,12 +44,18 @@ def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
         yield place, node
     if isinstance(node, np.ndarray | float):
         # A limit may be infinite.
-        allowed = (np.abs(node) <= LARGEST) | (place.endswith("alone.limit_s") & (node == np.inf))
+        allowed = (np.abs(node) <= LARGEST) | (
+            place.endswith("alone.limit_s") & (node == np.inf)
+        )
         if not np.all(allowed):
             raise SnapshotError(f"{place} cannot be {str(node)[:80]}")
     hints = get_type_hints(type(node)) if _names(node) else {}
     for name in _names(node):
-        part, hint, where = getattr(node, name), hints[name], f"{place}.{name}" if place else name
+        part, hint, where = (
+            getattr(node, name),
+            hints[name],
+            f"{place}.{name}" if place else name,
+        )
         given = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         kinds = tuple(get_origin(kind) or kind for kind in given)
         if Literal not in kinds and not isinstance(part, kinds):
@@ -65,7 +73,9 @@ def settings_text(config: Any, joints: int) -> str:
     known by the torques that it gives.
     """
     texts = [
-        f"{name}={_plain(getattr(config, name))}" for name in _names(config) if name != "friction"
+        f"{name}={_plain(getattr(config, name))}"
+        for name in _names(config)
+        if name != "friction"
     ]
     friction, text = config.friction, "None"
     if friction is not None:
@@ -133,9 +143,13 @@ def try_out(twin: Any, state: Any) -> None:
             first = 1 if place.endswith(GROWING) else 0
             wanted = expected.get(LIKE.get(place, place), array.shape)
             if array.ndim != len(wanted) or array.shape[first:] != wanted[first:]:
-                raise SnapshotError(f"{place} has shape {array.shape}, expected {wanted}")
+                raise SnapshotError(
+                    f"{place} has shape {array.shape}, expected {wanted}"
+                )
         twin._take(deepcopy(state))
-        _run(twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2])
+        _run(
+            twin, state, state.offset.q, state.offset.dq, state.offset.joint_memory[-2]
+        )
     except Exception as error:  # whatever a damaged state makes of its parts
         raise SnapshotError(f"the snapshot is damaged: {error}") from error
 

@@ -17,9 +17,14 @@ from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
 ORDER = 3  # of the differences: a smooth motion has almost none over three ticks
-LEAST_S, LEAST_REPEATS = 0.02, 8  # no shorter repeat counts as a stuck source, whatever the signal
+LEAST_S, LEAST_REPEATS = (
+    0.02,
+    8,
+)  # no shorter repeat counts as a stuck source, whatever the signal
 FAR_LONGER = 20.0  # times the longest repeat of the first half second
-LONGEST_USUAL_S = 0.1  # no source of positions or torques is slower than ten samples a second
+LONGEST_USUAL_S = (
+    0.1  # no source of positions or torques is slower than ten samples a second
+)
 LONGEST_REFUSAL_S = 5.0
 """After this nothing is rejected any more, only reported: should a valid signal fall still after
 all, on an arm at rest, then not for ever."""
@@ -29,7 +34,10 @@ LEAST_WHITENESS = 0.5
 that has none."""
 ROUNDING = 1e-9  # no smaller difference counts as one [rad, rad/s, Nm]
 LEAST_ROWS = 16
-LEAST_SAMPLES, MOST_SAMPLES = 32, 2048  # of which noise is learnt, however slow or fast the clock
+LEAST_SAMPLES, MOST_SAMPLES = (
+    32,
+    2048,
+)  # of which noise is learnt, however slow or fast the clock
 
 
 def new_rows(rows: Array) -> Array:
@@ -59,9 +67,13 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
     # Steps are multiples of the resolution, however fast the arm moves.
     gaps = np.diff(np.sort(np.diff(rows, axis=0), axis=0), axis=0)
     resolution = np.where(gaps > ROUNDING, gaps, np.inf).min(axis=0)
-    second, third = (np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3))
+    second, third = (
+        np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3)
+    )
     # As in `white_noise`. Resolution alone makes less than two thirds of a step of such noise.
-    return (third > LEAST_WHITENESS * second) & (third / (0.6745 * np.sqrt(20.0)) >= resolution)
+    return (third > LEAST_WHITENESS * second) & (
+        third / (0.6745 * np.sqrt(20.0)) >= resolution
+    )
 
 
 @dataclass(slots=True, eq=False)
@@ -129,10 +141,16 @@ class SingleSignalDetector:
 
     def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
         """Learning has ended: of which signals, shape (size,), does a repeat mean anything?"""
-        self.limit_s = np.where(is_telling, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf)
+        self.limit_s = np.where(
+            is_telling, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf
+        )
 
     def check(self, values: Array, dt_s: float) -> list[int]:
         """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
         self.still_s = (values == self.values) * (self.still_s + dt_s)
         self.values, self.longest_s = values, max(self.still_s.tolist())
-        return np.flatnonzero(self.still_s >= self.limit_s).tolist() if self.longest_s else []
+        return (
+            np.flatnonzero(self.still_s >= self.limit_s).tolist()
+            if self.longest_s
+            else []
+        )

@@ -15,11 +15,15 @@ if TYPE_CHECKING:
 
 SIGMAS = 5.0  # A force must exceed this many standard deviations to count as contact
 INTERVALS = 24  # parts of the motion; a contact begins and ends with one of them
-IMPLAUSIBLE = 32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
+IMPLAUSIBLE = (
+    32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
+)
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
 """Fraction of the residual, rms, that an explanation may leave over; offsets are among it."""
-LEAST_OFFSETS = 3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
+LEAST_OFFSETS = (
+    3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
+)
 NEAR = 0.15  # so near to a factor with a reason a factor is that one
 STILL_RAD, MOVED_RAD = 1e-9, 0.01  # Rounding of a mean; a way that moves every encoder
 OFFSET_BLOCKS = 10.0
@@ -27,7 +31,11 @@ FURTHEST_M = 0.5  # no hand or tool has its centre of mass further from the last
 
 
 def check_free_of_contact(
-    fit: FreeMotionFit, wrench: "WrenchEstimator", contact_force_N: float, *, is_external: bool
+    fit: FreeMotionFit,
+    wrench: "WrenchEstimator",
+    contact_force_N: float,
+    *,
+    is_external: bool,
 ) -> None:
     """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
 
@@ -41,20 +49,30 @@ def check_free_of_contact(
     basis, blocks = fit.basis, fit.blocks
     seen = [_beyond_prior(basis, blocks, wrench)]
     if seen[0][0] == 0.0:
-        at_prior, axis = FreeMotionFit(basis, blocks, learn=False), -wrench.kinematics.axis_in_tool
-        torque = np.empty((*blocks.q_rad.shape, 3))  # per newton on the tip, along the tool's axes
+        at_prior, axis = (
+            FreeMotionFit(basis, blocks, learn=False),
+            -wrench.kinematics.axis_in_tool,
+        )
+        torque = np.empty(
+            (*blocks.q_rad.shape, 3)
+        )  # per newton on the tip, along the tool's axes
         for k, position in enumerate(blocks.q_rad):
             wrench.kinematics.update(position)
             torque[k] = wrench.kinematics.jacobian[:3].T
         # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
         kept, contact = _likeliest_contact(at_prior, torque)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
-        if max(beside.sizes.get(name, 0.0) for name in ("drift", "walk")) >= IMPLAUSIBLE:
+        if (
+            max(beside.sizes.get(name, 0.0) for name in ("drift", "walk"))
+            >= IMPLAUSIBLE
+        ):
             beside = FreeMotionFit(basis, blocks.part(kept), contact[kept], learn=False)
         entry = FreeMotionFit(basis, blocks, _growing_contact(at_prior, torque))
         seen = [beside.contact_N(axis), entry.contact_N(axis)]
     touch = [(N, std) for N, std in seen if abs(N) > max(contact_force_N, SIGMAS * std)]
-    cause = explain_residual(basis, blocks, is_external=is_external, is_refused=bool(touch))
+    cause = explain_residual(
+        basis, blocks, is_external=is_external, is_refused=bool(touch)
+    )
     if touch or cause:
         text = "the sensor reads {:.2f} N along the needle where 0 +/- {:.2f} N is expected in "
         raise TareError(
@@ -69,17 +87,26 @@ def _beyond_prior(
 ) -> tuple[float, float]:
     """Axial force that no error of the prior's size makes, and its std; zeros if there is none."""
     prior, worst, excess = basis.prior_tare, (0.0, 0.0), SIGMAS
-    for part in np.array_split(np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))):
+    for part in np.array_split(
+        np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))
+    ):
         k = part[len(part) // 2]
         q, age_s = blocks.q_rad[k], abs(float(blocks.age_s[k]))
-        wrench.set_torque_covariance(basis.covariance_Nm2(prior, q, blocks.states[k], age_s))
+        wrench.set_torque_covariance(
+            basis.covariance_Nm2(prior, q, blocks.states[k], age_s)
+        )
         seen = wrench.estimate(q, blocks.residual_Nm[part].mean(axis=0))
         if abs(seen.axial) > excess * seen.axial_std:
-            worst, excess = (seen.axial, seen.axial_std), abs(seen.axial) / seen.axial_std
+            worst, excess = (
+                (seen.axial, seen.axial_std),
+                abs(seen.axial) / seen.axial_std,
+            )
     return worst
 
 
-def _likeliest_contact(fit: FreeMotionFit, torque: Array) -> tuple[NDArray[np.bool_], Array]:
+def _likeliest_contact(
+    fit: FreeMotionFit, torque: Array
+) -> tuple[NDArray[np.bool_], Array]:
     """Torque per newton on the tip, in the likeliest interval of contact, shape (blocks, n, 3).
 
     First come the blocks that say how large its force is: not those in which it begins or ends.
@@ -102,25 +129,35 @@ def _likeliest_contact(fit: FreeMotionFit, torque: Array) -> tuple[NDArray[np.bo
 def _growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
     """The same of a force that grows evenly, from its likeliest start, to a newton at the end."""
     age_s = fit.blocks.age_s[:, None]
-    starts_s = age_s[np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int), 0]
+    starts_s = age_s[
+        np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int), 0
+    ]
     grown = np.maximum(age_s - starts_s, 0.0) / np.maximum(age_s[-1] - starts_s, 1e-9)
 
     torques = grown[:, None, :, None] * torque[:, :, None]
     known, seen = fit.information_on(torques.reshape(*torque.shape[:2], -1))
     own = [slice(k, k + 3) for k in range(0, len(seen), 3)]
-    gains = [seen[k] @ np.linalg.lstsq(known[k, k], seen[k], rcond=1e-9)[0] for k in own]
+    gains = [
+        seen[k] @ np.linalg.lstsq(known[k, k], seen[k], rcond=1e-9)[0] for k in own
+    ]
     return torques[:, :, int(np.argmax(gains))]
 
 
 def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:
     """First part of the likeliest interval and the one after its last, of three forces per part."""
     count = len(evidence) // 3
-    information, evidence = information.reshape(count, 3, count, 3), evidence.reshape(count, 3)
+    information, evidence = (
+        information.reshape(count, 3, count, 3),
+        evidence.reshape(count, 3),
+    )
     best, most = (0, count), 0.0
     for first in range(count):
         for last in range(first + 1, count + 1):
             own = slice(first, last)
-            known, seen = information[own, :, own].sum(axis=(0, 2)), evidence[own].sum(axis=0)
+            known, seen = (
+                information[own, :, own].sum(axis=(0, 2)),
+                evidence[own].sum(axis=0),
+            )
             gain = float(seen @ np.linalg.lstsq(known, seen, rcond=1e-9)[0])
             if gain > most:
                 best, most = (first, last), gain
@@ -157,7 +194,11 @@ def explain_residual(
             for known, reason in _GRAVITY_FACTORS[is_external].items():
                 if abs(factor / known - 1.0) < NEAR:
                     return f"the residual is {factor:.2f} times gravity's torque g(q): {reason}"
-    order = () if is_external else _order_of_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
+    order = (
+        ()
+        if is_external
+        else _order_of_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
+    )
     if order:
         pairs = [(i + 1, j + 1) for i, j in enumerate(order) if i != j]
         moved = [f"tau of joint {i} reads as joint {j}'s" for i, j in pairs]
@@ -188,7 +229,9 @@ def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
     own = float(np.trace(cost))
     # Joints without gravity are alike: of equal orders the one that moves fewest is meant.
     joints, order = linear_sum_assignment(cost + 1e-3 * own * (1.0 - np.eye(len(cost))))
-    explains = (order != joints).any() and cost[joints, order].sum() < MOST_LEFT**2 * own
+    explains = (order != joints).any() and cost[
+        joints, order
+    ].sum() < MOST_LEFT**2 * own
     return tuple(order.tolist()) if explains else ()
 
 
@@ -198,7 +241,9 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     Least squares of the residual over its mass and first moments, and an offset per joint.
     """
     n = len(scale)
-    masses = np.concatenate([basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad])
+    masses = np.concatenate(
+        [basis.regressor(q)[:, -4:] / scale[:, None] for q in blocks.q_rad]
+    )
     offsets = np.tile(np.eye(n), (len(blocks.q_rad), 1))
     # An offset is expected within one unit: beyond, it costs as much as so many blocks.
     prior = np.hstack((np.zeros((n, 4)), np.sqrt(OFFSET_BLOCKS) * np.eye(n)))
@@ -206,8 +251,13 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     columns = np.vstack((np.hstack((masses, offsets)), prior))
     # Directions that a short motion does not show stay at zero.
     found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
-    mass, is_body = float(found[0]), np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])
-    if not is_body or _rms(residual - masses @ found[:4]) > MOST_LEFT_BY_A_MASS * _rms(residual):
+    mass, is_body = (
+        float(found[0]),
+        np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0]),
+    )
+    if not is_body or _rms(residual - masses @ found[:4]) > MOST_LEFT_BY_A_MASS * _rms(
+        residual
+    ):
         return ""
     fault = "has about {:.2g} kg too much" if mass > 0.0 else "lacks about {:.2g} kg"
     return (

@@ -47,7 +47,8 @@ class ToolKinematics:
         tip = at.placement * pin.SE3(np.eye(3), offset_m)
         self._model = pin.Model(robot.model)
         self._frame_id = self._model.addFrame(
-            pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME), False
+            pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME),
+            False,
         )
         self._data, self._joint = self._model.createData(), at.parentJoint
         self._tip = tip.translation.copy(), tip.rotation.dot(self.axis_in_tool)
@@ -79,7 +80,9 @@ class ToolKinematics:
     @property
     def pose(self) -> Array:
         """Of the tip in the base, homogeneous, shape (4, 4)."""
-        return pin.updateFramePlacement(self._model, self._data, self._frame_id).homogeneous
+        return pin.updateFramePlacement(
+            self._model, self._data, self._frame_id
+        ).homogeneous
 
     @property
     def axial_jacobian(self) -> Array:
@@ -99,7 +102,9 @@ def unit_axis(axis: ArrayLike) -> Array:
     """An insertion axis of length one, shape (3,); refused unless finite and not all zero."""
     given = vector_of_three("insertion_axis", axis)
     if not given.any():
-        raise ConfigurationError(f"insertion_axis is {axis!r}: they must not all be zero")
+        raise ConfigurationError(
+            f"insertion_axis is {axis!r}: they must not all be zero"
+        )
     given = given / np.abs(given).max()
     return given / np.linalg.norm(given)
 

@@ -44,7 +44,9 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
 
 
 @compiled
-def lag_pair_step(rows: WrittenMatrix, factors: Matrix, given: Vector, held: bool) -> Array:
+def lag_pair_step(
+    rows: WrittenMatrix, factors: Matrix, given: Vector, held: bool
+) -> Array:
     """Bring the rows up to date; position, its rate and torque behind both lags, shape (3, n)."""
     n = len(given) // 2
     rows[3, :n], rows[3, n:] = given[:n], rows[2, n:] if held else given[n:]
@@ -60,7 +62,9 @@ class MatchedSample(NamedTuple):
     q: Array  # Filtered position [rad]
     dq: Array  # Its exact derivative [rad/s]
     tau: Array  # Torque through the same filter [Nm]
-    settled: bool  # Whether the start of the filter has faded; before that dq is not usable
+    settled: (
+        bool  # Whether the start of the filter has faded; before that dq is not usable
+    )
 
 
 @dataclass(slots=True, eq=False)
@@ -143,7 +147,10 @@ class VelocityEstimator:
             memory.age_s, memory.started = 0.0, True
             return np.stack((sample[0], np.zeros(self._joints), sample[1])), False
         if dt_s != self._dt_s:  # on an even clock that is once
-            self._coefficients, self._dt_s = lag_pair_coefficients(self._bandwidth, dt_s), dt_s
+            self._coefficients, self._dt_s = (
+                lag_pair_coefficients(self._bandwidth, dt_s),
+                dt_s,
+            )
         found = lag_pair_step(rows, self._coefficients, given, self._held)
         memory.age_s += dt_s
         return found, memory.age_s >= self._settling_s - ROUNDING_S

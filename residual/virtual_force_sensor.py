@@ -14,7 +14,13 @@ from residual.bias_model import Tare
 from residual.config import DEFAULT, SensorConfig
 from residual.consistency_checks import ConsistencyMonitor, MonitorState
 from residual.errors import Array, SampleError, SnapshotError, TareError, VelocityError
-from residual.estimate import INITIALIZING, NOT_TARED, SensorWarning, Status, WrenchEstimate
+from residual.estimate import (
+    INITIALIZING,
+    NOT_TARED,
+    SensorWarning,
+    Status,
+    WrenchEstimate,
+)
 from residual.input_validation import SampleClock, long_step
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.snapshot import robot_digest, settings_text, try_out
@@ -35,13 +41,17 @@ class SensorState(NamedTuple):
     is_external: bool  # Whether it is one of the robot's own external torques
     lag_s: float  # Of the stream that the last sample came by [s]
     offset: BiasState  # Of the offset removal
-    torque_covariance: Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
+    torque_covariance: (
+        Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
+    )
     weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
     monitor: MonitorState  # Of the consistency checks
     wrench: Array  # Memory of `wrench_step`, shape (3, 3) or (3, 6)
     follows: bool  # Whether that memory is of a sample
     unchecked_s: float  # Time since the last consistency check [s]
-    waiting: int  # 2 while the consistency check waits for its tick, 1 while the weights do
+    waiting: (
+        int  # 2 while the consistency check waits for its tick, 1 while the weights do
+    )
     last: WrenchEstimate | None  # Last estimate; None before the first
     missed_s: float  # Time of samples rejected since then [s]
     rejected: int  # Number of bad samples so far
@@ -73,7 +83,9 @@ class VirtualForceSensor:
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._robot, self._config, self._digest = robot, config, robot_digest(robot)
-        SampleStream(robot, config, has_velocity=True)  # refuses what does not fit the robot now
+        SampleStream(
+            robot, config, has_velocity=True
+        )  # refuses what does not fit the robot now
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
         alone = replace(config, mode="axial", axes="base", weighting="covariance")
@@ -127,7 +139,11 @@ class VirtualForceSensor:
         return self._take_sample(False, q, dq, tau, dt_s)
 
     def update_external_torque(
-        self, q: ArrayLike, dq: ArrayLike | None, external_torque: ArrayLike, dt_s: float
+        self,
+        q: ArrayLike,
+        dq: ArrayLike | None,
+        external_torque: ArrayLike,
+        dt_s: float,
     ) -> WrenchEstimate:
         """Take one sample of an external-torque estimate that the robot supplies itself.
 
@@ -168,9 +184,13 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            hints = [f"{self.question} If not, {error}" if self.question else str(error)]
+            hints = [
+                f"{self.question} If not, {error}" if self.question else str(error)
+            ]
             if self.rejected and not len(self._offset.memory.recorder.sums):
-                hints += [f"{self.rejected} samples were rejected, the last one: {self._refusal}"]
+                hints += [
+                    f"{self.rejected} samples were rejected, the last one: {self._refusal}"
+                ]
             hints += filter(None, [long_step(self.elapsed_s, self._config.max_gap_s)])
             raise TareError("; ".join(hints)) from None
         self._weigh()
@@ -194,7 +214,9 @@ class VirtualForceSensor:
         # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t / (t + T).
         gone = 3.0 * self._smoothing_s / self._offset.block_s * tare.scatter_Nm2
         gone *= tare.noise_Nm2.diagonal() / (tare.noise_Nm2.diagonal() + gone)
-        self._wrench.set_torque_covariance(covariance_Nm2, tare.noise_Nm2, np.diag(gone))
+        self._wrench.set_torque_covariance(
+            covariance_Nm2, tare.noise_Nm2, np.diag(gone)
+        )
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
@@ -274,7 +296,10 @@ class VirtualForceSensor:
     def _take(self, state: SensorState) -> None:
         self.reset()
         if state.stream is not None:
-            kind = {"is_external": state.is_external, "has_velocity": state.stream.velocity is None}
+            kind = {
+                "is_external": state.is_external,
+                "has_velocity": state.stream.velocity is None,
+            }
             self._stream = SampleStream(self._robot, self._config, **kind)
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
@@ -292,7 +317,12 @@ class VirtualForceSensor:
             self.kinematics.update(self._offset.memory.q)
 
     def _take_sample(
-        self, is_external: bool, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike, dt_s: float
+        self,
+        is_external: bool,
+        q: ArrayLike,
+        dq: ArrayLike | None,
+        torque: ArrayLike,
+        dt_s: float,
     ) -> WrenchEstimate:
         """One sample of either kind, or why it was rejected."""
         stream = self._stream
@@ -346,13 +376,22 @@ class VirtualForceSensor:
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
             self._unchecked_s = 0.0
         status, message, warnings = _OK, monitor.message, monitor.warnings
-        if not (settled and bias.tared) or bias.leapt_s or stream.warning or stream.question:
+        if (
+            not (settled and bias.tared)
+            or bias.leapt_s
+            or stream.warning
+            or stream.question
+        ):
             status, message, warnings = self._assess(stream, settled=settled)
-        last = _new(WrenchEstimate, (*found, status, message, monitor.mismatch, warnings))
+        last = _new(
+            WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
+        )
         self._before, self._last = self._last, last
         return last
 
-    def _assess(self, stream: SampleStream, *, settled: bool) -> tuple[Status, str, SensorWarning]:
+    def _assess(
+        self, stream: SampleStream, *, settled: bool
+    ) -> tuple[Status, str, SensorWarning]:
         """Status, message and warnings of a sample that is not simply a good one."""
         offset, monitor = self._offset, self._monitor
         warnings = monitor.warnings
@@ -380,4 +419,6 @@ class VirtualForceSensor:
         else:
             self._clock.miss(dt_s)
         warnings = last.warnings | error.warning
-        return last._replace(status=Status.REJECTED, message=str(error), warnings=warnings)
+        return last._replace(
+            status=Status.REJECTED, message=str(error), warnings=warnings
+        )

@@ -6,7 +6,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, working_copy
+from needleforce.jit import (
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+    compiled,
+    working_copy,
+)
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
@@ -15,7 +22,9 @@ from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
 COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
-EXPECTED_TORQUE_NM = 10.0  # mode ``full``: for torques what ``expected_force_N`` is for forces
+EXPECTED_TORQUE_NM = (
+    10.0  # mode ``full``: for torques what ``expected_force_N`` is for forces
+)
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 # Compiled code uses constants of its own file only.
@@ -24,8 +33,12 @@ _LEAST_NOISE_N2 = 1e-12  # Keeps quotients by the noise finite
 MOST_TURN_RAD = 1e-3
 """A gain is used until the joints together have moved so far: the force is then off by a thousandth
 of itself."""
-SMOOTHED_SIGMAS = 2.0  # Distance, in deviations of the noise, at which the bandwidth has doubled
-KEPT_SIGMAS = 6.0  # Most that is remembered of what a lag hid, in deviations of the force
+SMOOTHED_SIGMAS = (
+    2.0  # Distance, in deviations of the noise, at which the bandwidth has doubled
+)
+KEPT_SIGMAS = (
+    6.0  # Most that is remembered of what a lag hid, in deviations of the force
+)
 
 
 class WrenchGain(NamedTuple):
@@ -42,7 +55,9 @@ class WrenchGain(NamedTuple):
     # Joint torque per newton in the least observable of the directions that the mode asks for [m];
     # in the full mode a newton metre counts as a newton
     weakest_m: float
-    unexplained: Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)
+    unexplained: (
+        Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)
+    )
 
 
 @compiled
@@ -92,7 +107,9 @@ def weighted_inverse(
     # Directions below rounding of the largest are unseen: the pseudo-inverse leaves them at zero.
     inverse, blind = pseudo_inverse(information + np.diag(damping), 1e-12)
     gain = inverse.dot(weighted)
-    covariance = gain.dot(error_covariance).dot(gain.T) + (inverse * damping).dot(inverse)
+    covariance = gain.dot(error_covariance).dot(gain.T) + (inverse * damping).dot(
+        inverse
+    )
     for i in range(len(blind)):
         if blind[i]:
             covariance[i, i] = _UNSEEN
@@ -129,7 +146,10 @@ def smoothing_step(
     z = float(wrench[2] - smoothed[2])
     along, across_squared = split_force(axis, x, y, z)
     # Two components of the lateral force are noisy.
-    ratio = max(along * along / axis[5], 0.5 * across_squared / axis[6]) / SMOOTHED_SIGMAS**2
+    ratio = (
+        max(along * along / axis[5], 0.5 * across_squared / axis[6])
+        / SMOOTHED_SIGMAS**2
+    )
     lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
     for k in range(len(smoothed)):
         smoothed[k] += float(wrench[k] - smoothed[k]) / lag
@@ -172,7 +192,9 @@ def wrench_step(
     if not (turned * turned).sum() <= MOST_TURN_RAD**2:
         return math.nan, math.nan, math.nan, math.nan, math.nan
     wrench = rows[1:].dot(residual)
-    unsmoothed, _ = split_force(axis, float(wrench[0]), float(wrench[1]), float(wrench[2]))
+    unsmoothed, _ = split_force(
+        axis, float(wrench[0]), float(wrench[1]), float(wrench[2])
+    )
     smoothed, followed, hidden = memory[0], memory[1], memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
     for k in range(len(found)):
@@ -253,7 +275,9 @@ class WrenchEstimator:
         # Components of force and torque, in the frame's axes, that each unknown stands for.
         self._directions = np.eye(6)[:size]
         if size == 1:
-            self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[None]
+            self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[
+                None
+            ]
         self._weighted = config.weighting == "covariance"
         # Diagonal of the damping: inverse square of the largest wrench that is expected.
         self._damping = np.zeros(size)
@@ -265,7 +289,10 @@ class WrenchEstimator:
         self.weigh(np.zeros(robot.nv))
 
     def set_torque_covariance(
-        self, covariance_Nm2: Array, noise_Nm2: Array | None = None, smoothed: Array | float = 0.0
+        self,
+        covariance_Nm2: Array,
+        noise_Nm2: Array | None = None,
+        smoothed: Array | float = 0.0,
     ) -> None:
         """Set how far the residual may be trusted, for the next `weigh`.
 
@@ -285,7 +312,9 @@ class WrenchEstimator:
         covariance = np.array(covariance_Nm2, order="C")
         inverse, is_valid = inverse_of(covariance)
         if not is_valid:
-            raise ConfigurationError("covariance_Nm2 is not finite, symmetric, positive definite")
+            raise ConfigurationError(
+                "covariance_Nm2 is not finite, symmetric, positive definite"
+            )
         self.torque_covariance, self._inverse = covariance, inverse
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed = smoothed
@@ -297,10 +326,14 @@ class WrenchEstimator:
             SampleError: For a wrong shape, or for numbers that are not real or not finite.
         """
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
-        residual = np.ascontiguousarray(check_joint_vector("residual", residual, self._joints))
+        residual = np.ascontiguousarray(
+            check_joint_vector("residual", residual, self._joints)
+        )
         self.weigh(q)
         memory = np.zeros((3, self.size))
-        return WrenchEstimate(*self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0)))
+        return WrenchEstimate(
+            *self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0))
+        )
 
     def weigh(self, q: Array) -> None:
         """Compute the gain at a configuration [rad], shape (n,); `solve` uses it until the next."""
@@ -334,7 +367,12 @@ class WrenchEstimator:
             array.setflags(write=False)
 
     def solve(
-        self, q: Array, residual: Array, offset: Array, memory: Array, lags: tuple[float, float]
+        self,
+        q: Array,
+        residual: Array,
+        offset: Array,
+        memory: Array,
+        lags: tuple[float, float],
     ) -> tuple[Any, ...]:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
@@ -357,9 +395,23 @@ class WrenchEstimator:
         left.setflags(False)  # pyright: ignore[reportCallIssue]
         found.setflags(False)  # pyright: ignore[reportCallIssue]
         force, torque = (found, _NOTHING) if self.size == 3 else (found[:3], found[3:])
-        axial, std, lateral, across_std, raw = numbers  # unpacked twice with stars it takes longer
+        axial, std, lateral, across_std, raw = (
+            numbers  # unpacked twice with stars it takes longer
+        )
         seen, ratio, removed = reported
-        return axial, std, lateral, across_std, force, torque, seen, ratio, removed, raw, left
+        return (
+            axial,
+            std,
+            lateral,
+            across_std,
+            force,
+            torque,
+            seen,
+            ratio,
+            removed,
+            raw,
+            left,
+        )
 
     @property
     def rows(self) -> Array:

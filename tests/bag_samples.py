@@ -38,13 +38,19 @@ def header(stamp_ns, frame=""):
 
 def joint_state(stamp_ns, names, position, velocity=(), effort=()):
     """Make a JointState."""
-    numbers = [np.array(values, dtype=np.float64) for values in (position, velocity, effort)]
-    return message("sensor_msgs/msg/JointState", header(stamp_ns), list(names), *numbers)
+    numbers = [
+        np.array(values, dtype=np.float64) for values in (position, velocity, effort)
+    ]
+    return message(
+        "sensor_msgs/msg/JointState", header(stamp_ns), list(names), *numbers
+    )
 
 
 def wrench(stamp_ns, force, torque=(0.0, 0.0, 0.0)):
     """Make a WrenchStamped."""
-    parts = (message("geometry_msgs/msg/Vector3", *map(float, v)) for v in (force, torque))
+    parts = (
+        message("geometry_msgs/msg/Vector3", *map(float, v)) for v in (force, torque)
+    )
     inner = message("geometry_msgs/msg/Wrench", *parts)
     return message("geometry_msgs/msg/WrenchStamped", header(stamp_ns, "ft"), inner)
 
@@ -80,7 +86,11 @@ def insertion_rows(count, names=("a", "b", "c")):
         t_ns = START_NS + k * STEP_NS
         position = [k + 0.1 * i for i in range(len(names))]
         effort = [2.0 * value for value in position]
-        yield "/joint_states", t_ns + 500, joint_state(t_ns, names, position, (), effort)
+        yield (
+            "/joint_states",
+            t_ns + 500,
+            joint_state(t_ns, names, position, (), effort),
+        )
         yield "/ft/wrench", t_ns + 700, wrench(t_ns, (0.0, 1.0, -float(k)))
         if k % 10 == 0:
             yield "/depth_mm", t_ns + 800, number(k)

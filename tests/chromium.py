@@ -54,8 +54,15 @@ addEventListener("message", event => document.body.append("<<" + event.data + ">
 
 def _run(page):
     with tempfile.TemporaryDirectory() as profile:
-        command = [PROGRAM, *FLAGS, f"--user-data-dir={profile}", Path(page).resolve().as_uri()]
-        return subprocess.run(command, capture_output=True, text=True, timeout=SECONDS, check=True)
+        command = [
+            PROGRAM,
+            *FLAGS,
+            f"--user-data-dir={profile}",
+            Path(page).resolve().as_uri(),
+        ]
+        return subprocess.run(
+            command, capture_output=True, text=True, timeout=SECONDS, check=True
+        )
 
 
 def logged(page):

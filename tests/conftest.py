@@ -24,7 +24,9 @@ def lwr():
 def dot(tmp_path):
     """The smallest picture."""
     path = tmp_path / "dot.svg"
-    path.write_text('<svg xmlns="http://www.w3.org/2000/svg" width="90" height="90"></svg>')
+    path.write_text(
+        '<svg xmlns="http://www.w3.org/2000/svg" width="90" height="90"></svg>'
+    )
     return path
 
 

@@ -10,7 +10,9 @@ NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
 
 def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
     """Free motion with the noise of a good arm."""
-    _, q, dq, tau = swing(robot, seconds=seconds, amplitude=0.03, middle=middle, start=start)
+    _, q, dq, tau = swing(
+        robot, seconds=seconds, amplitude=0.03, middle=middle, start=start
+    )
     rng = np.random.default_rng(0)
     tau = tau - BIAS
     if noisy:

@@ -13,23 +13,31 @@ from needleforce import InsertionSession
 def cut(result, rows):
     """Signals or truth of a run, at some of its samples only."""
     arrays = {item.name: getattr(result, item.name) for item in fields(result)}
-    return replace(result, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)})
+    return replace(
+        result, **{k: v[rows] for k, v in arrays.items() if isinstance(v, np.ndarray)}
+    )
 
 
 @cache
 def simulated(*case, **options):
     """`simulate`, but the run ends 6 s behind the last layer, before the withdrawal."""
     run = simulate(*case, **options)
-    rows = slice(int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + 6.0)))
+    rows = slice(
+        int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + 6.0))
+    )
     return replace(run, signals=cut(run.signals, rows), truth=cut(run.truth, rows))
 
 
-short_run = partial(simulated, "gel-25-constant", "clean")  # the quickest catalogued insertion
+short_run = partial(
+    simulated, "gel-25-constant", "clean"
+)  # the quickest catalogued insertion
 
 
 def time_steps(run):
     """Time since the sample before [s]; the first is never read."""
-    return np.round(np.diff(run.signals.t_s, prepend=run.signals.t_s[0] - 1.0), 9).tolist()
+    return np.round(
+        np.diff(run.signals.t_s, prepend=run.signals.t_s[0] - 1.0), 9
+    ).tolist()
 
 
 def samples(run, *, with_velocity=True):
@@ -86,5 +94,7 @@ def same(one, other):
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(same, one, other))
     if is_dataclass(one):
-        return all(same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one))
+        return all(
+            same(getattr(one, f.name), getattr(other, f.name)) for f in fields(one)
+        )
     return one == other or (one != one and other != other)

@@ -35,7 +35,10 @@ class Sensor:
         self.tared = False
 
     def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
-        now, wrench = self.estimate, {"warnings": SensorWarning.NONE, "message": ""} | wrench
+        now, wrench = (
+            self.estimate,
+            {"warnings": SensorWarning.NONE, "message": ""} | wrench,
+        )
         self.estimate = now._replace(
             wrench=now.wrench._replace(status=status, **wrench),
             status=status,
@@ -55,7 +58,9 @@ def new_manager(limits=LIMITS, log=None):
 def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
     for _ in range(round(seconds / 1e-3)):
         manager.heartbeat()
-        now = manager.update(ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside)
+        now = manager.update(
+            ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside
+        )
     return now
 
 

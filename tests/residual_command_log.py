@@ -41,7 +41,9 @@ def refusal(argv, capsys):
     assert main(argv) == 2
     printed = capsys.readouterr()
     assert printed.out == ""
-    lines = [line for line in printed.err.splitlines() if not line.startswith("warning: ")]
+    lines = [
+        line for line in printed.err.splitlines() if not line.startswith("warning: ")
+    ]
     assert len(lines) == 1, printed.err
     assert lines[0].startswith("error: ")
     return lines[0]

@@ -21,14 +21,18 @@ def jacobian_of(robot, q, frame=None):
     """Jacobian of such a frame in base axes, shape (6, n)."""
     frame_id = robot.tool_frame_id if frame is None else robot.frame_id(frame)
     axes = pin.LOCAL_WORLD_ALIGNED
-    found = pin.computeFrameJacobian(robot.model, robot.create_data(), q, frame_id, axes)
+    found = pin.computeFrameJacobian(
+        robot.model, robot.create_data(), q, frame_id, axes
+    )
     return found.reshape(6, -1)
 
 
 def gravity_of(robot, q):
     """Torques at rest, one row per pose."""
     data = robot.create_data()
-    return np.array([pin.computeGeneralizedGravity(robot.model, data, one).copy() for one in q])
+    return np.array(
+        [pin.computeGeneralizedGravity(robot.model, data, one).copy() for one in q]
+    )
 
 
 def external_torque_of(robot, q, force_at_tip_in_base):
@@ -36,7 +40,9 @@ def external_torque_of(robot, q, force_at_tip_in_base):
     return jacobian_of(robot, q)[:3].T @ np.asarray(force_at_tip_in_base)
 
 
-def swing(robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 0.0), **span):
+def swing(
+    robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 0.0), **span
+):
     """Times, q, dq and link-side torque of a smooth joint motion under a constant tip force."""
     middle = MIDDLE if middle is None else np.asarray(middle)
     force = tuple(map(float, force_at_tip_in_base))
@@ -45,7 +51,16 @@ def swing(robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 
 
 
 @lru_cache(maxsize=50)
-def _swing(robot, amplitude, middle, force_at_tip_in_base, *, seconds, rate_hz=1000.0, start=0.0):
+def _swing(
+    robot,
+    amplitude,
+    middle,
+    force_at_tip_in_base,
+    *,
+    seconds,
+    rate_hz=1000.0,
+    start=0.0,
+):
     times = start + np.arange(round(seconds * rate_hz)) / rate_hz
     omega = 1.0 + 0.3 * np.arange(robot.nv)
     phase = np.outer(times, omega)
@@ -53,6 +68,8 @@ def _swing(robot, amplitude, middle, force_at_tip_in_base, *, seconds, rate_hz=1
     dq = amplitude * omega * np.sin(phase)
     ddq = amplitude * omega**2 * np.cos(phase)
     data = robot.create_data()
-    motion = [pin.rnea(robot.model, data, *one).copy() for one in zip(q, dq, ddq, strict=True)]
+    motion = [
+        pin.rnea(robot.model, data, *one).copy() for one in zip(q, dq, ddq, strict=True)
+    ]
     pushed = [external_torque_of(robot, one, force_at_tip_in_base) for one in q]
     return times, q, dq, np.array(motion) - pushed

@@ -12,7 +12,12 @@ from urllib.request import urlopen
 
 from chromium import FLAGS, PROGRAM
 
-UNWANTED = ("--dump-dom", "--virtual-time-budget=10000", "--window-size=1280,900", "--disable-gpu")
+UNWANTED = (
+    "--dump-dom",
+    "--virtual-time-budget=10000",
+    "--window-size=1280,900",
+    "--disable-gpu",
+)
 START_s = 60.0
 
 
@@ -28,7 +33,9 @@ class OpenPage:
     def call(self, method, **parameters):
         """The result of a command; events that come meanwhile are kept."""
         number = next(self._numbers)
-        self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
+        self._socket.send(
+            json.dumps({"id": number, "method": method, "params": parameters})
+        )
         while True:
             message = json.loads(self._socket.recv(timeout=START_s))
             if message.get("id") == number:
@@ -73,12 +80,22 @@ def open_page(url, size=(1400, 900)):
     flags = [flag for flag in FLAGS if flag not in UNWANTED]
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         command = [
-            *(PROGRAM, *flags, f"--window-size={size[0]},{size[1]}", "--remote-debugging-port=0"),
+            *(
+                PROGRAM,
+                *flags,
+                f"--window-size={size[0]},{size[1]}",
+                "--remote-debugging-port=0",
+            ),
             *(f"--user-data-dir={profile}", "about:blank"),
         ]
-        browser = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        browser = subprocess.Popen(
+            command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         try:
-            place, end_s = Path(profile) / "DevToolsActivePort", time.monotonic() + START_s
+            place, end_s = (
+                Path(profile) / "DevToolsActivePort",
+                time.monotonic() + START_s,
+            )
             while not (place.exists() and place.read_text().count("\n")):
                 assert time.monotonic() < end_s, "the browser has not started"
                 time.sleep(0.1)

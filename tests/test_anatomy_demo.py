@@ -18,7 +18,11 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     assert "not a medical device" in said
     shift, by_plan, corrected = (
         float(re.search(rf"{what} +([-+]?\d+\.\d) mm", said)[1])
-        for what in ("true shift along the needle", "by the plan alone", "corrected by force")
+        for what in (
+            "true shift along the needle",
+            "by the plan alone",
+            "corrected by force",
+        )
     )
     assert by_plan == pytest.approx(abs(shift), abs=1.0)
     assert corrected < 1.5
@@ -38,4 +42,7 @@ def test_a_planned_way_crosses_soft_tissue_only(seed):
     assert layers[-1].name == "liver"
     assert {layer.name for layer in layers} <= {*demo_abdomen.CROSSABLE, "liver"}
     thick = demo_abdomen.thick_layers(layers)
-    assert min(layer.exit_m - layer.entry_m for layer in thick) >= demo_abdomen.LEAST_LAYER_m
+    assert (
+        min(layer.exit_m - layer.entry_m for layer in thick)
+        >= demo_abdomen.LEAST_LAYER_m
+    )

@@ -30,7 +30,10 @@ SHIFT_m = 2e-3
 def layers(*names):
     """Gel, planned some millimetres too thin, and 50 mm of what lies behind."""
     edges = [0.0, GEL_m - SHIFT_m, GEL_m + 0.05]
-    return [Layer(n, edges[k], edges[k + 1], 0.5e-3, 0.5e-3, False) for k, n in enumerate(names)]
+    return [
+        Layer(n, edges[k], edges[k + 1], 0.5e-3, 0.5e-3, False)
+        for k, n in enumerate(names)
+    ]
 
 
 MATCH = PlanMatch(layers("gel", "behind"), 3e-3)
@@ -63,8 +66,14 @@ def test_estimates_name_the_layer_the_next_boundary_and_the_offset(whole):
     assert kept[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
     assert above.plan.next_m == pytest.approx(SURFACE_m, abs=1e-3)
     assert (before.plan.name, before.plan.next_name) == ("gel", "behind")
-    assert before.plan.next_m == pytest.approx(SURFACE_m + GEL_m, abs=3.0 * before.plan.next_std_m)
-    assert (after.plan.name, after.plan.matched, after.plan.next_name) == ("behind", 1, "")
+    assert before.plan.next_m == pytest.approx(
+        SURFACE_m + GEL_m, abs=3.0 * before.plan.next_std_m
+    )
+    assert (after.plan.name, after.plan.matched, after.plan.next_name) == (
+        "behind",
+        1,
+        "",
+    )
     assert after.plan.offset_m == pytest.approx(SHIFT_m, abs=1e-3)
     assert after.plan.offset_std_m < before.plan.offset_std_m
     assert min(e.plan.probability for e in (above, before, after)) > 0.8
@@ -81,7 +90,11 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
             snapshot = read_snapshot(tmp_path / "s")
         session.restore(snapshot)
         if where != "file":
-            again = copy.deepcopy if where == "copy" else lambda s: pickle.loads(pickle.dumps(s))
+            again = (
+                copy.deepcopy
+                if where == "copy"
+                else lambda s: pickle.loads(pickle.dumps(s))
+            )
             session = again(session)
         for k, row in enumerate(following(cut, 800), cut + 1):
             if k == TARE:
@@ -100,7 +113,9 @@ def test_another_plan_or_none_is_refused_and_changes_nothing(whole):
         (MATCH, ENTRY_m, stopped_after(TARE), r"without a plan: follow\(None\)"),
         (
             *(MATCH, ENTRY_m),
-            snapshot._replace(plan=snapshot.plan._replace(ruptures=((2.0, 0.03), (1.0, 0.01)))),
+            snapshot._replace(
+                plan=snapshot.plan._replace(ruptures=((2.0, 0.03), (1.0, 0.01)))
+            ),
             "damaged",
         ),
     ]:
@@ -124,7 +139,13 @@ def test_what_is_no_plan_or_no_entry_is_refused():
 def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
     unmet = Identifier()
     quiet = unmet.snapshot().last
-    numbers = {"layer": 1, "alarm_s": 5.0, "time_s": 5.0, "force_N": 1.0, "speed_m_s": 4e-3}
+    numbers = {
+        "layer": 1,
+        "alarm_s": 5.0,
+        "time_s": 5.0,
+        "force_N": 1.0,
+        "speed_m_s": 4e-3,
+    }
     numbers |= {"probability": 0.95, "contact_depth_m": 0.0}
     alarm = Rupture(depth_m=0.012, alarm_depth_m=0.0125, **numbers)
     wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
@@ -172,13 +193,20 @@ def written(folder, **plan):
 
 def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     ends = (SURFACE_m + GEL_m - SHIFT_m, SURFACE_m + GEL_m + 0.05)
-    named = [{"name": n, "exit_m": end} for n, end in zip(("gel", "behind"), ends, strict=True)]
+    named = [
+        {"name": n, "exit_m": end}
+        for n, end in zip(("gel", "behind"), ends, strict=True)
+    ]
     path = written(tmp_path, start_m=SURFACE_m, layers=named)
     assert main(["live", arm, "--plan", path, "--tare", str(TARE * 1e-3)]) == 0
     said = capsys.readouterr().out
-    assert re.search(r"rupture of layer 1 at 3\d\.\d mm \(\d+ %\), by the plan into behind", said)
     assert re.search(
-        r"in outside \(\d+ %\), gel at .*in gel \(\d+ %\), behind at .* offset", said, re.S
+        r"rupture of layer 1 at 3\d\.\d mm \(\d+ %\), by the plan into behind", said
+    )
+    assert re.search(
+        r"in outside \(\d+ %\), gel at .*in gel \(\d+ %\), behind at .* offset",
+        said,
+        re.S,
     )
 
 
@@ -199,7 +227,9 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
     assert main(["live", arm, *options]) == 0
     said = capsys.readouterr()
     assert "(reference nan N, rms difference nan N)" in said.out.splitlines()[0]
-    last = re.findall(r"reference nan N, rms difference (.*) N of (\d+) ticks", said.err)[0]
+    last = re.findall(
+        r"reference nan N, rms difference (.*) N of (\d+) ticks", said.err
+    )[0]
     assert 0.005 < float(last[0]) < 0.05
     assert 14_000 < int(last[1]) < 15_000
 
@@ -208,18 +238,36 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
     ("plan", "why"),
     [
         ({}, "neither layers nor entry_m and target_m"),
-        ({"entry_m": [0, 0, 0], "target_m": [0, 0, 1]}, "no layers in it, nor labels.nii.gz"),
+        (
+            {"entry_m": [0, 0, 0], "target_m": [0, 0, 1]},
+            "no layers in it, nor labels.nii.gz",
+        ),
         ({"layers": [{"name": "fat"}]}, "missing required field `exit_m`"),
-        ({"layers": [{"name": "fat", "exit_m": 0.0}]}, "'fat' ends at 0.0 m, not below"),
+        (
+            {"layers": [{"name": "fat", "exit_m": 0.0}]},
+            "'fat' ends at 0.0 m, not below",
+        ),
         ({"layers": [{"name": "fat", "exit_m": 0.1}]}, "1 layers: expected two"),
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "no mirror image"),
-        ({"entry_m": [0, 0, 0], "target_m": [0, 0, 0], "layers": TWO}, "the same point"),
+        (
+            {"entry_m": [0, 0, 0], "target_m": [0, 0, 0], "layers": TWO},
+            "the same point",
+        ),
         ({"layers": [TWO[0], TWO[1] | {"exit_m": 50}]}, "boundaries at"),
         ({"layers": [TWO[0] | {"exit_std_m": -1}, TWO[1]]}, "boundaries at"),
-        ({"entry_m": [0, 0, 0], "layers": TWO}, "one of entry_m and target_m in it: expected both"),
-        ({"translation_m": [600, 0, 300], "layers": TWO}, "expected metres, not millimetres"),
+        (
+            {"entry_m": [0, 0, 0], "layers": TWO},
+            "one of entry_m and target_m in it: expected both",
+        ),
+        (
+            {"translation_m": [600, 0, 300], "layers": TWO},
+            "expected metres, not millimetres",
+        ),
         ({"entry_mm": [0, 0, 0]}, "unknown field `entry_mm`"),
-        ({"entry_m": [0, 0]}, "expected `array` of length 3|Expected `array` of length 3"),
+        (
+            {"entry_m": [0, 0]},
+            "expected `array` of length 3|Expected `array` of length 3",
+        ),
     ],
 )
 def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys):

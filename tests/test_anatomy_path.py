@@ -54,7 +54,9 @@ def slabs(names, spacing_m=1e-3, kind=np.uint8):
     values = np.repeat(np.arange(1, len(names) + 1, dtype=kind), 10)
     values = np.broadcast_to(values[:, None, None], (len(values), 20, 20)).copy()
     grid = Grid(values.shape, np.zeros(3), spacing_m * np.eye(3))
-    return Labels.of([values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)])
+    return Labels.of(
+        [values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)]
+    )
 
 
 def test_flat_layers_are_exact_and_bone_is_an_obstacle():
@@ -66,25 +68,37 @@ def test_flat_layers_are_exact_and_bone_is_an_obstacle():
     ends = [layer.exit_m for layer in layers]
     np.testing.assert_allclose(ends, [0.010, 0.020, 0.030, 0.036], atol=2e-5)
     assert all(before.exit_m == after.entry_m for before, after in pairwise(layers))
-    assert all(before.exit_std_m == after.entry_std_m for before, after in pairwise(layers))
+    assert all(
+        before.exit_std_m == after.entry_std_m for before, after in pairwise(layers)
+    )
     assert layers[0].entry_std_m == layers[-1].exit_std_m == 0.0
 
 
 def test_a_slanting_path_and_uncertain_boundaries_state_more():
     labels = slabs(["fat", "muscle"])
-    straight = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01])[1].entry_std_m
-    slanting = labels.layers_along([0.005, 0.002, 0.01], [0.014, 0.017, 0.01])[1].entry_std_m
+    straight = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01])[
+        1
+    ].entry_std_m
+    slanting = labels.layers_along([0.005, 0.002, 0.01], [0.014, 0.017, 0.01])[
+        1
+    ].entry_std_m
     cosine = 9.0 / np.hypot(9.0, 15.0)
     assert slanting == pytest.approx(straight / cosine, rel=0.1)
-    wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[1].entry_std_m
+    wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[
+        1
+    ].entry_std_m
     assert wide == pytest.approx(np.hypot(straight, 0.5e-3), rel=0.02)
 
 
-@pytest.mark.parametrize("spacing_mm", [(5.0, 0.7, 0.7), (0.7, 5.0, 0.7), (0.7, 0.7, 5.0)])
+@pytest.mark.parametrize(
+    "spacing_mm", [(5.0, 0.7, 0.7), (0.7, 5.0, 0.7), (0.7, 0.7, 5.0)]
+)
 def test_uncertain_boundaries_of_flat_voxels_state_as_much(spacing_mm):
     labels = slabs(["fat", "muscle"], 1e-3 * np.array(spacing_mm))
     entry, target = labels.grid.points_m([[2.0, 10.0, 10.0], [17.0, 10.0, 10.0]])
-    plain, wide = (labels.layers_along(entry, target, std)[1].entry_std_m for std in (0.0, 1e-3))
+    plain, wide = (
+        labels.layers_along(entry, target, std)[1].entry_std_m for std in (0.0, 1e-3)
+    )
     assert wide == pytest.approx(np.hypot(plain, 1e-3), rel=0.02)
 
 
@@ -96,7 +110,9 @@ def test_labels_may_be_integers_of_any_size(kind):
 
 
 def test_a_path_from_outside_the_volume_stays_in_order():
-    layers = slabs(["fat", "muscle"]).layers_along([-0.05, -0.02, -0.02], [0.019, 0.01, 0.01])
+    layers = slabs(["fat", "muscle"]).layers_along(
+        [-0.05, -0.02, -0.02], [0.019, 0.01, 0.01]
+    )
     depths = [layer.entry_m for layer in layers]
     assert depths == sorted(depths)
     assert layers[-1].name == "muscle"
@@ -107,7 +123,11 @@ def test_a_path_from_outside_the_volume_stays_in_order():
     [
         ([0, 0, 0], [10, 10, 10], "outside the volume"),
         ([0, 0, np.nan], [0.01, 0.01, 0.01], "two points of 3 numbers"),
-        ([-60.0, 10.0, 10.0], [0.01, 0.01, 0.01], "60 m outside the volume: expected metres"),
+        (
+            [-60.0, 10.0, 10.0],
+            [0.01, 0.01, 0.01],
+            "60 m outside the volume: expected metres",
+        ),
         ([0, 0], [0.01, 0.01, 0.01], "two points of 3 numbers"),
         ([0.01, 0.01, 0.01], [0.01, 0.01, 0.01], "same point"),
     ],
@@ -119,5 +139,7 @@ def test_paths_that_cannot_be_are_refused(entry, target, why):
 
 @pytest.mark.parametrize("std_m", [np.nan, -1e-3, np.inf, 0.5])
 def test_a_deviation_of_boundaries_that_is_none_is_refused(std_m):
-    with pytest.raises(VolumeError, match=r"boundary_std_m=.*standard deviation in metres"):
+    with pytest.raises(
+        VolumeError, match=r"boundary_std_m=.*standard deviation in metres"
+    ):
         slabs(["fat", "muscle"]).layers_along([0, 0, 0], [0.01, 0.01, 0.01], std_m)

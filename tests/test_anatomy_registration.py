@@ -21,27 +21,43 @@ from needleforce.anatomy import (  # noqa: E402
 )
 
 FRONT = np.array(
-    [[-90, -60, 60], [85, -65, 70], [0, -110, 40], [-120, 10, -80], [110, 5, -75], [10, -105, -90]]
+    [
+        [-90, -60, 60],
+        [85, -65, 70],
+        [0, -110, 40],
+        [-120, 10, -80],
+        [110, 5, -75],
+        [10, -105, -90],
+    ]
 )
 FRONT_m = 1e-3 * FRONT
 TARGET_m = np.array([-0.03, 0.0, 0.01])
 
 
 def pose(rng):
-    return Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix(), rng.normal(size=3)
+    return Rotation.random(
+        random_state=int(rng.integers(1 << 30))
+    ).as_matrix(), rng.normal(size=3)
 
 
 def touched(points, rng, std=0.5e-3):
     rotation, shift = pose(rng)
-    return points @ rotation.T + shift + std * rng.normal(size=points.shape), (rotation, shift)
+    return points @ rotation.T + shift + std * rng.normal(size=points.shape), (
+        rotation,
+        shift,
+    )
 
 
-@pytest.mark.parametrize(("count", "is_known"), [(3, True), (4, True), (4, False), (6, False)])
+@pytest.mark.parametrize(
+    ("count", "is_known"), [(3, True), (4, True), (4, False), (6, False)]
+)
 def test_the_error_at_the_target_is_as_stated(count, is_known):
     rng, inside, errors, stated = np.random.default_rng(count), [], [], []
     for _ in range(1500):
         robot, (rotation, shift) = touched(FRONT_m[:count], rng)
-        found = fit_landmarks(FRONT_m[:count], robot, std_m=0.5e-3, is_std_known=is_known)
+        found = fit_landmarks(
+            FRONT_m[:count], robot, std_m=0.5e-3, is_std_known=is_known
+        )
         truth = rotation @ TARGET_m + shift
         errors.append(np.linalg.norm(found.to_robot(TARGET_m) - truth))
         stated.append(found.tre_m(TARGET_m))
@@ -55,7 +71,9 @@ def test_the_error_at_the_target_is_as_stated(count, is_known):
 def test_three_landmarks_claim_nothing_from_their_residuals():
     robot, _ = touched(FRONT_m[:3], np.random.default_rng(0))
     assert np.isnan(fit_landmarks(FRONT_m[:3], robot).tre_m(TARGET_m))
-    assert np.isfinite(fit_landmarks(FRONT_m[:3], robot, is_std_known=True).tre_m(TARGET_m))
+    assert np.isfinite(
+        fit_landmarks(FRONT_m[:3], robot, is_std_known=True).tre_m(TARGET_m)
+    )
 
 
 def swapped(points):
@@ -102,7 +120,9 @@ def organ():
 def touch(mesh, count, rng, outliers=0.1):
     looks_up = mesh.area_faces * (mesh.face_normals[:, 1] < -0.1)
     chosen = rng.choice(len(looks_up), count, p=looks_up / looks_up.sum())
-    points = np.einsum("nk,nkj->nj", rng.dirichlet([1, 1, 1], count), mesh.triangles[chosen])
+    points = np.einsum(
+        "nk,nkj->nj", rng.dirichlet([1, 1, 1], count), mesh.triangles[chosen]
+    )
     points = points + 0.5e-3 * rng.normal(size=points.shape)
     slipped = rng.random(count) < outliers
     away = rng.uniform(5e-3, 20e-3, (slipped.sum(), 1))
@@ -112,9 +132,13 @@ def touch(mesh, count, rng, outliers=0.1):
 
 def rough(points, robot, truth, rng, size=1.0):
     """A start some degrees and millimetres off."""
-    turned = truth[0] @ Rotation.from_rotvec(size * rng.normal(0.0, 0.05, 3)).as_matrix()
+    turned = (
+        truth[0] @ Rotation.from_rotvec(size * rng.normal(0.0, 0.05, 3)).as_matrix()
+    )
     middle = points.mean(axis=0)
-    shift = truth[0] @ middle + truth[1] - turned @ middle + size * rng.normal(0.0, 5e-3, 3)
+    shift = (
+        truth[0] @ middle + truth[1] - turned @ middle + size * rng.normal(0.0, 5e-3, 3)
+    )
     return Registration(turned, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
 
 
@@ -124,7 +148,9 @@ def test_touches_find_the_surface_among_those_that_slipped():
     for _ in range(12):
         points = touch(mesh, 100, rng)
         robot, truth = touched(points, rng, 0.0)
-        found = fit_surface(surface, robot, rough(points, robot, truth, rng), check=False)
+        found = fit_surface(
+            surface, robot, rough(points, robot, truth, rng), check=False
+        )
         place = truth[0] @ np.zeros(3) + truth[1]
         assert np.linalg.norm(found.to_robot(np.zeros(3)) - place) < 1e-3
         inside.append(found.region_contains(np.zeros(3), place))
@@ -142,12 +168,17 @@ def test_surfaces_that_slide_or_spin_are_refused(shape):
         mesh = trimesh.creation.cylinder(0.04, 0.2, sections=48).subdivide().subdivide()
         kept = np.abs(mesh.face_normals[:, 2]) < 0.5
     else:
-        mesh = trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide().subdivide()
+        mesh = (
+            trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide().subdivide()
+        )
         kept = mesh.face_normals[:, 1] < -0.5
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
     points = touch(mesh, 100, rng, 0.0)
     robot, truth = touched(points, rng, 0.0)
-    surface, start = Surface("organ", mesh.vertices, mesh.faces), rough(points, robot, truth, rng)
+    surface, start = (
+        Surface("organ", mesh.vertices, mesh.faces),
+        rough(points, robot, truth, rng),
+    )
     with pytest.raises(RegistrationError, match="slides or spins"):
         fit_surface(surface, robot, start)
 
@@ -196,7 +227,10 @@ def test_touches_after_the_patient_has_moved_are_refused():
     ],
 )
 def test_touches_of_another_unit_or_without_width_are_refused(change, says):
-    mesh, start = organ(), Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
+    mesh, start = (
+        organ(),
+        Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0),
+    )
     for check in (True, False):
         with pytest.raises(RegistrationError, match=says):
             fit_surface(
@@ -209,11 +243,18 @@ def test_touches_of_another_unit_or_without_width_are_refused(change, says):
 
 @pytest.mark.parametrize("std_m", [np.nan, np.inf, 0.0, -1e-3, 1.0])
 def test_deviations_of_touches_that_are_none_are_refused(std_m):
-    mesh, start = organ(), Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
+    mesh, start = (
+        organ(),
+        Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0),
+    )
     surface = Surface("organ", mesh.vertices, mesh.faces)
-    with pytest.raises(RegistrationError, match=r"std_m=.*standard deviation in metres"):
+    with pytest.raises(
+        RegistrationError, match=r"std_m=.*standard deviation in metres"
+    ):
         fit_landmarks(FRONT_m, FRONT_m, std_m=std_m)
-    with pytest.raises(RegistrationError, match=r"touch_std_m=.*standard deviation in metres"):
+    with pytest.raises(
+        RegistrationError, match=r"touch_std_m=.*standard deviation in metres"
+    ):
         fit_surface(surface, mesh.vertices, start, touch_std_m=std_m)
 
 
@@ -254,7 +295,9 @@ def test_ruptures_move_the_plan_and_name_the_layer():
 def test_where_the_surface_was_met_counts_for_half():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
     # At a rupture 4 mm late a membrane gave way late, or all lies deeper: so does the surface.
-    deeper, late = (match.state(0.024, [0.024], contact_m=contact) for contact in (4e-3, 0.0))
+    deeper, late = (
+        match.state(0.024, [0.024], contact_m=contact) for contact in (4e-3, 0.0)
+    )
     unknown = match.state(0.024, [0.024])
     assert late.offset_m < unknown.offset_m < deeper.offset_m
     assert deeper.offset_m == pytest.approx(4e-3, abs=0.2e-3)
@@ -270,8 +313,13 @@ def test_where_the_surface_was_met_counts_for_half():
 
 
 def test_air_in_front_of_the_skin_is_no_layer():
-    layers = [replace(one, name=name) for one, name in zip(plan(20, 35), NAMES[:3], strict=True)]
-    moved = [replace(o, entry_m=o.entry_m + 0.015, exit_m=o.exit_m + 0.015) for o in layers]
+    layers = [
+        replace(one, name=name)
+        for one, name in zip(plan(20, 35), NAMES[:3], strict=True)
+    ]
+    moved = [
+        replace(o, entry_m=o.entry_m + 0.015, exit_m=o.exit_m + 0.015) for o in layers
+    ]
     air = Layer("unlabelled", 0.0, 0.015, 0.0, 0.0, False)
     without, match = PlanMatch(layers, 3e-3), PlanMatch([air, *moved], 3e-3)
     for depth_m, ruptures_m in ((-0.005, []), (0.005, []), (0.024, [0.024])):
@@ -284,7 +332,9 @@ def test_air_in_front_of_the_skin_is_no_layer():
         assert found.offset_m == pytest.approx(expected.offset_m)
         assert found.matched == expected.matched + (expected.matched >= 0)
     bare = PlanMatch([air, *(replace(one, name="liver") for one in moved)], 3e-3)
-    assert bare.state(0.01, [], contact_m=0.0).name == "unlabelled"  # tissue without a label
+    assert (
+        bare.state(0.01, [], contact_m=0.0).name == "unlabelled"
+    )  # tissue without a label
 
 
 def test_the_skin_ruptures_behind_where_it_was_met():
@@ -305,7 +355,9 @@ def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
 def test_a_capsule_is_expected_to_rupture_late():
     layers = plan(20, 35, 60)
     states = [
-        PlanMatch([*layers[:2], replace(layers[2], name=name)], 3e-3).state(0.0385, [0.0385])
+        PlanMatch([*layers[:2], replace(layers[2], name=name)], 3e-3).state(
+            0.0385, [0.0385]
+        )
         for name in ("gland", "liver", "Left Kidney")
     ]
     assert [state.matched for state in states] == [2, 2, 2]
@@ -313,7 +365,11 @@ def test_a_capsule_is_expected_to_rupture_late():
     for state in states[1:]:
         assert state.offset_m == pytest.approx(-1e-3, abs=1e-3)
     # Inside the organ there is no capsule.
-    inside = [replace(layers[0], name="liver"), layers[1], replace(layers[2], name="liver")]
+    inside = [
+        replace(layers[0], name="liver"),
+        layers[1],
+        replace(layers[2], name="liver"),
+    ]
     assert PlanMatch(inside, 3e-3)._kind[1, :, 0].tolist() == [1.0, 0.25, 0.25]
 
 

@@ -16,14 +16,20 @@ def of_mask(mask, axes_m):
     return Labels.of([mask.astype(np.uint8)], grid, [Structure.named("part", 1)])
 
 
-@pytest.mark.parametrize("spacing_mm", [(1.0, 1.0, 1.0), (3.0, 3.0, 3.0), (1.0, 1.0, 2.0)])
+@pytest.mark.parametrize(
+    "spacing_mm", [(1.0, 1.0, 1.0), (3.0, 3.0, 3.0), (1.0, 1.0, 2.0)]
+)
 def test_an_ellipsoid_comes_back(spacing_mm):
     spacing_m = 1e-3 * np.array(spacing_mm)
-    body = Ellipsoid("body", np.array([0.01, 0.02, 0.03]), np.array([0.03, 0.02, 0.025]), np.eye(3))
+    body = Ellipsoid(
+        "body", np.array([0.01, 0.02, 0.03]), np.array([0.03, 0.02, 0.025]), np.eye(3)
+    )
     labels = label_ellipsoid(body, spacing_m, np.random.default_rng(5))
     surface = labels.surfaces()["body"]
     assert surface.mesh.is_volume
-    assert trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False).is_watertight
+    assert trimesh.Trimesh(
+        surface.vertices_m, surface.triangles, process=False
+    ).is_watertight
     voxels_m3 = labels["body"].voxels * labels.grid.voxel_m3
     assert surface.mesh.volume == pytest.approx(voxels_m3, rel=1e-6)
     assert distance_rms_m(surface, body) < 0.12 * np.cbrt(labels.grid.voxel_m3)
@@ -103,13 +109,24 @@ def test_mean_normals_leave_out_bumps_and_the_far_side():
     # The mean normal of a cap of a ball that reaches so far.
     assert flatness.mean() == pytest.approx(1.0 - (7.4 / 50.0) ** 2 / 4.0, abs=0.01)
     assert tilts[1] < 0.4 * tilts[0]
-    plate = trimesh.creation.box((0.1, 0.1, 0.004)).subdivide().subdivide().subdivide().subdivide()
-    flat, places = Surface("plate", plate.vertices, plate.faces), np.array([[0, 0, 0.002]])
+    plate = (
+        trimesh.creation.box((0.1, 0.1, 0.004))
+        .subdivide()
+        .subdivide()
+        .subdivide()
+        .subdivide()
+    )
+    flat, places = (
+        Surface("plate", plate.vertices, plate.faces),
+        np.array([[0, 0, 0.002]]),
+    )
     up = flat.mean_normals(places, np.array([[0.0, 0.0, 1.0]]), 8e-3)
     np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
 
 
 def test_progress_reaches_one():
     seen = []
-    of_mask(np.pad(np.ones((3, 3, 3), bool), 2), 1e-3 * np.eye(3)).surfaces(progress=seen.append)
+    of_mask(np.pad(np.ones((3, 3, 3), bool), 2), 1e-3 * np.eye(3)).surfaces(
+        progress=seen.append
+    )
     assert seen == [1.0]

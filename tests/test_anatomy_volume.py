@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.anatomy_surface import FORMATS, oblique_image, write_labels, write_series
+from benchmarks.anatomy_surface import (
+    FORMATS,
+    oblique_image,
+    write_labels,
+    write_series,
+)
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
     Grid,
@@ -62,9 +67,14 @@ def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
         ("lesion", 216),
     ]
     assert labels["liver"].colour == (0.5, 0.25, 0.125)
-    names = [layer.name for layer in labels.layers_along([-0.002, 0.0065, 0.0065], [0.0065] * 3)]
+    names = [
+        layer.name
+        for layer in labels.layers_along([-0.002, 0.0065, 0.0065], [0.0065] * 3)
+    ]
     assert names == ["unlabelled", "liver", "lesion"]
-    with pytest.raises(VolumeError, match="no structure with voxels is named 'nothing'"):
+    with pytest.raises(
+        VolumeError, match="no structure with voxels is named 'nothing'"
+    ):
         labels["nothing"]
 
 
@@ -75,7 +85,10 @@ def test_components_that_say_no_layer_are_segments(tmp_path):
     for k, name in enumerate(("liver", "vessel")):
         image.SetMetaData(f"Segment{k}_ID", name)
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
-    found = [(item.name, item.voxels) for item in read_labels(tmp_path / "a.seg.nrrd").structures]
+    found = [
+        (item.name, item.voxels)
+        for item in read_labels(tmp_path / "a.seg.nrrd").structures
+    ]
     assert found == [("liver", 8), ("vessel", 4)]
 
 
@@ -125,7 +138,9 @@ def test_segments_and_voxels_belong_together(tmp_path, fields, why):
 
 @pytest.mark.parametrize("names", [{1: None}, {"one": "liver"}, ["liver"]])
 def test_names_that_name_no_label_are_refused(tmp_path, names):
-    sitk.WriteImage(sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8)), str(tmp_path / "a.nrrd"))
+    sitk.WriteImage(
+        sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8)), str(tmp_path / "a.nrrd")
+    )
     with pytest.raises(VolumeError, match="names"):
         read_labels(tmp_path / "a.nrrd", names)
     assert read_labels(tmp_path / "a.nrrd", {"1": "liver"})["liver"].voxels == 64
@@ -133,7 +148,9 @@ def test_names_that_name_no_label_are_refused(tmp_path, names):
 
 def nifti(path, place=0, kind="", *numbers):
     """Write a NIfTI file, with other numbers at a place of its header."""
-    image = sitk.GetImageFromArray(np.random.default_rng(0).integers(0, 9, (44, 45, 46), np.int16))
+    image = sitk.GetImageFromArray(
+        np.random.default_rng(0).integers(0, 9, (44, 45, 46), np.int16)
+    )
     image.SetSpacing((3.0, 3.0, 3.0))
     sitk.WriteImage(image, str(path))
     whole = bytearray(path.read_bytes())
@@ -158,14 +175,21 @@ def test_a_nifti_file_that_was_cut_short_is_refused(tmp_path, name):
 @pytest.mark.parametrize(
     ("place", "kind", "numbers", "why"),
     [
-        (80, "3f", [1.0] * 3, r"spacing of \[1.0, 1.0, 1.0\] .* one of \[3.0, 3.0, 3.0\]"),
+        (
+            80,
+            "3f",
+            [1.0] * 3,
+            r"spacing of \[1.0, 1.0, 1.0\] .* one of \[3.0, 3.0, 3.0\]",
+        ),
         (80, "f168x2h", (0.0, 1, 0), "spacing of"),  # qform alone
         (80, "f", [np.nan], "spacing of"),
         (280, "f", [1.5], "one of .*1.5"),
         (252, "2h", (0, 0), "neither qform nor sform"),
     ],
 )
-def test_a_nifti_file_that_contradicts_itself_is_refused(tmp_path, place, kind, numbers, why):
+def test_a_nifti_file_that_contradicts_itself_is_refused(
+    tmp_path, place, kind, numbers, why
+):
     nifti(tmp_path / "a.nii", place, kind, *numbers)
     with pytest.raises(VolumeError, match=why):
         read_volume(tmp_path / "a.nii")
@@ -223,7 +247,10 @@ class Slanted:
     """An image whose slices are shifted by so much more each, in their own axes."""
 
     def __init__(self, step_mm):
-        self._image, self._step_mm = sitk.Image(4, 4, 40, sitk.sitkInt16), np.array(step_mm)
+        self._image, self._step_mm = (
+            sitk.Image(4, 4, 40, sitk.sitkInt16),
+            np.array(step_mm),
+        )
         self._image.SetSpacing((0.7, 0.9, 2.5))
 
     def __getattr__(self, name):
@@ -233,17 +260,25 @@ class Slanted:
         return self._image[key]
 
     def TransformIndexToPhysicalPoint(self, index):
-        return self._image.TransformIndexToPhysicalPoint(index) + index[2] * self._step_mm
+        return (
+            self._image.TransformIndexToPhysicalPoint(index) + index[2] * self._step_mm
+        )
 
 
 @pytest.mark.parametrize(
     ("step_mm", "why"),
-    [((0.005, 0, 0), None), ((0.02, 0, 0), "sheared"), ((0, 0, -2.5), "at the same place")],
+    [
+        ((0.005, 0, 0), None),
+        ((0.02, 0, 0), "sheared"),
+        ((0, 0, -2.5), "at the same place"),
+    ],
 )
 def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
     write_series(Slanted(step_mm), tmp_path)
     if why is None:
-        assert read_volume(tmp_path).grid.spacing_m[2] == pytest.approx(2.5e-3, rel=1e-4)
+        assert read_volume(tmp_path).grid.spacing_m[2] == pytest.approx(
+            2.5e-3, rel=1e-4
+        )
     else:
         with pytest.raises(VolumeError, match=why):
             read_volume(tmp_path)
@@ -255,7 +290,10 @@ def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
         (lambda folder, image: (folder / "004.dcm").unlink(), "missing or doubled"),
         (another_series, "2 DICOM series"),
         (other_spacing, "mixed series"),
-        (lambda folder, image: [path.unlink() for path in folder.iterdir()], "0 DICOM series"),
+        (
+            lambda folder, image: [path.unlink() for path in folder.iterdir()],
+            "0 DICOM series",
+        ),
     ],
 )
 def test_a_series_that_is_not_one_whole_scan_is_refused(tmp_path, edit, why):
@@ -291,7 +329,9 @@ def test_a_file_that_is_not_there_or_no_image_is_refused(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.hdr", "a.img", "a.tif", "a.mha"])
 def test_files_of_other_kinds_are_refused(tmp_path, name):
-    sitk.WriteImage(sitk.GetImageFromArray(np.ones((9, 9, 9), np.uint8)), str(tmp_path / name))
+    sitk.WriteImage(
+        sitk.GetImageFromArray(np.ones((9, 9, 9), np.uint8)), str(tmp_path / name)
+    )
     with pytest.raises(VolumeError, match="export it as"):
         read_volume(tmp_path / name)
 
@@ -321,7 +361,9 @@ def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
 
 
 @pytest.mark.parametrize(("degrees", "size"), [(3.0, 1.0), (0.0, 0.9), (0.0, 0.5)])
-def test_labels_on_as_many_voxels_turned_or_rescaled_are_refused(tmp_path, degrees, size):
+def test_labels_on_as_many_voxels_turned_or_rescaled_are_refused(
+    tmp_path, degrees, size
+):
     values = np.zeros((30, 31, 32), np.uint8)
     values[14:17, 14:17, 14:17] = 1
     image = sitk.GetImageFromArray(values)
@@ -343,8 +385,23 @@ def test_a_scan_without_air_or_without_a_body_is_refused(change):
 
 
 def test_names_say_what_stops_a_needle():
-    stops = ("rib_left_7", "costal_cartilages", "hip_right", "vertebrae_L1", "Rib,_left", "Spine")
-    stops += ("bones", "mandible", "vertebral_body", "patella", "scapulae", "ribcage", "coccyx")
+    stops = (
+        "rib_left_7",
+        "costal_cartilages",
+        "hip_right",
+        "vertebrae_L1",
+        "Rib,_left",
+        "Spine",
+    )
+    stops += (
+        "bones",
+        "mandible",
+        "vertebral_body",
+        "patella",
+        "scapulae",
+        "ribcage",
+        "coccyx",
+    )
     assert all(Structure.named(name, 1).is_obstacle for name in stops)
     goes = ("hippocampus", "liver", "tribology", "renal_pelvis", "kidney-pelvis")
     assert not any(Structure.named(name, 1).is_obstacle for name in goes)
@@ -352,7 +409,11 @@ def test_names_say_what_stops_a_needle():
 
 def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     torso = analytic_torso()
-    shape, axes, origin = (56, 40, 52), 6e-3 * np.eye(3), np.array([-0.165, -0.117, -0.153])
+    shape, axes, origin = (
+        (56, 40, 52),
+        6e-3 * np.eye(3),
+        np.array([-0.165, -0.117, -0.153]),
+    )
     values = torso.voxels(shape, origin, axes)
     grid = Grid(shape, origin, axes)
     names = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
@@ -361,15 +422,21 @@ def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     scan = Volume(np.where(values > 0, 40.0, -1000.0)[::-1, ::-1, :], flipped)
     body = labels.with_body(scan)
     assert body["body"].voxels == np.count_nonzero(values)
-    np.testing.assert_allclose(body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0)))
+    np.testing.assert_allclose(
+        body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0))
+    )
     soft = np.where(values == 1, -90.0, scan.values[::-1, ::-1, :])[::-1, ::-1, :]
-    parts = Labels.of([values], grid, names[1:]).with_body(Volume(soft, flipped), fat=True)
+    parts = Labels.of([values], grid, names[1:]).with_body(
+        Volume(soft, flipped), fat=True
+    )
     assert parts["lean"].voxels + parts["fat"].voxels == np.count_nonzero(values)
     assert parts["fat"].voxels == pytest.approx(np.count_nonzero(values == 1), rel=0.1)
 
 
 def test_there_is_no_body_where_there_is_no_scan():
-    scan = Volume(np.full((12, 12, 12), -1000.0), Grid((12,) * 3, np.zeros(3), 1e-3 * np.eye(3)))
+    scan = Volume(
+        np.full((12, 12, 12), -1000.0), Grid((12,) * 3, np.zeros(3), 1e-3 * np.eye(3))
+    )
     scan.values[3:9, 3:9, :] = 40.0  # cut off at both ends
     values = np.zeros((12, 12, 32), np.uint8)
     values[5, 5, 15] = 1
@@ -378,13 +445,18 @@ def test_there_is_no_body_where_there_is_no_scan():
     assert body["body"].voxels == 6 * 6 * 12
 
 
-@pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder")
+@pytest.mark.skipif(
+    not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA names their folder"
+)
 def test_in_a_real_ct_left_is_left():
     scan = read_volume(CT / "ct.nii.gz")
     labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
     assert len(labels.structures) == 61
     middle = labels.centroid_m("vertebrae_L1")
-    left, right = labels.centroid_m("spleen") - middle, labels.centroid_m("liver") - middle
+    left, right = (
+        labels.centroid_m("spleen") - middle,
+        labels.centroid_m("liver") - middle,
+    )
     assert left[0] > 0.05 > 0.0 > right[0]  # LPS: x to the left
     assert labels.centroid_m("vertebrae_T12")[2] > labels.centroid_m("vertebrae_L4")[2]
     assert middle[1] > labels.centroid_m("liver")[1]  # y to the back

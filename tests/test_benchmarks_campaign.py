@@ -99,7 +99,9 @@ def jobs_done(monkeypatch):
             raise KeyboardInterrupt
         if job.seed == 4:
             raise ZeroDivisionError
-        return Findings([Measurement("virtual", "ours", "wrench_rmse_N", job.seed / 3.0)])
+        return Findings(
+            [Measurement("virtual", "ours", "wrench_rmse_N", job.seed / 3.0)]
+        )
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(runner, "BENCHMARKS", items)
@@ -121,14 +123,19 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
     # More seeds later.
     del jobs_done[:]
-    assert main(["run", "--seeds", "8", "--workers", "1", "--json", path, "--resume"]) == 1
+    assert (
+        main(["run", "--seeds", "8", "--workers", "1", "--json", path, "--resume"]) == 1
+    )
     assert jobs_done == [4, 6, 7]
     capsys.readouterr()
     for arguments, message in (
         (["--first-seed", "-1"], "Must be >= 0"),
         (["--resume"], "--resume goes on with the file of --json"),
         (["--seeds", "2", "--json", path, "--resume"], "a run that is not asked for"),
-        (["--cluster", "tcp://127.0.0.1:9", "--report", str(tmp_path)], "--report draws on this"),
+        (
+            ["--cluster", "tcp://127.0.0.1:9", "--report", str(tmp_path)],
+            "--report draws on this",
+        ),
     ):
         assert main(["run", *arguments]) == 2
         assert message in capsys.readouterr().err
@@ -143,12 +150,16 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
         ({}, []),
     ],
 )
-def test_a_run_with_some_of_its_rows_is_done_again(changed, again, tmp_path, monkeypatch, capsys):
+def test_a_run_with_some_of_its_rows_is_done_again(
+    changed, again, tmp_path, monkeypatch, capsys
+):
     done, names = [], ("wrench_rmse_N", "rupture_recall")
 
     def pretend(job, progress):
         done.append(job.seed)
-        return Findings([Measurement("virtual", "ours", name, job.seed) for name in names])
+        return Findings(
+            [Measurement("virtual", "ours", name, job.seed) for name in names]
+        )
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(runner, "BENCHMARKS", items)
@@ -182,7 +193,9 @@ def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
     inside = 0
     for _ in range(200):
         values = rng.normal(size=40)
-        low, high = interval(values, np.arange(40), np.random.default_rng(0), is_mean=True)
+        low, high = interval(
+            values, np.arange(40), np.random.default_rng(0), is_mean=True
+        )
         inside += low <= 0.0 <= high
     assert 0.89 <= inside / 200 <= 0.98
     # Runs of one seed that are all alike tell no more than one of them.
@@ -196,5 +209,7 @@ def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
     again = interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
     assert again == interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
     # A seed that lacks some runs.
-    low, high = interval(by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False)
+    low, high = interval(
+        by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False
+    )
     assert by_seed.min() <= low < high <= by_seed.max()

@@ -31,8 +31,12 @@ def pretend(job, progress):
 @pytest.fixture(autouse=True)
 def _pretended(monkeypatch):
     items = [Benchmark(id=name, title=name, run=pretend) for name in HARD_RMSE_N]
-    real = Benchmark(id="panda-real", title="real", run=pretend, needs=("panda_gaz2019",))
-    monkeypatch.setattr(runner, "BENCHMARKS", {item.id: item for item in (*items, real)})
+    real = Benchmark(
+        id="panda-real", title="real", run=pretend, needs=("panda_gaz2019",)
+    )
+    monkeypatch.setattr(
+        runner, "BENCHMARKS", {item.id: item for item in (*items, real)}
+    )
     monkeypatch.delenv("NEEDLEFORCE_DATA", raising=False)
 
 
@@ -40,10 +44,17 @@ def run(*arguments):
     return main(["run", "--workers", "1", *arguments])
 
 
-def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict(capsys):
+def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict(
+    capsys,
+):
     assert run("--plant", "degraded") == 0
     out = capsys.readouterr().out
-    for words in ("liver-constant", "met", "missed", "DIR or NEEDLEFORCE_DATA): panda-real"):
+    for words in (
+        "liver-constant",
+        "met",
+        "missed",
+        "DIR or NEEDLEFORCE_DATA): panda-real",
+    ):
         assert words in out
     assert run("liver-constant", "--plant", "degraded", "--strict") == 0
     assert run("gel-25-constant", "--plant", "degraded", "--strict") == 1
@@ -53,17 +64,32 @@ def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict
 def test_plants_may_be_listed_or_repeated_and_two_runs_write_equal_bytes(tmp_path):
     paths = [tmp_path / name for name in ("a.json", "b.json")]
     for path in paths:
-        run("--plant", "degraded,ideal", "--plant", "clean", "--seeds", "2", "--json", str(path))
+        run(
+            "--plant",
+            "degraded,ideal",
+            "--plant",
+            "clean",
+            "--seeds",
+            "2",
+            "--json",
+            str(path),
+        )
     assert paths[0].read_bytes() == paths[1].read_bytes()
     rows = read_results(paths[0])
     assert len(rows) == 36
-    assert list(dict.fromkeys(row.plant for row in rows)) == ["degraded", "ideal", "clean"]
+    assert list(dict.fromkeys(row.plant for row in rows)) == [
+        "degraded",
+        "ideal",
+        "clean",
+    ]
 
 
 def test_a_benchmark_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
     path = tmp_path / "a.json"
     assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
-    assert "liver-constant, clean, seed 3: DataError: the third" in capsys.readouterr().out
+    assert (
+        "liver-constant, clean, seed 3: DataError: the third" in capsys.readouterr().out
+    )
     assert {row.seed for row in read_results(path)} == {0, 1, 2, 4}
 
 
@@ -83,7 +109,9 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), MISTAKES.items())
-def test_a_mistake_is_one_line_and_exit_code_2(tmp_path, monkeypatch, capsys, arguments, message):
+def test_a_mistake_is_one_line_and_exit_code_2(
+    tmp_path, monkeypatch, capsys, arguments, message
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     (tmp_path / "index.html").mkdir()
@@ -110,11 +138,20 @@ def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
 
 
-def test_compare_fails_on_what_is_worse_or_lost_and_says_it(tmp_path, monkeypatch, capsys):
+def test_compare_fails_on_what_is_worse_or_lost_and_says_it(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
-    rows = {"old": [0.1, 0.1], "new": [0.3, 0.1], "lost": [float("nan"), 0.1], "one": [0.1]}
+    rows = {
+        "old": [0.1, 0.1],
+        "new": [0.3, 0.1],
+        "lost": [float("nan"), 0.1],
+        "one": [0.1],
+    }
     for name, values in (rows | {"empty": []}).items():
-        write_results(Path(name), [make_row(seed=k, value=v) for k, v in enumerate(values)])
+        write_results(
+            Path(name), [make_row(seed=k, value=v) for k, v in enumerate(values)]
+        )
     for pair, code, said in (
         ("old new", 1, "1 same, 1 worse"),
         ("new old", 0, "1 better"),

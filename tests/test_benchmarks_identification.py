@@ -52,7 +52,9 @@ def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
     if online_N is not None:
         online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
     sample = int(np.searchsorted(T, alarm_s))
-    return Alarm(sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online)
+    return Alarm(
+        sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online
+    )
 
 
 def truth(*ruptures):
@@ -77,7 +79,9 @@ def truth(*ruptures):
 
 def identified(enhanced_N, tip_N, compensated_at=None):
     estimates = [
-        SimpleNamespace(rupture=None, identified_layer="layer" if k == compensated_at else None)
+        SimpleNamespace(
+            rupture=None, identified_layer="layer" if k == compensated_at else None
+        )
         for k in range(len(enhanced_N))
     ]
     return SimpleNamespace(
@@ -118,7 +122,9 @@ def test_the_window_of_an_alarm_is_the_documented_one():
 
 
 def test_delay_soft_transitions_silence_and_false_alarms_are_counted():
-    values = rupture_metrics(match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth())
+    values = rupture_metrics(
+        match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth()
+    )
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
@@ -149,7 +155,9 @@ def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
     assert values["friction_coverage_2sigma"] == 0.5
     # What was known online is judged apart from what is known at the end.
     one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
-    values = friction_metrics(layer_frictions([rupture(7.0)], one, online=True), "_online")
+    values = friction_metrics(
+        layer_frictions([rupture(7.0)], one, online=True), "_online"
+    )
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
@@ -163,7 +171,10 @@ def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_be
     assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
     assert layer.std_N == pytest.approx(0.05)
     # A layer with a soft end counts together with the next one, found or not.
-    both = [rupture(7.0, drop_N=0.01, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
+    both = [
+        rupture(7.0, drop_N=0.01, friction_N=0.4),
+        rupture(11.0, layer=2, friction_N=0.2),
+    ]
     for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
         (layer,) = layer_frictions(both, alarms)
         assert layer.error == pytest.approx(0.0)
@@ -175,9 +186,12 @@ def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_be
 
 def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_plateau():
     true = truth()
-    values = enhanced_metrics(identified(true.enhanced_N, true.tip_N, compensated_at=750), true)
+    values = enhanced_metrics(
+        identified(true.enhanced_N, true.tip_N, compensated_at=750), true
+    )
     assert values == pytest.approx(
-        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0}, abs=1e-12
+        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0},
+        abs=1e-12,
     )
     values = enhanced_metrics(identified(true.axial_N, true.axial_N), true)
     assert values["remaining_force_pct"] == pytest.approx(100.0)
@@ -185,7 +199,9 @@ def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_p
     # Errors before the first compensation and after the insertion do not count.
     wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
     found = identified(true.enhanced_N + wild, true.tip_N + wild, compensated_at=755)
-    assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(0.0, abs=1e-12)
+    assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(
+        0.0, abs=1e-12
+    )
 
 
 def signal(true, error_N=0.0, zero_m=0.0):
@@ -219,18 +235,34 @@ def stack_truth():
     return insertion_truth(insert_needle(chosen, noise=ForceNoise()))
 
 
-def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(stack_truth):
+def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(
+    stack_truth,
+):
     # Small noise: what is drawn adds nothing then.
-    one, two = (friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02))
+    one, two = (
+        friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02)
+    )
     assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
     plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
     assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
-    assert friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1] < plain
+    assert (
+        friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1]
+        < plain
+    )
 
 
-def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(stack_truth):
+def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(
+    stack_truth,
+):
     values = bound_metrics(signal(stack_truth, WHITE), stack_truth)
-    wanted = {"friction_bound_pct", "friction_bound_white_pct", "rupture_delay_bound_ms"}
+    wanted = {
+        "friction_bound_pct",
+        "friction_bound_white_pct",
+        "rupture_delay_bound_ms",
+    }
     assert set(values) == wanted
     assert all(0.0 < value < 20.0 for value in values.values())
-    assert bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=())) == {}
+    assert (
+        bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=()))
+        == {}
+    )

@@ -6,7 +6,12 @@ import pytest
 
 from benchmarks import kdl_peer
 from benchmarks.cli import main
-from benchmarks.kdl_peer import KdlAbsentError, KdlEstimator, PlainEstimator, kdl_library
+from benchmarks.kdl_peer import (
+    KdlAbsentError,
+    KdlEstimator,
+    PlainEstimator,
+    kdl_library,
+)
 from benchmarks.signals import JointSignals
 from urdf import NeedleTool, load_lwr
 
@@ -24,7 +29,9 @@ def pushed(robot, samples=600):
     tau = []
     for row, force in zip(zip(q, dq, ddq, strict=True), force_N, strict=True):
         free = pin.rnea(robot.model, data, *row)
-        lever = pin.computeFrameJacobian(robot.model, data, row[0], robot.tool_frame_id, axes)
+        lever = pin.computeFrameJacobian(
+            robot.model, data, row[0], robot.tool_frame_id, axes
+        )
         tau.append(free + force * lever[2])
     return JointSignals(t_s=t, q_rad=q, dq_rad_s=dq, tau_Nm=np.array(tau)), force_N
 
@@ -51,6 +58,9 @@ def test_both_libraries_see_the_same_robot():
 def test_without_it_the_comparison_is_skipped_and_says_so(monkeypatch, capsys):
     monkeypatch.setenv("PATH", "")
     assert main(["speed", "--kdl", "--strict"]) == 0
-    assert "skipped: no comparison with KDL: it needs g++ and Debian's" in capsys.readouterr().err
+    assert (
+        "skipped: no comparison with KDL: it needs g++ and Debian's"
+        in capsys.readouterr().err
+    )
     # So that nobody eases one unseen.
     assert (kdl_peer.TIME_RATIO, kdl_peer.ERROR_RATIO) == (0.6, 0.05)

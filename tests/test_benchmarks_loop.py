@@ -31,7 +31,9 @@ def report(**changed):
 
 def test_ratios_compare_neighbours_and_ticks_with_an_event_are_shown_apart():
     # A slow machine cancels.
-    assert speed.cost_ratio(timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)) == pytest.approx(2.0)
+    assert speed.cost_ratio(
+        timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
+    ) == pytest.approx(2.0)
     raised, identified = speed.event_table(report()).lines
     assert (raised[0], raised[4:]) == ("rupture raised", ("80", "40"))
     assert (identified[0], identified[4:]) == ("layer identified", ("40", "20"))
@@ -50,13 +52,22 @@ def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
 
 
 def soaked(**changes):
-    known = {"tick_us": (10.0, 11.0), "python_kB": (5.0, 25.0), "process_MB": (1.0, 1.0)}
+    known = {
+        "tick_us": (10.0, 11.0),
+        "python_kB": (5.0, 25.0),
+        "process_MB": (1.0, 1.0),
+    }
     return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
 
 
 def test_a_soak_compares_end_with_start():
     assert soaked().is_met
-    bad = {"tick_us": (10.0, 11.1), "python_kB": (5.0, 106.0), "ruptures": (1, 0), "skipped": 1}
+    bad = {
+        "tick_us": (10.0, 11.1),
+        "python_kB": (5.0, 106.0),
+        "ruptures": (1, 0),
+        "skipped": 1,
+    }
     for name, value in bad.items():
         assert not soaked(**{name: value}).is_met
 
@@ -77,7 +88,9 @@ def test_speed_and_memory_of_a_long_recording_count():
         assert found.times_real == pytest.approx(100.0 / cpu_s)
 
 
-def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(capsys, tmp_path):
+def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(
+    capsys, tmp_path
+):
     assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "│ residual" in printed
@@ -92,7 +105,9 @@ def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(caps
 def documented():
     """The documented rows: worst error [N], recovery and what is reported, by fault."""
     page = (Path(__file__).parents[1] / "docs" / "loop.md").read_text(encoding="utf-8")
-    found = re.search(r"<!-- faults:begin -->\n(.*?)<!-- faults:end -->", page, re.DOTALL)
+    found = re.search(
+        r"<!-- faults:begin -->\n(.*?)<!-- faults:end -->", page, re.DOTALL
+    )
     rows = [line.split("|")[1:-1] for line in found[1].splitlines()[2:]]
     return {name.strip(): [cell.strip() for cell in cells] for name, *cells in rows}
 
@@ -107,7 +122,16 @@ def test_every_fault_of_the_issue_is_in_the_table():
     names = list(documented())
     assert names[: len(SIGNAL_FAULTS)] == list(SIGNAL_FAULTS)
     assert names[-len(PARTS) :] == list(PARTS)
-    for word in ("limit", "stretched", "payload", "tare", "saturated", "jitter", "NaN", "frozen"):
+    for word in (
+        "limit",
+        "stretched",
+        "payload",
+        "tare",
+        "saturated",
+        "jitter",
+        "NaN",
+        "frozen",
+    ):
         assert any(word in name for name in names), word
 
 
@@ -125,11 +149,17 @@ def test_every_fault_is_recovered_from_finite_and_as_the_page_says(results):
 def test_faults_that_must_be_reported_are(results):
     reported = {result.name: set(result.reported) for result in results}
     for name, words in reported.items():
-        for word, warning in (("spike", "SPIKE"), ("frozen", "FROZEN"), ("saturated", "SATURATED")):
+        for word, warning in (
+            ("spike", "SPIKE"),
+            ("frozen", "FROZEN"),
+            ("saturated", "SATURATED"),
+        ):
             assert (word in name) == (warning in words) or "wrist" in name, name
     assert "JOINT_LIMIT" in reported["wrist pressed to its limit, 1 s"]
     assert "NEAR_SINGULAR" in reported["arm stretched along the needle, 1 s"]
     # The force across the needle is one of the three that are estimated.
     assert not reported["pushed aside with 1 N, 2 s"]
     # A weight along the needle is the only fault that raises a rupture.
-    assert [result.name for result in results if result.note] == ["50 g hung on the tool, 2 s"]
+    assert [result.name for result in results if result.note] == [
+        "50 g hung on the tool, 2 s"
+    ]

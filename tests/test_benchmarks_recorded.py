@@ -22,17 +22,23 @@ from benchmarks.signals import JointSignals
 
 def values(run, benchmark, data, **more):
     job = Job(benchmark=benchmark, plant="recording", data=data, **more)
-    return {(item.method, item.metric): item.value for item in run(job, silent).measurements}
+    return {
+        (item.method, item.metric): item.value for item in run(job, silent).measurements
+    }
 
 
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
     found = values(run_panda_real, "panda-real", recordings_dir)
     known = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
     reached = [found["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
-    assert [math.floor(100.0 * value) / 100.0 for value in reached] == pytest.approx(known)
+    assert [math.floor(100.0 * value) / 100.0 for value in reached] == pytest.approx(
+        known
+    )
 
 
-def test_the_whole_chain_runs_on_real_torques_with_real_tissue(recordings_dir, tmp_path):
+def test_the_whole_chain_runs_on_real_torques_with_real_tissue(
+    recordings_dir, tmp_path
+):
     options = {"data": recordings_dir, "drawings": tmp_path}
     job = Job(benchmark="panda-liver", plant="recording", seed=1, **options)
     measured = run_panda_liver(job, silent).measurements
@@ -87,7 +93,9 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
         read_arrays(path, ["good"])
     for read, folder in ((read_panda, PANDA), (read_ur10e, UR10E)):
         (tmp_path / folder).mkdir()
-        arrays = {key: np.zeros((2, 7)) for key in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+        arrays = {
+            key: np.zeros((2, 7)) for key in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+        }
         np.savez(tmp_path / folder / "free_motion.npz", **arrays)
         (tmp_path / folder / "model.json").write_text(json.dumps({"torque": 1}))
         with pytest.raises(DataError, match=r"model\.json lacks"):
@@ -103,7 +111,10 @@ def test_annotated_ruptures_are_found_missed_or_invented():
     assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
     assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
     assert values["estimated_depth_error_mm"] == pytest.approx(0.3)
-    assert depth_metrics([], [], [10.0]) == {"ruptures_missed": 1.0, "ruptures_false": 0.0}
+    assert depth_metrics([], [], [10.0]) == {
+        "ruptures_missed": 1.0,
+        "ruptures_false": 0.0,
+    }
 
 
 def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():
@@ -130,7 +141,10 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
     assert by_key["ours", "drop_recall"] > 0.5
     assert 0.0 < by_key["ours", "pullout_coverage_42mm"] <= 1.0
     assert 0.0 <= by_key["ours", "friction_above_force_at_rest"] < 0.2
-    assert ("published", "pullout_coverage_42mm") not in by_key  # it states no deviation
+    assert (
+        "published",
+        "pullout_coverage_42mm",
+    ) not in by_key  # it states no deviation
     assert np.isfinite(list(by_key.values())).all()
 
 

@@ -12,7 +12,14 @@ from hypothesis import strategies as st
 
 from benchmarks import ResultsError
 from benchmarks.cli import main
-from benchmarks.rows import METRICS, metric, read_merged, read_results, to_json, write_results
+from benchmarks.rows import (
+    METRICS,
+    metric,
+    read_merged,
+    read_results,
+    to_json,
+    write_results,
+)
 from benchmarks.runner import BENCHMARKS
 from benchmarks.tables import (
     BEGIN,
@@ -25,7 +32,16 @@ from benchmarks.tables import (
     summary_table,
     target_table,
 )
-from benchmarks.targets import GELS, STACKS, TARGETS, TISSUE, Change, Target, compare_rows, evaluate
+from benchmarks.targets import (
+    GELS,
+    STACKS,
+    TARGETS,
+    TISSUE,
+    Change,
+    Target,
+    compare_rows,
+    evaluate,
+)
 
 
 def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
@@ -33,8 +49,12 @@ def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
     write_results(tmp_path / "a.json", rows)
     assert read_results(tmp_path / "a.json") == rows
     assert json.loads(to_json([make_row()])) == {"schema": 1, "rows": [TEMPLATE]}
-    assert json.loads(to_json([make_row(value=1.0 / 3.0)]))["rows"][0]["value"] == 0.333333
-    (tmp_path / "a.json").write_text(json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": 1}]}))
+    assert (
+        json.loads(to_json([make_row(value=1.0 / 3.0)]))["rows"][0]["value"] == 0.333333
+    )
+    (tmp_path / "a.json").write_text(
+        json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": 1}]})
+    )
     assert read_results(tmp_path / "a.json")[0].value == 1.0
     for value in (math.nan, math.inf, -math.inf):
         write_results(tmp_path / "a.json", [make_row(value=value)])
@@ -47,12 +67,20 @@ def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
     [
         ("", "is not JSON"),
         ('{"schema": 2, "rows": []}', "is not a file of results: Invalid enum value 2"),
-        (json.dumps({"schema": 1, "rows": [{"scenario": "a"}]}), "missing required field `plant`"),
-        (json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": "1"}]}), "got `str` - at .*value"),
+        (
+            json.dumps({"schema": 1, "rows": [{"scenario": "a"}]}),
+            "missing required field `plant`",
+        ),
+        (
+            json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": "1"}]}),
+            "got `str` - at .*value",
+        ),
         (json.dumps({"schema": 1, "rows": [TEMPLATE, TEMPLATE]}), "more than one row"),
     ],
 )
-def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(tmp_path, content, message):
+def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(
+    tmp_path, content, message
+):
     path = tmp_path / "a.json"
     path.write_text(content)
     with pytest.raises(ResultsError, match=message):
@@ -65,7 +93,10 @@ def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(tmp_path, cont
 
 def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
     first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
-    more = [make_row(plant="clean", value=0.02), make_row(plant="clean", value=0.04, seed=1)]
+    more = [
+        make_row(plant="clean", value=0.02),
+        make_row(plant="clean", value=0.04, seed=1),
+    ]
     write_results(tmp_path / "first.json", first)
     write_results(tmp_path / "more.json", more)
     found = read_merged([tmp_path / "first.json", tmp_path / "more.json"])
@@ -73,16 +104,24 @@ def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path)
 
 
 def test_every_metric_is_shown_in_its_own_table_or_stands_in_the_results_only():
-    rows = {k: make_row(metric=k.name, unit=k.unit, plant="needle") for k in METRICS.values()}
+    rows = {
+        k: make_row(metric=k.name, unit=k.unit, plant="needle")
+        for k in METRICS.values()
+    }
     assert {kind.table for kind in rows} <= {*TABLES, "none"}
     for name, make in TABLES.items():
         assert not make([row for kind, row in rows.items() if kind.table != name]).lines
-        assert all(make([row]).lines for kind, row in rows.items() if kind.table == name)
+        assert all(
+            make([row]).lines for kind, row in rows.items() if kind.table == name
+        )
 
 
 def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
     def cell(column, name, *values):
-        rows = [make_row(metric=name, unit="1", seed=k, value=v) for k, v in enumerate(values)]
+        rows = [
+            make_row(metric=name, unit="1", seed=k, value=v)
+            for k, v in enumerate(values)
+        ]
         return TABLES["ruptures"](rows).lines[0][column]
 
     assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
@@ -94,7 +133,9 @@ def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
 def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_first():
     rows = [
         make_row(scenario="gel-70-constant", plant="clean", value=0.02),
-        make_row(scenario="gel-70-constant", plant="clean", value=0.1, method="published"),
+        make_row(
+            scenario="gel-70-constant", plant="clean", value=0.1, method="published"
+        ),
         make_row(scenario="stack-constant", plant="clean", value=math.nan),
         make_row(scenario="free-motion", plant="clean", value=0.01),
     ]
@@ -125,7 +166,16 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
     assert len(HEADLINES) <= 8
     table = summary_table(clean_rows())
     degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
-    expected = ("ruptures found, fraction", "tissue, fri", "–", "–", "0.40", "", "1", "missed")
+    expected = (
+        "ruptures found, fraction",
+        "tissue, fri",
+        "–",
+        "–",
+        "0.40",
+        "",
+        "1",
+        "missed",
+    )
     assert recall == expected
     assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "", "1", "missed")
     ours = ("0.021 [0.012, 0.030]", "0.030", "2", "met")
@@ -139,13 +189,20 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     paths = ["--page", str(page), "--readme", str(readme)]
     assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
     assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
-    block = summary_block(read_results(tmp_path / "a.json"), "python -m benchmarks results a.json")
-    assert readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
+    block = summary_block(
+        read_results(tmp_path / "a.json"), "python -m benchmarks results a.json"
+    )
+    assert (
+        readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
+    )
     assert "python -m benchmarks results a.json" in block
     text = page.read_text(encoding="utf-8")
     assert str(tmp_path) not in text
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
-    force, ruptures = "Axial force against ground truth", "Online identification: ruptures"
+    force, ruptures = (
+        "Axial force against ground truth",
+        "Online identification: ruptures",
+    )
     assert titles == ["Targets", force, ruptures]
     assert text.index("**missed**") < text.index("| met |")
     none = str(tmp_path / "no" / "p.md")
@@ -154,7 +211,9 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     assert main(["results"]) == 2
 
 
-@pytest.mark.parametrize("text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN])
+@pytest.mark.parametrize(
+    "text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN]
+)
 def test_a_page_without_its_marks_is_refused_and_stays(text, tmp_path, capsys):
     write_results(tmp_path / "a.json", [make_row()])
     page = tmp_path / "page.md"
@@ -207,7 +266,9 @@ def test_undefined_precision_does_not_count_unless_nothing_was_ever_detected():
     target = goal("rupture_precision", at_least=1.0)
     some = only(seeds((1.0, math.nan), metric="rupture_precision"), target)
     assert (some.runs, some.is_met) == (1, True)
-    assert not only(seeds((math.nan, math.nan), metric="rupture_precision"), target).is_met
+    assert not only(
+        seeds((math.nan, math.nan), metric="rupture_precision"), target
+    ).is_met
 
 
 def test_a_ratio_is_to_the_published_value_of_the_same_run():
@@ -236,7 +297,10 @@ def test_every_target_names_metrics_and_benchmarks_that_exist():
 
 
 def test_the_limits_are_those_asked_for():
-    limits = {"ft": [5.0, 10.0, 5.0, 40.0, 6.0], "virtual": [10.0, 20.0, 10.0, 80.0, 12.0]}
+    limits = {
+        "ft": [5.0, 10.0, 5.0, 40.0, 6.0],
+        "virtual": [10.0, 20.0, 10.0, 80.0, 12.0],
+    }
     further = {"ft": [40.0, 12.0], "virtual": [80.0, 18.0]}
     plants = {"clean": limits, "fri": further, "degraded": further}
     for plant, source in itertools.product(plants, limits):
@@ -245,12 +309,17 @@ def test_the_limits_are_those_asked_for():
             for item in TARGETS
             if (item.source, item.plant) == (source, plant)
             and math.isfinite(item.at_most)
-            and not (item.of_published or "wrench" in item.metric or "coverage" in item.metric)
+            and not (
+                item.of_published
+                or "wrench" in item.metric
+                or "coverage" in item.metric
+            )
         ]
     plain = {
         (item.metric, item.plant, item.statistic): item.at_most
         for item in TARGETS
-        if item.metric.startswith(("wrench_", "residual_rms_Nm")) and not item.of_published
+        if item.metric.startswith(("wrench_", "residual_rms_Nm"))
+        and not item.of_published
     }
     assert plain == {
         ("residual_rms_Nm", "ideal", "worst"): 1e-4,
@@ -262,12 +331,16 @@ def test_the_limits_are_those_asked_for():
         ("wrench_rmse_N", "degraded", "worst"): 0.12,
     }
     assert {item.at_most for item in TARGETS if item.of_published} == {0.5}
-    joints = [item.at_most for item in TARGETS if item.metric.startswith("residual_rms_J")]
+    joints = [
+        item.at_most for item in TARGETS if item.metric.startswith("residual_rms_J")
+    ]
     assert joints == pytest.approx([0.38, 0.77, 0.38, 0.40, 0.15, 0.11, 0.07])
 
 
 def change(old, new, name="wrench_rmse_N"):
-    (found,) = compare_rows([make_row(value=old, metric=name)], [make_row(value=new, metric=name)])
+    (found,) = compare_rows(
+        [make_row(value=old, metric=name)], [make_row(value=new, metric=name)]
+    )
     return found.change
 
 
@@ -309,7 +382,15 @@ def test_a_missing_row_fails_and_a_new_one_does_not_matched_by_everything_that_n
 
 def test_a_metric_has_the_unit_that_its_name_ends_with_and_the_catalogues_tolerance():
     bare = [item.name for item in METRICS.values() if item.unit == "1"]
-    assert [name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)] == []
+    assert [
+        name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)
+    ] == []
     assert metric("friction_bound_pct").relative_tolerance == 1.0
-    assert (metric("rupture_recall").tolerance, metric("rupture_recall").best) == (1e-3, 1.0)
-    assert (metric("wrench_rmse_N").tolerance, metric("force_up_loaded_N").best) == (1e-3, -27.5)
+    assert (metric("rupture_recall").tolerance, metric("rupture_recall").best) == (
+        1e-3,
+        1.0,
+    )
+    assert (metric("wrench_rmse_N").tolerance, metric("force_up_loaded_N").best) == (
+        1e-3,
+        -27.5,
+    )

@@ -5,7 +5,14 @@ import pytest
 from benchmark_cases import gel_slice, make_row, silent
 
 from benchmarks.benchmark import Job
-from benchmarks.perturbations import ARM_ONLY, FT_ONLY, GROUPS, MIXED, PERTURBATIONS, perturbed
+from benchmarks.perturbations import (
+    ARM_ONLY,
+    FT_ONLY,
+    GROUPS,
+    MIXED,
+    PERTURBATIONS,
+    perturbed,
+)
 from benchmarks.robustness import SCENARIOS, perturbed_needle, run_robustness
 from benchmarks.runner import Request, make_plan
 from benchmarks.tables import TABLES, fill, result_tables, worst_rows
@@ -33,7 +40,11 @@ def test_a_perturbation_is_drawn_from_the_seed_and_changes_something(name):
 
 
 def test_every_size_has_a_source_and_a_mixture_is_of_three_groups():
-    assert all(item.what and item.source for name, item in PERTURBATIONS.items() if name != "none")
+    assert all(
+        item.what and item.source
+        for name, item in PERTURBATIONS.items()
+        if name != "none"
+    )
     group_of = {name: group for group, items in GROUPS.items() for name in items}
     drawn = [perturbed(MIXED, BRIEF, seed)[1] for seed in range(40)]
     assert all(len({group_of[name] for name in names}) == 3 for names in drawn)
@@ -66,18 +77,29 @@ def test_robustness_runs_every_perturbation_and_seeds_begin_where_asked():
     assert {job.seed for job in plan.jobs} == {1000, 1001}
     some = make_plan(Request(ids=("robustness",), plants=("fri", "lateral")))
     assert {job.plant for job in some.jobs} == {"fri", "lateral"}
-    assert {job.plant for job in make_plan(Request(ids=("robustness-mixed",))).jobs} == {MIXED}
+    assert {
+        job.plant for job in make_plan(Request(ids=("robustness-mixed",))).jobs
+    } == {MIXED}
 
 
 def test_the_worst_comes_first_and_other_tables_leave_these_runs_out():
     rows = [
-        make_row(scenario=f"robustness-{at}", plant=plant, source="ft", metric=metric, value=value)
+        make_row(
+            scenario=f"robustness-{at}",
+            plant=plant,
+            source="ft",
+            metric=metric,
+            value=value,
+        )
         for at in SCENARIOS
         for plant, recall in (("none", 1.0), ("heartbeat", 0.5))
         for metric, value in (("rupture_recall", recall), ("false_alarms", 2.0))
     ]
     table = TABLES["robustness"](rows)
-    assert [line[:3] for line in table.lines] == [("heartbeat", "ft", "4"), ("none", "ft", "4")]
+    assert [line[:3] for line in table.lines] == [
+        ("heartbeat", "ft", "4"),
+        ("none", "ft", "4"),
+    ]
     assert [table.title for table in result_tables(rows)] == ["Robustness"]
     page = fill("a <!-- results:begin -->\n<!-- results:end --> z", worst_rows(rows))
     assert PERTURBATIONS["heartbeat"].what in page

@@ -27,7 +27,10 @@ TOUCHLESS = replace(BRIEF, layers=())
 def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp_path):
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
     found = run_needle(job, SHORT, silent, is_drawn=False)
-    by_key = {(item.source, item.method, item.metric): item.value for item in found.measurements}
+    by_key = {
+        (item.source, item.method, item.metric): item.value
+        for item in found.measurements
+    }
     methods = {"ours", "published", "published-as-run"}
     assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
     assert by_key["ft", "ours", "rupture_recall"] == 1.0
@@ -48,7 +51,10 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
         assert len(TABLES[name](rows).lines) == 3
         assert TABLES[name]([]).lines == ()
     # Without tissue there is nothing to identify.
-    assert run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements == []
+    assert (
+        run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements
+        == []
+    )
 
 
 def case_of(plant, chosen=BRIEF):
@@ -79,7 +85,11 @@ def test_equal_runs_give_equal_numbers_four_for_every_source_and_method():
     case = case_of("degraded")
     found = values(case)
     assert found == values(case)
-    for source, method in (("ft", "ours"), ("virtual", "ours"), ("virtual", "published")):
+    for source, method in (
+        ("ft", "ours"),
+        ("virtual", "ours"),
+        ("virtual", "published"),
+    ):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(found[source, method, f"wrench_{name}"])
     assert len(found) == 18
@@ -89,7 +99,12 @@ def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on()
     case = case_of("clean", TOUCHLESS)
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
-    numbers = {"wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma", "tare_refused"}
+    numbers = {
+        "wrench_rmse_N",
+        "wrench_bias_N",
+        "wrench_coverage_2sigma",
+        "tare_refused",
+    }
     assert {metric for _, _, metric in values(case)} == numbers
 
 
@@ -120,7 +135,9 @@ def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
 
 
 def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
-    assert names(plan("all", data=data)) == [n for n, b in BENCHMARKS.items() if not b.perturbs]
+    assert names(plan("all", data=data)) == [
+        n for n, b in BENCHMARKS.items() if not b.perturbs
+    ]
     assert plan("all", data=data).skipped == ()
     tissue = [name for name, item in SCENARIOS.items() if item.layers]
     assert len(tissue) == 12
@@ -130,12 +147,19 @@ def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
 
 def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path):
     found = plan(
-        "liver-constant", "liver-constant", plants=["degraded", "degraded", "ideal"], seeds=3
+        "liver-constant",
+        "liver-constant",
+        plants=["degraded", "degraded", "ideal"],
+        seeds=3,
     )
     jobs = [(job.plant, job.seed) for job in found.jobs]
-    assert jobs == [(plant, seed) for plant in ("degraded", "ideal") for seed in range(3)]
+    assert jobs == [
+        (plant, seed) for plant in ("degraded", "ideal") for seed in range(3)
+    ]
     # A recording knows no plants and no more seeds than it has.
-    recorded = plan("panda-real", "panda-liver", plants=["degraded", "ideal"], seeds=100, data=data)
+    recorded = plan(
+        "panda-real", "panda-liver", plants=["degraded", "ideal"], seeds=100, data=data
+    )
     assert {job.plant for job in recorded.jobs} == {"recording"}
     assert [job.benchmark for job in recorded.jobs].count("panda-real") == 1
     assert [job.benchmark for job in recorded.jobs].count("panda-liver") == 19
@@ -148,15 +172,22 @@ def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path
 
 
 def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
-    with pytest.raises(DataError, match="free-motion needs a plant, one of ideal, clean"):
+    with pytest.raises(
+        DataError, match="free-motion needs a plant, one of ideal, clean"
+    ):
         plan("free-motion", plants=["needle"])
     with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
         plan("panda-real", data=tmp_path)
     # A needle alone leaves out what needs an arm.
     assert {job.plant for job in plan("random-stack").jobs} == {"needle"}
-    assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {"clean"}
+    assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {
+        "clean"
+    }
     found = names(plan("all", plants=["needle"]))
-    assert set(found) == set(SCENARIOS) - {"free-motion"} | {"random-stack", "random-tissue"}
+    assert set(found) == set(SCENARIOS) - {"free-motion"} | {
+        "random-stack",
+        "random-tissue",
+    }
 
 
 T = np.arange(0.0, 20.0, 1e-3)
@@ -174,11 +205,16 @@ def reading(axial, std=0.1):
 
 
 def truth(axial, start=2.0, end=18.0):
-    return ForceTruth(t_s=T, depth_m=T, axial_N=axial, zeroed_s=1.0, start_s=start, end_s=end)
+    return ForceTruth(
+        t_s=T, depth_m=T, axial_N=axial, zeroed_s=1.0, start_s=start, end_s=end
+    )
 
 
 def measured(axial, true, **kw):
-    return {item.metric: item.value for item in wrench_metrics(reading(axial, **kw), truth(true))}
+    return {
+        item.metric: item.value
+        for item in wrench_metrics(reading(axial, **kw), truth(true))
+    }
 
 
 @given(delay=st.floats(-0.05, 0.5), offset=st.floats(-1.0, 1.0))

@@ -22,11 +22,14 @@ from urdf import MissingPackageError, example_robot_path, load_urdf
 
 ROOT = Path(__file__).parents[1]
 FORCE, IDENTIFY = (
-    (ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("force.md", "identify.md")
+    (ROOT / "docs" / name).read_text(encoding="utf-8")
+    for name in ("force.md", "identify.md")
 )
 FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
 FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
-FILES = dict(re.findall(r"^```toml\n# (\S+)\n(.*?)^```$", FORCE, re.DOTALL | re.MULTILINE))
+FILES = dict(
+    re.findall(r"^```toml\n# (\S+)\n(.*?)^```$", FORCE, re.DOTALL | re.MULTILINE)
+)
 COMMANDS = re.findall(r"^needleforce (.*)$", FORCE, re.MULTILINE)
 
 
@@ -40,7 +43,9 @@ def folder(lwr, tmp_path_factory):
     write_insertion(folder / "arm.npz", arm)
     write_insertion(folder / "insertion.csv", lwr)
     write_insertion(folder / "panda.npz", lwr)
-    write_insertion(folder / "own_estimate.npz", lwr, only=("t_s", "q_rad", "tau_ext_Nm"))
+    write_insertion(
+        folder / "own_estimate.npz", lwr, only=("t_s", "q_rad", "tau_ext_Nm")
+    )
     return folder
 
 
@@ -67,9 +72,13 @@ def test_every_command_of_the_page_runs(command, capsys):
 
 def test_the_pipe_of_the_page_runs_to_its_end():
     (line,) = re.findall(r"^cat .*$", FORCE, re.MULTILINE)
-    line = line.replace("needleforce ", f"{shlex.quote(sys.executable)} -m needleforce ")
+    line = line.replace(
+        "needleforce ", f"{shlex.quote(sys.executable)} -m needleforce "
+    )
     where = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(line, shell=True, capture_output=True, text=True, check=False, env=where)
+    done = subprocess.run(
+        line, shell=True, capture_output=True, text=True, check=False, env=where
+    )
     assert done.returncode == 0, done.stderr
     assert len(read_table("layers.csv").columns["t_s"]) == 4000
 
@@ -82,7 +91,11 @@ def test_files_codes_and_numbers_of_the_page_are_the_codes():
         *(0, FAILED, INTERRUPTED, READER_GONE, TERMINATED)
     ]
     assert f"at most {MOST_ROWS // 1000} {MOST_ROWS % 1000:03d}" in FORCE
-    words = {"settling": "filters settle", "initializing": "filters settle", "skipped": "rejected"}
+    words = {
+        "settling": "filters settle",
+        "initializing": "filters settle",
+        "skipped": "rejected",
+    }
     for status, code in STATUS_CODES.items():
         assert f"{code} {words.get(status.value, status.value)}" in FORCE
     for warning in SensorWarning:
@@ -118,7 +131,9 @@ def test_the_table_of_forces_is_the_codes(mode):
     assert shown == list(read_table("table.csv").columns)
 
 
-def test_the_page_on_identification_runs_and_names_the_columns(tmp_path, monkeypatch, capsys):
+def test_the_page_on_identification_runs_and_names_the_columns(
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
     columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}

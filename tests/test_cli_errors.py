@@ -130,8 +130,14 @@ EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--rep
 @pytest.mark.parametrize(
     ("argv", "message"),
     [
-        *((["force", name, "-o", "out.csv"], message) for name, message in LOGS.items()),
-        *((["force", "good.csv", *text.split()], message) for text, message in OPTIONS.items()),
+        *(
+            (["force", name, "-o", "out.csv"], message)
+            for name, message in LOGS.items()
+        ),
+        *(
+            (["force", "good.csv", *text.split()], message)
+            for text, message in OPTIONS.items()
+        ),
         *((text.split(), message) for text, message in USAGE.items()),
         *(
             (argv, f"{argv[-1]!r}: nothing is given there; leave it out, or give a")
@@ -166,23 +172,35 @@ def test_a_figure_without_matplotlib_is_refused_before_the_work(
     assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
-def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(tmp_path, capsys):
+def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(
+    tmp_path, capsys
+):
     (tmp_path / "file").touch()
     for command in ("force", "identify"):
-        assert "no.csv" in refusal([command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys)
-        line = refusal([command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys)
+        assert "no.csv" in refusal(
+            [command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys
+        )
+        line = refusal(
+            [command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys
+        )
         assert "cannot write to" in line
     assert os.listdir(tmp_path) == ["file"]
 
 
 def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
     columns = insertion(lwr)
-    columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(np.int64)
+    columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(
+        np.int64
+    )
     write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
     assert main(["force", str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
     printed = capsys.readouterr().err
-    assert re.search("^warning: .*; if the file is in ns, say unit = 'ns'", printed, re.MULTILINE)
-    assert "START must come before END in a log whose first stamp is 1.7e+18 s" in printed
+    assert re.search(
+        "^warning: .*; if the file is in ns, say unit = 'ns'", printed, re.MULTILINE
+    )
+    assert (
+        "START must come before END in a log whose first stamp is 1.7e+18 s" in printed
+    )
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
@@ -190,9 +208,19 @@ def test_a_name_that_is_no_text_is_read_drawn_and_printed(folder, tmp_path, caps
     name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")
     name.write_bytes((folder / "good.csv").read_bytes())
     page, picture = tmp_path / "page", tmp_path / "f.png"
-    argv = ["force", str(name), "--no-tare", "--report", str(page), "--figure", str(picture)]
+    argv = [
+        "force",
+        str(name),
+        "--no-tare",
+        "--report",
+        str(page),
+        "--figure",
+        str(picture),
+    ]
     assert main(argv) == 0
-    assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(encoding="utf-8")
+    assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(
+        encoding="utf-8"
+    )
     assert main(["force", str(name), "--print-config"]) == 0
     assert "\\udcff" in capsys.readouterr().out
     assert Path(picture).stat().st_size > 5_000

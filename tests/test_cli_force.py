@@ -2,7 +2,14 @@
 
 import numpy as np
 import pytest
-from residual_command_log import AXIAL_N, CONTACT_S, SMALL_ARM, insertion, refusal, write_insertion
+from residual_command_log import (
+    AXIAL_N,
+    CONTACT_S,
+    SMALL_ARM,
+    insertion,
+    refusal,
+    write_insertion,
+)
 from residual_signals import gravity_of, pose_of
 
 from needleforce.cli import main
@@ -64,13 +71,19 @@ def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
     assert "K = 5 1/s" in printed
     columns = insertion(lwr)
-    columns, printed = run({name: columns[name] for name in ("t_s", "q_rad", "tau_Nm")}, *TARE)
+    columns, printed = run(
+        {name: columns[name] for name in ("t_s", "q_rad", "tau_Nm")}, *TARE
+    )
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.1)
     assert "velocity estimated" in printed
 
 
-@pytest.mark.parametrize(("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)])
-def test_every_column_says_its_unit_vector_and_travel_are_right(log, run, lwr, mode, components):
+@pytest.mark.parametrize(
+    ("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)]
+)
+def test_every_column_says_its_unit_vector_and_travel_are_right(
+    log, run, lwr, mode, components
+):
     columns, _ = run(log, *TARE, "--mode", mode)
     assert len(columns) == 8 + components
     plain = ("model_mismatch", "force_warnings", "force_status")
@@ -117,7 +130,9 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr):
     columns["tau_Nm"][3300] = np.inf
     columns["t_s"][1500] = columns["t_s"][1490]
     keep = np.r_[0:2600, 2750:4000]
-    found, printed = run({name: values[keep] for name, values in columns.items()}, *TARE)
+    found, printed = run(
+        {name: values[keep] for name, values in columns.items()}, *TARE
+    )
     rejected = np.flatnonzero(found["force_status"] == 3)
     np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
     assert np.isnan(found["axial_N"][rejected]).all()
@@ -133,7 +148,10 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr):
     ("step_s", "gaps"),
     [
         (0.1, "none longer than 0.1 s"),  # but for rounding
-        (0.10002, "longer than 0.1 s (longest 0.10002 s): filters restart after each; too few"),
+        (
+            0.10002,
+            "longer than 0.1 s (longest 0.10002 s): filters restart after each; too few",
+        ),
     ],
 )
 def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
@@ -157,7 +175,9 @@ def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr):
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
-def test_a_clock_that_was_set_back_costs_a_few_rows_and_neither_force_nor_duration(run, lwr):
+def test_a_clock_that_was_set_back_costs_a_few_rows_and_neither_force_nor_duration(
+    run, lwr
+):
     columns = insertion(lwr)
     columns["t_s"][2600:] -= columns["t_s"][2600]
     found, printed = run(columns, *TARE)
@@ -169,20 +189,29 @@ def test_a_clock_that_was_set_back_costs_a_few_rows_and_neither_force_nor_durati
     assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
-def test_velocities_in_degrees_are_refused_by_joint_and_reason(run, lwr, tmp_path, capsys):
+def test_velocities_in_degrees_are_refused_by_joint_and_reason(
+    run, lwr, tmp_path, capsys
+):
     columns = insertion(lwr)
     columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
     log = str(tmp_path / "log.npz")
     write_table(log, columns)
     refused = refusal(["force", log, *TARE], capsys)
-    for text in ("rate of q: is it in deg/s?", "--force-tare", ". Say unit", "--dq dq_*:deg/s"):
+    for text in (
+        "rate of q: is it in deg/s?",
+        "--force-tare",
+        ". Say unit",
+        "--dq dq_*:deg/s",
+    ):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
     assert "velocity" not in printed.replace("velocity from the log", "")
     found, printed = run(log, *TARE, "--force-tare")
     lines = printed.splitlines()
     assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
-    assert any(line.startswith("velocity ") and "is it in deg/s?" in line for line in lines)
+    assert any(
+        line.startswith("velocity ") and "is it in deg/s?" in line for line in lines
+    )
     assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
@@ -212,7 +241,11 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
     gravity = gravity_of(lwr, columns["q_rad"])
     expected, _ = run(columns, *TARE)
     for tau_Nm, advice, cure in (
-        (columns["tau_Nm"] - gravity, "give --gravity-compensated", ["--gravity-compensated"]),
+        (
+            columns["tau_Nm"] - gravity,
+            "give --gravity-compensated",
+            ["--gravity-compensated"],
+        ),
         (-columns["tau_Nm"], "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
     ):
         log = str(tmp_path / "wrong.npz")
@@ -225,7 +258,9 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
 def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
-    arm = insertion(load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02}), axial_N=3.0)
+    arm = insertion(
+        load_urdf(urdf, tool_frame="tip", locked_joints={"gripper": 0.02}), axial_N=3.0
+    )
     robot = ["--urdf", str(urdf), "--tool-frame", "tip"]
     columns, printed = run(arm, *robot, "--lock", "gripper=0.02", *TARE)
     assert "arm, 2 joints, payload 0 kg" in printed
@@ -236,11 +271,15 @@ def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tm
     assert "point force at tool" in printed
     # A known arm is loaded by its name.
     columns = insertion(lwr, seconds=0.6)
-    six = {"t_s": columns["t_s"]} | {name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")}
+    six = {"t_s": columns["t_s"]} | {
+        name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")
+    }
     assert "6 joints, payload 0 kg" in run(six, "--robot", "ur10e", "--no-tare")[1]
 
 
-def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, tmp_path):
+def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(
+    log, run, tmp_path
+):
     light = tmp_path / "light.toml"
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
     options = ("--no-tare", "--mode", "full")
@@ -257,7 +296,10 @@ def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(log, run, t
     ("options", "suffix"),
     [
         (["--tare", "+0:+2.5", "--mode", "full"], "pdf"),
-        (["--tare", "+0:+2.5", "--mode", "point", "--over", "depth", "--from", "1"], "svg"),
+        (
+            ["--tare", "+0:+2.5", "--mode", "point", "--over", "depth", "--from", "1"],
+            "svg",
+        ),
         (["--no-tare", "--from", "1", "--to", "1.5"], "png"),
     ],
     ids=str,
@@ -271,7 +313,9 @@ def test_a_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix)
     columns = {name: values[keep] for name, values in columns.items()}
     run(columns, *options, "--figure", str(path))
     content = path.read_bytes()
-    assert content.startswith({"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix])
+    assert content.startswith(
+        {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
+    )
     assert len(content) > 5_000
 
 
@@ -290,5 +334,7 @@ def test_a_log_without_a_valid_row_still_has_figures(lwr, tmp_path, capsys):
     for window in (["--from", "90"], ["--from", "90", "--to", "99"], ["--to", "-1"]):
         assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2
         printed = capsys.readouterr()
-        assert "time of the log [s], runs from 0 to 0.099; give --from and" in printed.err
+        assert (
+            "time of the log [s], runs from 0 to 0.099; give --from and" in printed.err
+        )
         assert ("no sample was valid" in printed.out, path.exists()) == (True, False)

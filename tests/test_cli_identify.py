@@ -22,7 +22,9 @@ from residual import SensorWarning, Status
 def needle():
     """Columns of an insertion from the end of the free motion until it has left the gel."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
-    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0)))
+    part = slice(
+        *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0))
+    )
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
     return {name: getattr(run, name)[part] for name in names}
 
@@ -33,11 +35,15 @@ def identify(needle, tmp_path, capsys):
 
     def run(*options, **changes):
         log, out = tmp_path / "log.csv", tmp_path / "out.csv"
-        columns = {name: values for name, values in (needle | changes).items() if len(values)}
+        columns = {
+            name: values for name, values in (needle | changes).items() if len(values)
+        }
         write_table(log, columns)
         assert main(["identify", str(log), "-o", str(out), *options]) == 0
         printed = capsys.readouterr()
-        names, *rows = (re.split(r"  +", line.strip()) for line in printed.out.splitlines())
+        names, *rows = (
+            re.split(r"  +", line.strip()) for line in printed.out.splitlines()
+        )
         layers = [dict(zip(names, row, strict=True)) for row in rows]
         return np.genfromtxt(out, delimiter=",", names=True), layers, printed.err
 
@@ -58,13 +64,16 @@ def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("method", "start_s"), [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)]
+    ("method", "start_s"),
+    [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
 )
 def test_every_method_gives_the_instant_of_the_alarm_on_the_logs_clock(
     needle, identify, method, start_s
 ):
     rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)
-    assert float(layer["alarm s"]) == pytest.approx(rows["t_s"][rows["rupture"] > 0][0], abs=0.006)
+    assert float(layer["alarm s"]) == pytest.approx(
+        rows["t_s"][rows["rupture"] > 0][0], abs=0.006
+    )
 
 
 def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_path):
@@ -107,7 +116,9 @@ def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert sum(WORTHLESS.values()) == session._NOT_USED
 
 
-def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(needle, identify):
+def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
+    needle, identify
+):
     count = len(needle["t_s"])
     status, warnings = np.zeros((2, count))
     status[:4], warnings[4:6] = [0.0, 1.0, 2.0, 3.0], [5.0, 32.0 + 1.0]
@@ -120,7 +131,9 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(nee
     assert f"velocity) were left out: {count}" in said
     assert layers == []
     assert len(identify("--ignore-status", **marked)[1]) == 1
-    assert len(identify("--force", "force_N", **marked)[1]) == 1  # it may be another sensor's
+    assert (
+        len(identify("--force", "force_N", **marked)[1]) == 1
+    )  # it may be another sensor's
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +148,9 @@ def insertion(tmp_path_factory):
     table["t_s"] += 1.7e9
     write_table(folder / "log.npz", table)
     tare = ["--tare", "+0:+13"]
-    assert main(["report", str(folder / "log.npz"), str(folder / "a" / "log"), *tare]) == 0
+    assert (
+        main(["report", str(folder / "log.npz"), str(folder / "a" / "log"), *tare]) == 0
+    )
     forces = str(folder / "forces.csv")
     assert main(["force", str(folder / "log.npz"), *tare, "-o", forces]) == 0
     assert main(["report", forces, str(folder / "layers")]) == 0
@@ -147,9 +162,19 @@ def test_no_figure_takes_the_place_of_a_chart_of_the_report(insertion, capsys, n
     charts = sorted((insertion / name).glob("*.svg"))
     assert len(charts) == {"a/log": 6, "layers": 2}[name]
     for chart in charts:
-        argv = ["identify", "no.csv", "--figure", str(chart), "--report", str(chart.parent)]
+        argv = [
+            "identify",
+            "no.csv",
+            "--figure",
+            str(chart),
+            "--report",
+            str(chart.parent),
+        ]
         assert main(argv) == 2
-        assert f"--figure and --report ({chart.name}) both write to" in capsys.readouterr().err
+        assert (
+            f"--figure and --report ({chart.name}) both write to"
+            in capsys.readouterr().err
+        )
 
 
 def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
@@ -171,8 +196,16 @@ def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
     rows = "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n1,0.001,1,1,1,1,1\n"
     (insertion / "two.csv").write_text(rows)  # whose joints are meant does not matter
     assert main(["report", str(insertion / "two.csv"), str(insertion / "two")]) == 0
-    for text in ("time since the first sample [s]", "axial force [N]", "tare", "rejected"):
-        assert f"<!-- {text} -->" in (insertion / "a" / "log" / "forces-over-time.svg").read_text()
+    for text in (
+        "time since the first sample [s]",
+        "axial force [N]",
+        "tare",
+        "rejected",
+    ):
+        assert (
+            f"<!-- {text} -->"
+            in (insertion / "a" / "log" / "forces-over-time.svg").read_text()
+        )
     for text in ("estimated rupture time", "friction identified", "enhanced force"):
         assert f"<!-- {text} -->" in (insertion / "layers" / "layers.svg").read_text()
 
@@ -184,5 +217,7 @@ def test_pages_open_on_a_phone(insertion):
         found = measured(page, PHONE)
         assert found["content"] <= PHONE[0]
         assert found["wide"] == []
-        assert len(found["images"]) == page.read_text(encoding="utf-8").count("<figcaption>")
+        assert len(found["images"]) == page.read_text(encoding="utf-8").count(
+            "<figcaption>"
+        )
         assert min(found["images"]) > 150

@@ -21,7 +21,9 @@ ID = "gel-25-constant"
 def run():
     """One simulated insertion at 500 Hz, without its withdrawal, for all tests."""
     whole, rows = short_run(), slice(None, None, 2)
-    return replace(whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows))
+    return replace(
+        whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows)
+    )
 
 
 @pytest.fixture
@@ -39,7 +41,9 @@ def quick(run, monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
-def test_every_format_goes_through_both_commands_without_an_option(quick, capsys, suffix, run):
+def test_every_format_goes_through_both_commands_without_an_option(
+    quick, capsys, suffix, run
+):
     assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
     assert quick == [(ID, "clean", 0)]
     printed = capsys.readouterr().out
@@ -72,7 +76,9 @@ def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
         *(f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")),
     }
     assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
-    wrench = np.hstack([table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")])
+    wrench = np.hstack(
+        [table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")]
+    )
     np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
 
 
@@ -80,7 +86,9 @@ def test_the_truth_goes_into_a_file_of_its_own(quick, run):
     assert main(["simulate", ID, "--truth", "truth.npz"]) == 0
     columns = read_table("truth.npz").columns
     np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
-    np.testing.assert_array_equal(columns["layer_friction_N"], run.truth.layer_friction_N)
+    np.testing.assert_array_equal(
+        columns["layer_friction_N"], run.truth.layer_friction_N
+    )
     (row,) = np.flatnonzero(columns["rupture"])
     assert columns["t_s"][row] == pytest.approx(run.truth.rupture_s[0], abs=2e-3)
     assert columns["rupture"][row] == 1.0
@@ -98,7 +106,10 @@ def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run):
 
 
 def test_options_reach_the_simulation(quick):
-    for text in ("stack-constant --plant degraded --seed 5", "random-stack --plant ideal"):
+    for text in (
+        "stack-constant --plant degraded --seed 5",
+        "random-stack --plant ideal",
+    ):
         assert main(["simulate", *text.split(), "-o", "x.npz"]) == 0
     assert quick == [("stack-constant", "degraded", 5), ("random-stack", "ideal", 0)]
 
@@ -120,7 +131,9 @@ def test_list_names_every_scenario(capsys):
         (f"{ID} -o x.csv --truth hard.csv", "-o and --truth both write to x.csv"),
     ],
 )
-def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, options, said):
+def test_bad_requests_are_one_line_before_anything_is_simulated(
+    quick, capsys, options, said
+):
     if "hard.csv" in options:
         Path("x.csv").touch()
         Path("hard.csv").hardlink_to("x.csv")
@@ -130,7 +143,9 @@ def test_bad_requests_are_one_line_before_anything_is_simulated(quick, capsys, o
 
 def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
-    message = refusal(["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys)
+    message = refusal(
+        ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
+    )
     assert message.startswith("error: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message

@@ -36,7 +36,9 @@ def logs(lwr, tmp_path_factory):
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
     whole = {name: getattr(run, name) for name in names}
-    part = slice(*np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 4.0)))
+    part = slice(
+        *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 4.0))
+    )
     columns = {name: values[part] for name, values in whole.items()}
     write_table(folder / "whole.csv", whole)
     write_table(folder / "identify.csv", columns)
@@ -83,7 +85,9 @@ def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
     assert (done.returncode, done.stdout) == (0, expected), done.stderr
     assert SUMMARY[name].encode() in done.stderr
     (tmp_path / "table.csv").write_bytes(expected)
-    found, logged = (read_table(p).columns["t_s"] for p in (tmp_path / "table.csv", path))
+    found, logged = (
+        read_table(p).columns["t_s"] for p in (tmp_path / "table.csv", path)
+    )
     np.testing.assert_array_equal(found, logged)
 
 
@@ -93,7 +97,9 @@ def test_a_log_on_standard_input_is_not_replaced_by_its_output(logs, tmp_path, s
     write_table(log, read_table(logs / "force.csv").columns)
     before, argv = log.read_bytes(), ["force", "-", *OPTIONS["force"], "-o", str(log)]
     with log.open("rb") as stream:
-        done = subprocess.run([*PROGRAM, *argv], stdin=stream, capture_output=True, check=False)
+        done = subprocess.run(
+            [*PROGRAM, *argv], stdin=stream, capture_output=True, check=False
+        )
     assert (done.returncode, log.read_bytes() == before) == (2, True)
     assert (
         done.stderr
@@ -102,7 +108,9 @@ def test_a_log_on_standard_input_is_not_replaced_by_its_output(logs, tmp_path, s
 
 
 def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
-    log, expected, out = (tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv"))
+    log, expected, out = (
+        tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv")
+    )
     columns = read_table(logs / "identify.csv").columns
     write_table(log, dict(sorted(columns.items(), key=lambda item: -item[1].ndim)))
     assert main(["identify", str(log), "-o", str(expected)]) == 0
@@ -117,7 +125,11 @@ def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
 
 
 def test_a_growing_file_gives_rows_at_once_and_all_of_them_in_the_end(logs, tmp_path):
-    log, growing, out = logs / "force.csv", tmp_path / "growing.csv", tmp_path / "out.csv"
+    log, growing, out = (
+        logs / "force.csv",
+        tmp_path / "growing.csv",
+        tmp_path / "out.csv",
+    )
     whole = tmp_path / "whole.csv"
     assert main(["force", str(log), *OPTIONS["force"], "-o", str(whole)]) == 0
     data, expected = log.read_bytes(), whole.read_bytes()
@@ -138,7 +150,16 @@ def test_a_growing_file_gives_rows_at_once_and_all_of_them_in_the_end(logs, tmp_
 def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
     name, path, expected = case
     out = tmp_path / "out.csv"
-    argv = [name, str(path), "--follow", "--idle", "0.3", *OPTIONS[name], "-o", str(out)]
+    argv = [
+        name,
+        str(path),
+        "--follow",
+        "--idle",
+        "0.3",
+        *OPTIONS[name],
+        "-o",
+        str(out),
+    ]
     assert main(argv) == 0
     assert out.read_bytes() == expected
     assert SUMMARY[name] in capsys.readouterr().out
@@ -160,7 +181,9 @@ def interrupted(monkeypatch):
 @pytest.mark.usefixtures("interrupted")
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 @pytest.mark.parametrize("name", ["force", "identify"])
-def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(logs, tmp_path, capsys, name, suffix):
+def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(
+    logs, tmp_path, capsys, name, suffix
+):
     log = logs / {"force": "force.csv", "identify": "whole.csv"}[name]
     path = tmp_path / f"out.{suffix}"
     argv = [name, str(log), *OPTIONS[name], "-o", str(path)]
@@ -178,9 +201,13 @@ def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(logs, tmp_path, ca
     assert replaced in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
 @pytest.mark.parametrize("has_writer", [True, False])
-def test_a_signal_before_there_is_a_log_ends_the_command(tmp_path, capsys, kind, code, has_writer):
+def test_a_signal_before_there_is_a_log_ends_the_command(
+    tmp_path, capsys, kind, code, has_writer
+):
     pipe = tmp_path / "pipe.csv"
     os.mkfifo(pipe)
     handle = os.open(pipe, os.O_RDWR) if has_writer else None
@@ -211,7 +238,9 @@ def test_ctrl_c_ends_the_wait_for_the_reader_of_a_pipe(tmp_path):
 
 def _is_open(pid, path):
     with contextlib.suppress(OSError):
-        return any(os.readlink(link) == str(path) for link in Path(f"/proc/{pid}/fd").iterdir())
+        return any(
+            os.readlink(link) == str(path) for link in Path(f"/proc/{pid}/fd").iterdir()
+        )
     return False
 
 
@@ -231,8 +260,14 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
     before = [out]
     for _ in range(5):  # on a busy machine it may be done before it is seen at work
         write_table(out, {"t_s": [1.0, 2.0], "force_N": [3.0, 4.0]})
-        with start("force", logs / "force.csv", *OPTIONS["force"], "-o", out) as process:
-            wait_for(lambda: sorted(tmp_path.iterdir()) != before or process.poll() is not None)
+        with start(
+            "force", logs / "force.csv", *OPTIONS["force"], "-o", out
+        ) as process:
+            wait_for(
+                lambda: (
+                    sorted(tmp_path.iterdir()) != before or process.poll() is not None
+                )
+            )
             process.send_signal(signal.SIGTERM)
             _, said = process.communicate(timeout=PATIENCE_S)
         if process.returncode:
@@ -243,7 +278,9 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
     assert len(read_table(out).columns["t_s"]) == 2
 
 
-def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(lwr, tmp_path, capsys):
+def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(
+    lwr, tmp_path, capsys
+):
     early = write_insertion(tmp_path / "early.csv", lwr, contact_s=1.0)
     out = tmp_path / "out.csv"
     out.write_text("old\n1\n")
@@ -263,10 +300,16 @@ def test_a_reader_that_goes_away_ends_the_command_quietly(case):
         assert process.stdout.readline().startswith(FIRST_COLUMNS[name])
         process.stdout.close()
         said = process.stderr.read()
-    assert (process.returncode, b"Traceback" in said, b"BrokenPipe" in said) == (141, False, False)
+    assert (process.returncode, b"Traceback" in said, b"BrokenPipe" in said) == (
+        141,
+        False,
+        False,
+    )
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+@pytest.mark.skipif(
+    not Path("/dev/full").exists(), reason="the system has no /dev/full"
+)
 @pytest.mark.parametrize("output", [[], ["-o", "-"], ["--help"]])
 def test_a_full_disk_is_reported(logs, output):
     argv = [*PROGRAM, "force", str(logs / "force.csv"), "--no-tare", *output]
@@ -282,7 +325,11 @@ def test_a_full_disk_is_reported(logs, output):
     [
         ("force", b"", "standard input: it is empty"),
         ("force", bytes(range(256)) * 20, "standard input: it is not text"),
-        ("identify", b"PK\x03\x04\x00", "standard input is not an npz archive, or it is cut short"),
+        (
+            "identify",
+            b"PK\x03\x04\x00",
+            "standard input is not an npz archive, or it is cut short",
+        ),
         ("identify", b"\x89MCAP0\r\n", "standard input holds no messages"),
     ],
 )

@@ -51,7 +51,11 @@ def _open_output(monkeypatch):
         (FileAccessError("no such\nfile"), FAILED, "error: no such file\n"),
         (KeyboardInterrupt(), INTERRUPTED, "interrupted\n"),
         (BrokenPipeError(), READER_GONE, ""),
-        (OSError(28, "disk full"), FAILED, "error: cannot write standard output: disk full\n"),
+        (
+            OSError(28, "disk full"),
+            FAILED,
+            "error: cannot write standard output: disk full\n",
+        ),
     ],
 )
 def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
@@ -99,7 +103,9 @@ def test_help_and_version_answer_without_the_estimators(capsys):
         assert name in capsys.readouterr().out or main([name, "--help"]) == 0
     code = "import sys; from needleforce.cli import main; main(['force', '--help']); "
     code += "print({'pinocchio', 'numba', 'numpy'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
     assert done.stdout.splitlines()[-1] == "set()"
     assert "--external-torque" in done.stdout
     assert "START:END" in done.stdout
@@ -136,7 +142,9 @@ def folder(tmp_path, monkeypatch):
 
 
 def check(source, **outputs):
-    paths = {name: path if name == "output" else Path(path) for name, path in outputs.items()}
+    paths = {
+        name: path if name == "output" else Path(path) for name, path in outputs.items()
+    }
     return check_outputs(source, Output(**paths))
 
 
@@ -204,12 +212,16 @@ def written(text):
 def test_what_options_say_already_stands_in_the_mapping(run, capsys):
     Path("log.csv").write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
     columns = ["--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
-    mapping = load_mapping(written(run("identify", "log.csv", *columns, "--print-config")))
+    mapping = load_mapping(
+        written(run("identify", "log.csv", *columns, "--print-config"))
+    )
     log = read_log("log.csv", mapping, required=["depth", "force"])
     np.testing.assert_allclose(log.t_s, [0.0, 1e-3])
     np.testing.assert_allclose(log["depth_m"], [-1e-3, -2e-3])
     np.testing.assert_allclose(log["force_N"], [2e-3, 3e-3])
-    rate = load_mapping(written(run("identify", "log.csv", "--rate", "50", "--print-config")))
+    rate = load_mapping(
+        written(run("identify", "log.csv", "--rate", "50", "--print-config"))
+    )
     assert rate.rate_hz == 50.0
     assert main(["identify", "log.csv", "--force", "nothing", "--print-config"]) == 2
     assert "no column 'nothing'" in capsys.readouterr().err
@@ -241,12 +253,24 @@ def test_the_commands_print_edit_and_read_it(run, lwr):
 
 
 def test_the_payload_may_stand_in_the_mapping(run, lwr):
-    write_table("log.npz", {name: insertion(lwr)[name] for name in ("t_s", "q_rad", "tau_Nm")})
+    write_table(
+        "log.npz", {name: insertion(lwr)[name] for name in ("t_s", "q_rad", "tau_Nm")}
+    )
     for lines, options, summary, printed in (
         ("joints = []", [], "payload 0.304 kg", "needle_mass_kg = 0.068"),
         ('payload = "none"', [], "payload 0 kg", 'payload = "none"'),
-        ("[payload]\nmass_kg = 1.5\ncom_m = [0, 0, 0.1]", [], "payload 1.5 kg", "mass_kg = 1.5"),
-        ("[payload.needle]\nsensor_mass_kg = 0.0", [], "payload 0.068 kg", "sensor_mass_kg = 0.0"),
+        (
+            "[payload]\nmass_kg = 1.5\ncom_m = [0, 0, 0.1]",
+            [],
+            "payload 1.5 kg",
+            "mass_kg = 1.5",
+        ),
+        (
+            "[payload.needle]\nsensor_mass_kg = 0.0",
+            [],
+            "payload 0.068 kg",
+            "sensor_mass_kg = 0.0",
+        ),
     ):
         argv = ["force", "log.npz", "--mapping", written(lines), *options]
         assert summary in run(*argv, "--no-tare").splitlines()[0]
@@ -274,11 +298,15 @@ def test_a_bar_is_drawn_on_a_terminal_only(monkeypatch, is_terminal):
         progress(0.5)
     with progress_bar("other.csv", is_wanted=False) as progress:
         progress(0.5)
-    assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (is_terminal,) * 2
+    assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (
+        is_terminal,
+    ) * 2
     assert "other.csv" not in stream.getvalue()
 
 
-def test_a_command_draws_it_and_prints_what_it_prints_without(tmp_path, monkeypatch, capsys):
+def test_a_command_draws_it_and_prints_what_it_prints_without(
+    tmp_path, monkeypatch, capsys
+):
     path = tmp_path / "log.csv"
     write_table(path, LONG_COLUMNS)
     assert main(["identify", str(path)]) == 0

@@ -12,7 +12,13 @@ from benchmarks import ResultsError, UnknownIdError, control_constraints, contro
 from benchmarks.campaign_workers import Workers
 from benchmarks.cli import main
 from benchmarks.control_constraints import CASES, measure
-from benchmarks.control_study import ControlRow, Figure, control_jobs, control_table, run_control
+from benchmarks.control_study import (
+    ControlRow,
+    Figure,
+    control_jobs,
+    control_table,
+    run_control,
+)
 
 
 def figures(case, plant="clean", seed=0):
@@ -41,7 +47,9 @@ def test_the_published_recursion_loses_the_insertion_to_the_posture_below(monkey
 
 def test_kinematic_error_shows_where_shared_kinematics_hide_it():
     shared = figures("decoupled S")["decoupled turn, tip"].value
-    displaced = figures("decoupled_kinematic S")["decoupled turn, kinematic error, tip"].value
+    displaced = figures("decoupled_kinematic S")[
+        "decoupled turn, kinematic error, tip"
+    ].value
     assert displaced > 5.0 * shared
 
 
@@ -71,7 +79,11 @@ def test_rows_are_the_worst_seeds_and_misses_stand_on_top(part):
     rows = run_control(jobs, Workers(workers=1), done.append)
     assert done[-1] == 1.0
     clean = {row.what: row for row in rows if row.plant == "clean"}
-    assert (clean["error"].value, clean["error"].is_met, clean["error"].seeds) == (3.0, False, 3)
+    assert (clean["error"].value, clean["error"].is_met, clean["error"].seeds) == (
+        3.0,
+        False,
+        3,
+    )
     assert (clean["delay"].value, clean["delay"].is_met) == (2.0, True)
     assert (clean["contrast"].value, clean["contrast"].is_met) == (90.0, True)
     assert math.isnan(clean["shown"].value)

@@ -5,7 +5,13 @@ import pytest
 
 from groundtruth.tissue import Rupture
 from needleforce.cli import demo, main
-from needleforce.cli.demo_runs import BACK_S, HAND_STROKE_M, HandPlan, Teleinsertion, ruptures_felt
+from needleforce.cli.demo_runs import (
+    BACK_S,
+    HAND_STROKE_M,
+    HandPlan,
+    Teleinsertion,
+    ruptures_felt,
+)
 
 
 def test_hand_reaches_the_travel_in_strokes_and_goes_back_with_the_pedal_up():
@@ -42,7 +48,10 @@ def number_behind(text, words):
 
 def shown(kind, folder, capsys):
     """What a demonstration prints, once its page holds as many charts as it has pictures."""
-    assert main(["demo", kind, "--report", str(folder), "--figure", str(folder / "a.svg")]) == 0
+    assert (
+        main(["demo", kind, "--report", str(folder), "--figure", str(folder / "a.svg")])
+        == 0
+    )
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert page.count("data:image/svg+xml") == len(list(folder.glob("*.svg"))) - 1 > 0
     assert (folder / "a.svg").read_text(encoding="utf-8").startswith("<?xml")

@@ -23,7 +23,9 @@ def test_below_the_dead_zone_it_rests_exactly_and_above_it_is_viscous():
     assert not velocity(Guidance(ROBOT), 0.1, 1000).any()
     zone = 0.0016 * ROBOT.effort_limit_Nm + 4.0 * SIGMA
     guidance = Guidance(ROBOT, np.full(7, 10.0))
-    assert (velocity(guidance, 5.0, 60) < 0.5 * (5.0 - zone) / 10.0).all()  # heavy at first
+    assert (
+        velocity(guidance, 5.0, 60) < 0.5 * (5.0 - zone) / 10.0
+    ).all()  # heavy at first
     expected = (5.0 - 0.15 * zone) / 10.0
     assert velocity(guidance, 5.0, 3000) == pytest.approx(expected, rel=1e-2)
 
@@ -84,7 +86,10 @@ def test_a_pause_does_not_make_the_arm_light():
     for k in range(300):
         velocity(guidance, 5.0 * np.sin(0.05 * k))
     for dt_s in (0.5, 1e5):
-        assert np.abs(guidance.update(np.full(7, torque), SIGMA, dt_s).wish).max() <= torque / 10.0
+        assert (
+            np.abs(guidance.update(np.full(7, torque), SIGMA, dt_s).wish).max()
+            <= torque / 10.0
+        )
 
 
 def test_a_time_step_that_is_none_changes_nothing():
@@ -98,14 +103,18 @@ def test_numbers_that_no_joint_can_have_and_rejected_deviations_are_skipped():
     guidance, other = Guidance(ROBOT), Guidance(ROBOT)
     assert np.isfinite(velocity(guidance, 1e308)).all()
     other.update(np.zeros(7), np.zeros(7), 1e-3, is_valid=False)
-    assert velocity(guidance, 5.0, 300) == pytest.approx(velocity(other, 5.0, 300), rel=1e-3)
+    assert velocity(guidance, 5.0, 300) == pytest.approx(
+        velocity(other, 5.0, 300), rel=1e-3
+    )
 
 
 def test_a_torque_limit_that_nobody_knows_leaves_a_dead_zone():
     robot = SimpleNamespace(nv=1, effort_limit_Nm=np.zeros(1))
     guidance, rng = Guidance(robot, [1.0]), np.random.default_rng(0)
     wishes = [
-        guidance.update(0.01 * rng.standard_normal(1), np.full(1, 0.01), 1e-3).wish.any()
+        guidance.update(
+            0.01 * rng.standard_normal(1), np.full(1, 0.01), 1e-3
+        ).wish.any()
         for _ in range(20_000)
     ]
     assert not any(wishes)

@@ -37,7 +37,11 @@ def test_faulted_is_left_by_reset_when_healthy_only():
         assert target is (State.IDLE if event == "reset" else State.FAULTED)
 
 
-@given(st.lists(st.tuples(st.sampled_from(EVENTS), st.sets(st.sampled_from(sorted(REFUSALS))))))
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(EVENTS), st.sets(st.sampled_from(sorted(REFUSALS))))
+    )
+)
 def test_nothing_moves_without_limit_heartbeat_and_where_needed_tare(steps):
     state = State.IDLE
     for event, facts in steps:
@@ -47,12 +51,18 @@ def test_nothing_moves_without_limit_heartbeat_and_where_needed_tare(steps):
         if state in MOVING and state is not before:
             assert {"limit", "heartbeat"} <= facts
             assert "tared" in facts or state in (State.APPROACH, State.TARE)
-            assert "outside" in facts or state not in (State.GUIDANCE, State.APPROACH, State.TARE)
+            assert "outside" in facts or state not in (
+                State.GUIDANCE,
+                State.APPROACH,
+                State.TARE,
+            )
 
 
 ACTIONS = st.one_of(
     st.sampled_from(EVENTS),
-    st.sampled_from(("wait", "bad", "force", "tissue", "air", "silent", "device", "late")),
+    st.sampled_from(
+        ("wait", "bad", "force", "tissue", "air", "silent", "device", "late")
+    ),
 )
 
 
@@ -79,7 +89,12 @@ def test_a_log_replays_to_the_same_states(tmp_path_factory, actions):
     for action in actions:
         act(manager, sensor, action)
         now = run(manager)
-        untared = now.state in (State.TELEOP, State.INSERTION, State.WITHDRAW, State.GUIDANCE)
+        untared = now.state in (
+            State.TELEOP,
+            State.INSERTION,
+            State.WITHDRAW,
+            State.GUIDANCE,
+        )
         assert sensor.tared or not untared
     events = read_events(path) if actions and path.exists() else manager.events
     assert events == manager.events
@@ -200,7 +215,9 @@ def test_teleoperation_needs_its_device_and_stops_without():
 
 
 def test_a_stand_in_has_what_a_session_has():
-    names = [name for name in (*vars(Sensor), "tared") if name[0] != "_" and name != "reads"]
+    names = [
+        name for name in (*vars(Sensor), "tared") if name[0] != "_" and name != "reads"
+    ]
     assert [name for name in names if not hasattr(InsertionSession(ROBOT), name)] == []
 
 
@@ -239,5 +256,7 @@ def test_data_that_no_log_can_hold_are_refused_and_change_nothing():
 
 def test_a_manager_needs_a_session_and_limits():
     for arguments in ((None,), (Sensor(), 5.0)):
-        with pytest.raises(SettingError, match="expected an InsertionSession and SafetyLimits"):
+        with pytest.raises(
+            SettingError, match="expected an InsertionSession and SafetyLimits"
+        ):
             Manager(*arguments)

@@ -23,7 +23,11 @@ from residual import SensorWarning, Status
             State.STOPPED,
             "no fit",
         ),
-        ({"warnings": SensorWarning.FROZEN, "message": "repeats"}, State.FAULTED, "repeats"),
+        (
+            {"warnings": SensorWarning.FROZEN, "message": "repeats"},
+            State.FAULTED,
+            "repeats",
+        ),
         ({"status": Status.REJECTED, "message": "NaN"}, State.FAULTED, "bad samples"),
     ],
 )
@@ -45,7 +49,9 @@ def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
         (0.45, 1e-3, 1.0, 1.1),
     ],
 )
-def test_a_side_force_must_last_and_longer_behind_a_gap(lateral, step_s, least_s, most_s):
+def test_a_side_force_must_last_and_longer_behind_a_gap(
+    lateral, step_s, least_s, most_s
+):
     manager, sensor = inserting()
     run(manager, 0.1)
     sensor.reads(lateral=lateral)
@@ -87,7 +93,10 @@ def test_what_spoils_the_force_stops_an_insertion_but_no_dwell_and_no_withdrawal
 
 
 def test_an_approach_stops_at_the_axial_limit_once_the_force_is_tared():
-    for status, state in ((Status.OK, State.STOPPED), (Status.NOT_TARED, State.APPROACH)):
+    for status, state in (
+        (Status.OK, State.STOPPED),
+        (Status.NOT_TARED, State.APPROACH),
+    ):
         manager, sensor = new_manager()
         run(manager)
         assert manager.request("approach") == ""
@@ -141,12 +150,17 @@ def test_the_time_that_a_tare_takes_is_no_lost_arm():
         manager, sensor = new_manager()
         run(manager, 0.2)
         assert manager.request("tare") == ""
-        sensor.tare = lambda sensor=sensor: (sleep(0.05), setattr(sensor, "tared", True))
+        sensor.tare = lambda sensor=sensor: (
+            sleep(0.05),
+            setattr(sensor, "tared", True),
+        )
         assert manager.request("arrived") == ""
         assert run(manager, 5e-3).state is State.IDLE  # what the arm has sent meanwhile
         now = run(manager, dt_s=late_s)
         assert (now.state, "no sample" in now.reason) == (state, state is State.FAULTED)
-        assert run(manager, dt_s=0.06).state is State.FAULTED  # that time has passed once
+        assert (
+            run(manager, dt_s=0.06).state is State.FAULTED
+        )  # that time has passed once
 
 
 def test_a_program_that_falls_silent_in_a_dwell_stops():
@@ -176,12 +190,25 @@ def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
     now = run(manager, 0.005, Beside(axial_N=np.nan))  # a few are skipped
     assert now.state is State.INSERTION
     now = run(manager, 0.01, Beside(axial_N=np.nan))
-    assert (now.state, "axial force of the sensor nan" in now.reason) == (State.FAULTED, True)
-    for command in (np.full(7, np.nan), np.zeros(6), "x", [[]] * 7, [(0.0,), 0.0], ["x"] * 7):
+    assert (now.state, "axial force of the sensor nan" in now.reason) == (
+        State.FAULTED,
+        True,
+    )
+    for command in (
+        np.full(7, np.nan),
+        np.zeros(6),
+        "x",
+        [[]] * 7,
+        [(0.0,), 0.0],
+        ["x"] * 7,
+    ):
         manager, _ = inserting()
         reason = run(manager, beside=Beside(command_rad_s=command)).reason
         assert "expected 7 finite numbers" in reason
-    assert run(inserting()[0], beside=Beside(command_rad_s=[0.0] * 7)).state is State.INSERTION
+    assert (
+        run(inserting()[0], beside=Beside(command_rad_s=[0.0] * 7)).state
+        is State.INSERTION
+    )
 
 
 def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
@@ -190,7 +217,10 @@ def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
         manager, _ = inserting()
         for k in range(400):
             axial_N = np.nan if bad and k == 50 else 0.01 * k
-            if run(manager, beside=Beside(axial_N=axial_N)).state is not State.INSERTION:
+            if (
+                run(manager, beside=Beside(axial_N=axial_N)).state
+                is not State.INSERTION
+            ):
                 break
         stops.append(k)
     assert stops[0] < 200

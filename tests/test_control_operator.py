@@ -12,7 +12,10 @@ def held(at_m=(0.0, 0.0, 0.0), **hand):
 
 
 def test_a_held_force_moves_the_hand_as_a_damped_spring_does():
-    master, force = held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0), 1.5
+    master, force = (
+        held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0),
+        1.5,
+    )
     decay, mass = 8.0 / 4.0, 2.0
     rate = np.sqrt(200.0 / mass - decay**2)
     for k in range(1500):
@@ -67,7 +70,10 @@ def test_a_device_that_is_gone_reports_nothing_and_shows_nothing():
 
 
 def test_drawn_hands_are_within_their_range():
-    hands = [random_operator(lambda t_s: (0, 0, 0), np.random.default_rng(k)) for k in range(50)]
+    hands = [
+        random_operator(lambda t_s: (0, 0, 0), np.random.default_rng(k))
+        for k in range(50)
+    ]
     stiffness = [hand.stiffness_N_per_m for hand in hands]
     assert 150.0 < min(stiffness) < 200.0 < 450.0 < max(stiffness) < 600.0
     assert all(1.0 < hand.mass_kg < 2.0 for hand in hands)

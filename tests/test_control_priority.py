@@ -64,7 +64,9 @@ def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
     task = tasks_near(tool)[index]
     rows, rates = rows_of(task, tool)
     for joint in range(7):
-        ahead, behind = (tool_at(Q + side * step * np.eye(7)[joint]) for side in (1, -1))
+        ahead, behind = (
+            tool_at(Q + side * step * np.eye(7)[joint]) for side in (1, -1)
+        )
         slope = (rows_of(task, ahead)[1] - rows_of(task, behind)[1]) / (2.0 * step)
         # Second order in the error itself, which turns with the tool.
         assert -slope == pytest.approx(rows[:, joint], abs=0.03)
@@ -84,12 +86,21 @@ def test_leaks_stay_below_the_target_and_hostile_ticks_within_limits(monkeypatch
 def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
     control, q = Controller(ROBOT, Limits(ROBOT)), Q.copy()
     for _ in range(50):
-        q = q + 1e-3 * control.update(ArmSample(1e-3, q, None, q), [AxialSpeed(0.05)]).dq_rad_s
+        q = (
+            q
+            + 1e-3
+            * control.update(ArmSample(1e-3, q, None, q), [AxialSpeed(0.05)]).dq_rad_s
+        )
     moving = np.abs(control.last_rad_s).max()
     lost = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [])
     assert (lost.status, np.isfinite(lost.dq_rad_s).all()) == ("skipped", True)
-    bad = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [AxialSpeed(0.05)])
-    assert (bad.status, moving - np.abs(bad.dq_rad_s).max() > 0.005) == ("skipped", True)
+    bad = control.update(
+        ArmSample(1e-3, np.full(7, np.nan), None, q), [AxialSpeed(0.05)]
+    )
+    assert (bad.status, moving - np.abs(bad.dq_rad_s).max() > 0.005) == (
+        "skipped",
+        True,
+    )
     for _ in range(200):
         last = control.update(ArmSample(1e-3, q, None, q), [])
     assert last.status == "braking"
@@ -112,7 +123,12 @@ def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
 def test_a_pause_or_a_time_that_is_none_moves_no_wish_of_decoupled_motion_away():
     tool = tool_at(Q)
     motion = DecoupledMotion(tool)
-    for dt_s, most_m in ((np.nan, 0.0), (-1.0, 0.0), (5.0, 0.03 * LONGEST_STEP_s), (1e-3, 1e-3)):
+    for dt_s, most_m in (
+        (np.nan, 0.0),
+        (-1.0, 0.0),
+        (5.0, 0.03 * LONGEST_STEP_s),
+        (1e-3, 1e-3),
+    ):
         before_m = motion.goal_m
         motion.move(tool, (0.0, 0.0, 0.03), np.zeros(3), dt_s)
         assert np.linalg.norm(motion.goal_m - before_m) <= 1.001 * most_m
@@ -160,7 +176,9 @@ def test_a_margin_that_lets_limits_pass_is_refused(margin_rad):
         lambda tool: Posture([np.nan] * 7),
         lambda tool: Posture(Q, np.nan),
         lambda tool: Fixture([np.nan, 0.0, 0.0], tool.rotation),
-        lambda tool: Fixture(tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]),  # left-handed
+        lambda tool: Fixture(
+            tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]
+        ),  # left-handed
         lambda tool: DecoupledMotion(tool).move(tool, [np.nan] * 3, [0.0] * 3, 1e-3),
         lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.full(7, np.nan)),
         lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.zeros((7, 7))),
@@ -181,7 +199,11 @@ def test_whatever_a_sample_or_a_stack_brings_it_answers_and_keeps_the_last_tool(
     control, good = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
     control.update(good, [])
     tip_m = control.tool.tip_m
-    bad = ArmSample(1e-3, np.full(7, np.nan), None, Q), ArmSample(10**400, Q, None, Q), object()
+    bad = (
+        ArmSample(1e-3, np.full(7, np.nan), None, Q),
+        ArmSample(10**400, Q, None, Q),
+        object(),
+    )
     for sample, stack in (*((each, []) for each in bad), (good, [None]), (good, 3)):
         assert control.update(sample, stack).status == "skipped"
     one = [JointVelocity([0.1]), AxialSpeed(0.0)]
@@ -201,7 +223,9 @@ def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
 
 def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
     monkeypatch.setattr(control_priority, "CASCADES", 60)
-    found = {each.what: each for each in control_priority.measure("cascade", "clean", 3)}
+    found = {
+        each.what: each for each in control_priority.measure("cascade", "clean", 3)
+    }
     for where in ("regular", "near singular"):
         assert found[f"better in a cascade of QPs, {where}"].value < 1e-6
         assert found[f"better than ours at most, by duality, {where}"].value < 1e-7
@@ -211,7 +235,11 @@ def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
 def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
     control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
     short = JointVelocity(np.full(6, 1e-3))
-    tasks = (Posture(np.zeros(6)), "6 joints"), (short, "6"), (AxialSpeed(np.nan), "not finite")
+    tasks = (
+        (Posture(np.zeros(6)), "6 joints"),
+        (short, "6"),
+        (AxialSpeed(np.nan), "not finite"),
+    )
     for task, said in tasks:
         for _ in range(3):
             command = control.update(sample, [task])

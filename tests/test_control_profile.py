@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from identification.estimate import RuptureState
-from needleforce.control import InsertionPlan, InsertionProfile, SettingError, State, depth_of
+from needleforce.control import (
+    InsertionPlan,
+    InsertionProfile,
+    SettingError,
+    State,
+    depth_of,
+)
 from needleforce.control.insertion_profile import RuptureCount
 from needleforce.control.manager import MOVING
 
@@ -15,7 +21,9 @@ TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSER
 
 
 def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0):
-    rupture = None if alarm_N is None else SimpleNamespace(force_N=alarm_N, depth_m=alarm_m)
+    rupture = (
+        None if alarm_N is None else SimpleNamespace(force_N=alarm_N, depth_m=alarm_m)
+    )
     return SimpleNamespace(in_contact=in_contact, rupture_state=state, rupture=rupture)
 
 
@@ -23,8 +31,12 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
     """Layers left after a force that has grown for three seconds falls within 20 ms."""
     ruptures, rng = RuptureCount(), np.random.default_rng(0)
     for k in range(3100):
-        force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(max(k - 3000, 0) / 20.0, 1.0)
-        noisy_N = force_N + 0.005 * rng.standard_normal() + beat_N * np.sin(8.0 * k * DT)
+        force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(
+            max(k - 3000, 0) / 20.0, 1.0
+        )
+        noisy_N = (
+            force_N + 0.005 * rng.standard_normal() + beat_N * np.sin(8.0 * k * DT)
+        )
         seen = found(alarm_N=alarm_N if k == 3030 else None, **how)
         ruptures.update(seen, noisy_N, 5e-6 * k, DT, is_steady=steady)
     return ruptures.count
@@ -62,7 +74,10 @@ def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
 
 def test_a_force_that_falls_behind_a_gap_is_no_rupture():
     for gap_s, event in ((0.0, "rupture"), (3e-3, "")):
-        profile, events = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)), []
+        profile, events = (
+            InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)),
+            [],
+        )
         for k in range(3050):
             axial_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
             now = situation(State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N)
@@ -108,7 +123,9 @@ def test_a_plan_that_never_ends_is_refused(wrong):
 
 def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
     wrench = SimpleNamespace(axial_unsmoothed=axial_N)
-    estimate = SimpleNamespace(depth_m=depth_m, wrench=wrench, identification=found(**kind))
+    estimate = SimpleNamespace(
+        depth_m=depth_m, wrench=wrench, identification=found(**kind)
+    )
     moving = state in (State.TARE, State.INSERTION)
     return SimpleNamespace(
         state=state, state_s=state_s, time_s=k * DT, is_moving=moving, estimate=estimate
@@ -124,7 +141,10 @@ def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
         ("idle approach stopped idle idle", "a"),
         ("idle stopped idle idle", "a"),  # stopped in the very cycle
         ("stopped idle idle", ""),
-        ("idle approach approach idle tare tare stopped idle", "aata"),  # the tare was refused
+        (
+            "idle approach approach idle tare tare stopped idle",
+            "aata",
+        ),  # the tare was refused
         ("guidance idle approach approach idle", "aat"),
     ],
 )
@@ -139,7 +159,9 @@ def test_a_program_goes_on_as_planned_or_not_at_all(states, offered):
 
 
 def test_a_needle_above_its_zero_is_withdrawn_and_no_hold_is_faster_than_the_plan():
-    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=np.int64(1)))
+    profile = InsertionProfile(
+        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=np.int64(1))
+    )
     assert profile.update(situation(State.WITHDRAW, -0.035, 1, 1.0)) == (0.0, "arrived")
     profile.update(situation(State.INSERTION, 0.025, 2, 1.0))
     assert profile.update(situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S
@@ -161,7 +183,10 @@ def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
 
 
 def test_a_jerk_of_the_arm_is_no_rupture():
-    profile, depth_m = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)), 0.0
+    profile, depth_m = (
+        InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)),
+        0.0,
+    )
     for k in range(6000):
         axial_N = 2.9 + 0.5 * (k % 1000 in (998, 999))  # 1.6 m/s² for two samples
         step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
@@ -170,7 +195,9 @@ def test_a_jerk_of_the_arm_is_no_rupture():
 
 
 def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
-    profile = InsertionProfile(InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1))
+    profile = InsertionProfile(
+        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1)
+    )
     asked_m = tip_m = 0.0
     for k in range(1000):
         step = profile.update(situation(State.INSERTION, tip_m, k, k * DT))

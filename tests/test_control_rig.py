@@ -13,7 +13,13 @@ from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.errors import PlantError, PlantModelError
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
-from groundtruth.rig_contacts import HandOnArm, PointMotion, Trocar, Wall, distance_to_axis_m
+from groundtruth.rig_contacts import (
+    HandOnArm,
+    PointMotion,
+    Trocar,
+    Wall,
+    distance_to_axis_m,
+)
 from groundtruth.tissue import Tissue
 from needleforce import InsertionSession
 from urdf import NeedleTool
@@ -37,7 +43,9 @@ def run(rig, seconds, velocity=lambda t_s, rig: REST):
 def jacobian(robot, q_rad, frame):
     data = robot.create_data()
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    return pin.computeFrameJacobian(robot.model, data, q_rad, robot.frame_id(frame), axes)
+    return pin.computeFrameJacobian(
+        robot.model, data, q_rad, robot.frame_id(frame), axes
+    )
 
 
 def down(speed_m_s):
@@ -46,7 +54,9 @@ def down(speed_m_s):
 
     def velocity(t_s, rig):
         if "pinv" not in found:
-            found["pinv"] = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
+            found["pinv"] = np.linalg.pinv(
+                jacobian(rig.robot, rig.home_rad, "needle_tip")
+            )
         return found["pinv"][:, :3] @ (speed_m_s * DOWN)
 
     return velocity
@@ -54,7 +64,9 @@ def down(speed_m_s):
 
 @pytest.mark.parametrize("servo", ["stiff", "impedance"])
 @pytest.mark.parametrize(("at", "joint"), [("hub", 7), ("wrist", 6), ("elbow", 4)])
-def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(servo, at, joint):
+def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(
+    servo, at, joint
+):
     push = np.array([8.0, -4.0, 3.0])
     free, held = (
         SimulatedArm(plant=IDEAL, servo=servo, contacts=contacts)
@@ -73,7 +85,9 @@ def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(servo, at
 def test_free_strokes_are_a_tare(plant):
     rig, wish = SimulatedArm(plant=plant, seed=8), down(-0.03)
     session = InsertionSession(rig.robot)
-    for sample in run(rig, 6.0, lambda t_s, rig: np.sin(np.pi / 3.0 * t_s) * wish(t_s, rig)):
+    for sample in run(
+        rig, 6.0, lambda t_s, rig: np.sin(np.pi / 3.0 * t_s) * wish(t_s, rig)
+    ):
         session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
     session.tare()
     assert session.tared
@@ -92,12 +106,16 @@ def test_a_force_on_the_tip_reaches_joints_and_ft_sensor_and_bends_the_arm_as_it
     rows = jacobian(held.robot, truth.q_rad, "needle_tip")[:3]
     mass = pin.crba(held.robot.model, held.robot.create_data(), truth.q_rad)
     compliance = rows @ np.linalg.solve(200.0**2 * mass, rows.T)
-    np.testing.assert_allclose(truth.tip_m - free.truth.tip_m, compliance @ push, atol=2e-6)
+    np.testing.assert_allclose(
+        truth.tip_m - free.truth.tip_m, compliance @ push, atol=2e-6
+    )
 
 
 def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
     push = np.array([6.0, -9.0, 4.0])
-    rig = SimulatedArm(plant=IDEAL, contacts=[HandOnArm(at="wrist", force_N=lambda t_s: push)])
+    rig = SimulatedArm(
+        plant=IDEAL, contacts=[HandOnArm(at="wrist", force_N=lambda t_s: push)]
+    )
     run(rig, 0.2, lambda t_s, rig: np.full(7, 0.3))
     model, data = rig.robot.model, rig.robot.create_data()
     momentum, rate = [], []
@@ -107,7 +125,9 @@ def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
         momentum.append(pin.crba(model, data, q).copy() @ dq)
         drift = pin.computeCoriolisMatrix(model, data, q, dq).T @ dq
         drift = drift - pin.computeGeneralizedGravity(model, data, q)
-        rate.append((drift + jacobian(rig.robot, q, model.names[6])[:3].T @ push, truth.tau_Nm))
+        rate.append(
+            (drift + jacobian(rig.robot, q, model.names[6])[:3].T @ push, truth.tau_Nm)
+        )
         next(rig), rig.send(np.full(7, 0.3))
     drift, torque = np.array(rate).transpose(1, 0, 2)
     # The torque is held over a tick, the rest changes along it.
@@ -117,7 +137,9 @@ def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
 
 def test_elastic_contacts_keep_the_energy_of_an_arm_without_motors():
     bodies = lwr_bodies(NeedleTool(), IDEAL, np.random.default_rng(0))
-    air = TissueContact(law=Tissue(()), surface_in_base_m=np.zeros(3), axis_in_base=DOWN)
+    air = TissueContact(
+        law=Tissue(()), surface_in_base_m=np.zeros(3), axis_in_base=DOWN
+    )
     wall = Wall(distance_m=2e-3, damping_Ns_per_m=0.0)
     trocar = Trocar(behind_tip_m=0.05, damping_Ns_per_m=0.0)
     hand = HandOnArm(at="elbow", path_m=lambda t_s: (0, 0, 0), damping_Ns_per_m=0.0)
@@ -167,17 +189,25 @@ def test_a_trocar_pulls_across_the_needle_only(offset, along_m_s):
 def test_a_wall_never_pulls(beyond_m, speed_m_s):
     wall = Wall(distance_m=0.02)
     wall.begin(PointMotion((0, 0, 0.5), (0, 0, -1), (0, 0, 0), (0, 0, 0)))
-    motion = PointMotion((0, 0, 0.48 - beyond_m), (0, 0, -1), (0, 0, -speed_m_s), (0, 0, 0))
+    motion = PointMotion(
+        (0, 0, 0.48 - beyond_m), (0, 0, -1), (0, 0, -speed_m_s), (0, 0, 0)
+    )
     push = wall.force(0.0, motion)[0][2]
     assert push >= 0.0
     if beyond_m > 1e-9:
-        assert push == pytest.approx(max(20e3 * beyond_m + 50.0 * speed_m_s, 0.0), abs=1e-6)
+        assert push == pytest.approx(
+            max(20e3 * beyond_m + 50.0 * speed_m_s, 0.0), abs=1e-6
+        )
 
 
 def test_a_hand_leads_along_its_path():
-    hand = HandOnArm(at="hub", path_m=lambda t_s: (0.01 * t_s, 0, 0), stiffness_N_per_m=400.0)
+    hand = HandOnArm(
+        at="hub", path_m=lambda t_s: (0.01 * t_s, 0, 0), stiffness_N_per_m=400.0
+    )
     hand.begin(PointMotion((1, 2, 3), (0, 0, 1), (0, 0, 0), (0, 0, 0)))
-    force, place = hand.force(2.0, PointMotion((1, 2, 3), (0, 0, 1), (0.1, 0, 0), (0, 0, 0)))
+    force, place = hand.force(
+        2.0, PointMotion((1, 2, 3), (0, 0, 1), (0.1, 0, 0), (0, 0, 0))
+    )
     assert place == (1, 2, 3)
     np.testing.assert_allclose(force, (400.0 * 0.02 - 8.0 * 0.1, 0.0, 0.0))
     assert hand.applied_N == force
@@ -221,18 +251,28 @@ def test_the_sensors_are_those_of_a_run_that_is_known_beforehand(plant):
     for sample in rig:
         samples.append(sample), truth.append(rig.truth), wrench.append(rig.ft_wrench)
         rig.send(np.full(7, 0.05))
-    q, dq, tau = (np.array([getattr(t, f) for t in truth]) for f in ("q_rad", "dq_rad_s", "tau_Nm"))
+    q, dq, tau = (
+        np.array([getattr(t, f) for t in truth])
+        for f in ("q_rad", "dq_rad_s", "tau_Nm")
+    )
     sensing = np.random.SeedSequence(seed).spawn(3)[1]
-    clock, _, position, velocity, torque, ft = map(np.random.default_rng, sensing.spawn(6))
+    clock, _, position, velocity, torque, ft = map(
+        np.random.default_rng, sensing.spawn(6)
+    )
     assert len(samples) == n
     limit_Nm = rig.robot.effort_limit_Nm
     for seen, expected in (
         ([s.q_rad for s in samples], sensors.measured_position(q, plant, position)),
-        ([s.tau_Nm for s in samples], sensors.measured_torque(tau, q, limit_Nm, plant, torque)),
+        (
+            [s.tau_Nm for s in samples],
+            sensors.measured_torque(tau, q, limit_Nm, plant, torque),
+        ),
     ):
         np.testing.assert_array_equal(np.array(seen), expected)
     stamps = sensors.time_stamps(np.arange(n) * TICK_s, plant, clock)
-    np.testing.assert_allclose([s.dt_s for s in samples[1:]], np.diff(stamps), atol=1e-15)
+    np.testing.assert_allclose(
+        [s.dt_s for s in samples[1:]], np.diff(stamps), atol=1e-15
+    )
     expected = sensors.measured_velocity(dq, plant, velocity)
     if expected is None:
         assert samples[0].dq_rad_s is None
@@ -244,7 +284,11 @@ def test_the_sensors_are_those_of_a_run_that_is_known_beforehand(plant):
 
 def test_equal_seeds_give_equal_runs_and_others_do_not():
     first, again, other = (
-        run(SimulatedArm("stack-glove-constant", FRI, seed, standoff_m=0.0), 0.1, down(0.05))
+        run(
+            SimulatedArm("stack-glove-constant", FRI, seed, standoff_m=0.0),
+            0.1,
+            down(0.05),
+        )
         for seed in (3, 3, 4)
     )
     for one, two in zip(first, again, strict=True):

@@ -48,11 +48,15 @@ def test_every_state_and_event_is_defined_once(state, event):
 
 
 def test_an_unknown_event_is_an_error():
-    with pytest.raises(SettingError, match=r"unknown event 'jump', expected one of guide"):
+    with pytest.raises(
+        SettingError, match=r"unknown event 'jump', expected one of guide"
+    ):
         transition(State.IDLE, "jump", ALL)
 
 
-@pytest.mark.parametrize("state", [state for state in State if state is not State.FAULTED])
+@pytest.mark.parametrize(
+    "state", [state for state in State if state is not State.FAULTED]
+)
 def test_stop_and_fault_are_possible_everywhere(state):
     assert transition(state, "stop", ()) == (State.STOPPED, "")
     assert transition(state, "fault", ()) == (State.FAULTED, "")
@@ -98,7 +102,12 @@ def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
     write_mcap(events, tmp_path / "two.mcap")
     assert read_events(tmp_path / "two.mcap") == events
     whole = (tmp_path / "two.mcap").read_bytes()
-    for damaged in (b"", b"no MCAP", whole[:-60], whole[:100] + b"\xff" * 40 + whole[140:]):
+    for damaged in (
+        b"",
+        b"no MCAP",
+        whole[:-60],
+        whole[:100] + b"\xff" * 40 + whole[140:],
+    ):
         (tmp_path / "two.mcap").write_bytes(damaged)
         with pytest.raises(SettingError, match="no MCAP file, or a damaged one"):
             read_events(tmp_path / "two.mcap")

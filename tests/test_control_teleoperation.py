@@ -112,11 +112,13 @@ def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
     depth = drive(PLANTS["spring"], tele, master, 3.0, rng)
     assert depth == pytest.approx(scale * master.position_m[2], abs=1e-4)
     master.clutch = False
-    master._operator = Operator(wish_m=lambda t: (0.0, 0.0, -0.05))  # the hand goes elsewhere
+    master._operator = Operator(
+        wish_m=lambda t: (0.0, 0.0, -0.05)
+    )  # the hand goes elsewhere
     tele.needle.start_m -= depth  # the plant of `drive` starts anew at zero
-    assert drive(lambda x, v: 0.0, tele, master, 1.0, rng, lambda t: False) == pytest.approx(
-        0.0, abs=1e-4
-    )
+    assert drive(
+        lambda x, v: 0.0, tele, master, 1.0, rng, lambda t: False
+    ) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_a_needle_that_is_behind_stands_once_the_clutch_is_open():
@@ -165,7 +167,9 @@ def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, 
 
 @pytest.mark.parametrize("mass_kg", [0.25, 0.5, 1.25])
 @pytest.mark.parametrize("every", [1, 4, 10, 20])
-def test_a_handle_that_nobody_holds_gets_no_energy_however_seldom_it_is_read(every, mass_kg):
+def test_a_handle_that_nobody_holds_gets_no_energy_however_seldom_it_is_read(
+    every, mass_kg
+):
     tele, place, speed, depth, pace = Teleoperation(), 0.0, 0.0, 0.0, 0.0
     force_N = given_J = least_J = 0.0
     for k in range(4000):
@@ -213,8 +217,12 @@ def test_noise_is_not_shown_and_a_rupture_is_at_once():
     assert tele.shown_N == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.parametrize(("stiffness", "late_N"), [(0.0, -0.2), (250.0, 0.0), (1e9, 0.3)])
-def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(stiffness, late_N):
+@pytest.mark.parametrize(
+    ("stiffness", "late_N"), [(0.0, -0.2), (250.0, 0.0), (1e9, 0.3)]
+)
+def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(
+    stiffness, late_N
+):
     """A membrane of 250 N/m at 4 mm/s; a stiffness out of reason moves it by 0.3 N at most."""
     tele, speed = Teleoperation(), 4e-3
     for k in range(2000):
@@ -222,13 +230,19 @@ def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(sti
         tele.update(None, estimate(force, speed_m_s=speed, stiffness=stiffness), DT)
     assert tele.shown_N - force == pytest.approx(late_N, abs=0.01)
     for _ in range(2000):
-        tele.update(None, estimate(-1.0, 0.0, speed_m_s=-speed, stiffness=stiffness), DT)
-    assert tele.shown_N == pytest.approx(0.0, abs=0.01)  # withdrawn, nothing springs back
+        tele.update(
+            None, estimate(-1.0, 0.0, speed_m_s=-speed, stiffness=stiffness), DT
+        )
+    assert tele.shown_N == pytest.approx(
+        0.0, abs=0.01
+    )  # withdrawn, nothing springs back
 
 
 def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate():
     tele = Teleoperation(lines=None)
-    sample = SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True)
+    sample = SimpleNamespace(
+        position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True
+    )
     for k in range(1000):
         sample.position_m = np.array([0.0, 0.0, 8e-6 * k])
         sample.velocity_m_s = np.array([0.0, 0.0, 8e-3])
@@ -240,18 +254,26 @@ def test_needle_stops_when_the_device_is_gone_and_force_fades_with_the_estimate(
     assert gone.speed_m_s == pytest.approx(0.0, abs=1e-4)
     assert not gone.force_N.any()
     for _ in range(1000):
-        lost = tele.update(sample, estimate(1.0, depth_m=3.2e-3, status=Status.REJECTED), DT)
-    assert abs(lost.force_N[2]) < 0.2  # the damping of a handle that is said to move is left
+        lost = tele.update(
+            sample, estimate(1.0, depth_m=3.2e-3, status=Status.REJECTED), DT
+        )
+    assert (
+        abs(lost.force_N[2]) < 0.2
+    )  # the damping of a handle that is said to move is left
 
 
 def test_after_a_pause_the_needle_stays_where_it_is_once_reset():
-    place = SimpleNamespace(position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True)
+    place = SimpleNamespace(
+        position_m=np.zeros(3), velocity_m_s=np.zeros(3), clutch=True
+    )
     wanted = {}
     for is_reset in (False, True):
         tele = Teleoperation()
         place.position_m = np.zeros(3)
         tele.update(place, estimate(depth_m=0.05), DT)
-        place.position_m = np.array([0.0, 0.0, 0.1])  # while nobody asked, and the depth is new
+        place.position_m = np.array(
+            [0.0, 0.0, 0.1]
+        )  # while nobody asked, and the depth is new
         if is_reset:
             tele.reset()
         wanted[is_reset] = tele.update(place, estimate(depth_m=0.0), DT).speed_m_s
@@ -332,10 +354,16 @@ def test_line_keeps_the_order_and_the_newest_counts():
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: Teleoperation(motion_scale=0.05), "motion_scale is 0.05, expected 0.1 to 1"),
+        (
+            lambda: Teleoperation(motion_scale=0.05),
+            "motion_scale is 0.05, expected 0.1 to 1",
+        ),
         (lambda: Teleoperation(force_scale=-1.0), "force_scale is -1.0"),
         (lambda: Teleoperation(force_lag_s=0.0), "force_lag_s is 0.0"),
-        (lambda: Teleoperation(axis=(0.0, 0.0, 0.0)), "three numbers that are not all zero"),
+        (
+            lambda: Teleoperation(axis=(0.0, 0.0, 0.0)),
+            "three numbers that are not all zero",
+        ),
         (lambda: Teleoperation(shown="all"), "expected 'tip', 'enhanced' or 'raw'"),
     ],
 )
@@ -345,7 +373,9 @@ def test_settings_that_cannot_work_are_refused(make, said):
 
 
 def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True):
-    return SimpleNamespace(position_m=position_m, velocity_m_s=velocity_m_s, clutch=clutch)
+    return SimpleNamespace(
+        position_m=position_m, velocity_m_s=velocity_m_s, clutch=clutch
+    )
 
 
 def damping_Ns_m(tele, hz):
@@ -359,8 +389,12 @@ def damping_Ns_m(tele, hz):
     return most_N / 0.02
 
 
-@pytest.mark.parametrize(("hz", "least", "most"), [(1.0, 10.0, 50.0), (5.0, 60.0, 150.0)])
-def test_a_hand_that_swings_is_damped_more_than_one_that_springs_forward(hz, least, most):
+@pytest.mark.parametrize(
+    ("hz", "least", "most"), [(1.0, 10.0, 50.0), (5.0, 60.0, 150.0)]
+)
+def test_a_hand_that_swings_is_damped_more_than_one_that_springs_forward(
+    hz, least, most
+):
     assert least < damping_Ns_m(Teleoperation(motion_scale=0.2), hz) < most
 
 
@@ -409,7 +443,9 @@ def test_a_sample_that_no_handle_can_give_counts_as_none(sample):
         forces_N.append(command.force_N)
     assert np.abs(forces_N[0]).max() > 0.01
     assert forces_N[0].tolist() == forces_N[1].tolist()
-    assert np.isfinite(tele.update(handle(clutch=None), estimate(1.0), DT).force_N).all()
+    assert np.isfinite(
+        tele.update(handle(clutch=None), estimate(1.0), DT).force_N
+    ).all()
     for odd, dt_s in ((handle(("0", "0", "0")), DT), (handle(), 10**400)):
         assert np.isfinite(tele.update(odd, estimate(1.0), dt_s).force_N).all()
 
@@ -427,7 +463,13 @@ def test_the_needle_stands_soon_after_a_device_has_gone_or_repeats_itself(frozen
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"motion_scale": None}, {"motion_scale": "0.4"}, {"axis": "abc"}, {"lines": (3, 4)}]
+    "wrong",
+    [
+        {"motion_scale": None},
+        {"motion_scale": "0.4"},
+        {"axis": "abc"},
+        {"lines": (3, 4)},
+    ],
 )
 def test_settings_of_another_kind_are_refused(wrong):
     with pytest.raises(SettingError, match=next(iter(wrong))):

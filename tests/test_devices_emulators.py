@@ -7,14 +7,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from needleforce.devices import DeviceSettingError, FriArm, ReplayArm, UrArm, emulators, haptic
+from needleforce.devices import (
+    DeviceSettingError,
+    FriArm,
+    ReplayArm,
+    UrArm,
+    emulators,
+    haptic,
+)
 from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
 
 ROWS = np.zeros((1, 7))
 
 
 def controller(cycles):
-    return Emulator(emulate_fri, FriSettings(port=9, q_rad=ROWS, tau_Nm=ROWS, cycles=cycles))
+    return Emulator(
+        emulate_fri, FriSettings(port=9, q_rad=ROWS, tau_Nm=ROWS, cycles=cycles)
+    )
 
 
 def test_a_controller_may_take_longer_to_end_than_to_start(monkeypatch):
@@ -40,7 +49,11 @@ def test_recorded_samples_end_when_the_arm_is_closed():
 @pytest.mark.parametrize(
     ("arm", "settings", "why"),
     [
-        (FriArm, {"port": 0, "wait_s": np.inf, "give_up_s": np.inf}, "wait_s=inf, give_up_s=inf"),
+        (
+            FriArm,
+            {"port": 0, "wait_s": np.inf, "give_up_s": np.inf},
+            "wait_s=inf, give_up_s=inf",
+        ),
         (FriArm, {"port": 0, "wait_s": 1e10, "give_up_s": 1e11}, "at most 3600 s"),
         (UrArm, {"rate_hz": 0.0}, "rate_hz=0.0: expected a positive number"),
         (UrArm, {"rate_hz": np.nan}, "rate_hz=nan"),
@@ -58,7 +71,10 @@ class Gone(Exception):
 @pytest.mark.parametrize("silence", [TimeoutError, Gone])
 def test_a_silence_of_a_haptic_device_is_one_outage(silence, monkeypatch):
     place = {"x": 0, "y": 0, "z": 1}
-    device = {"device_id": "a", "state": {"cursor_position": place, "cursor_velocity": place}}
+    device = {
+        "device_id": "a",
+        "state": {"cursor_position": place, "cursor_velocity": place},
+    }
     now_s, waiting, sent = 0.0, [], []
 
     def recv(timeout):

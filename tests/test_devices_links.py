@@ -64,7 +64,12 @@ def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
 
 def measurement(**values):
     packet = np.zeros((), fri.MEASUREMENT)
-    fields = {"size": 916, "kind": fri.MEASUREMENT_KIND, "period_s": 1e-3, "state": 1} | values
+    fields = {
+        "size": 916,
+        "kind": fri.MEASUREMENT_KIND,
+        "period_s": 1e-3,
+        "state": 1,
+    } | values
     for name, value in fields.items():
         packet[name] = value
     return packet.tobytes()
@@ -88,7 +93,9 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
     assert report.malformed > 50
     assert report.stale > 20
     assert report.missed > 30
-    assert report.used + report.missed == round(sum(sample.dt_s for sample in found) / 1e-3)
+    assert report.used + report.missed == round(
+        sum(sample.dt_s for sample in found) / 1e-3
+    )
     assert sum(sample.missed for sample in found) == report.missed
 
 
@@ -113,12 +120,16 @@ def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
 
 
 @pytest.mark.parametrize("command", ["record", "live"])
-def test_an_arm_from_which_nothing_comes_is_said_so(command, tmp_path, monkeypatch, capsys):
+def test_an_arm_from_which_nothing_comes_is_said_so(
+    command, tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr("needleforce.cli.live.FriArm", partial(FriArm, give_up_s=0.2))
     to = ["-o", str(tmp_path / "x.csv")] if command == "record" else []
     assert main([command, "fri:0", *to]) == 2
     said = capsys.readouterr().err.splitlines()
-    assert said[-1].startswith("error: no sample came from fri:0 (1 outages): expected one per")
+    assert said[-1].startswith(
+        "error: no sample came from fri:0 (1 outages): expected one per"
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -149,12 +160,26 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
     [
         (49999, 0.3, [0, 1], 2, [0.3, 1e-3, 1e-3]),  # begun anew
         (5, 0.5, [505, 506], 507, [0.5, 1e-3, 1e-3]),  # lost on the way
-        (5, 0.9, range(6, 66), 905, [*[1e-3] * 60, 0.84]),  # not read, and no room for all
+        (
+            5,
+            0.9,
+            range(6, 66),
+            905,
+            [*[1e-3] * 60, 0.84],
+        ),  # not read, and no room for all
         (5, 1.5, range(6, 66), 1505, [*[1e-3] * 60, 1.44]),
-        (5, 40.0, range(6, 66), 40005, [40.0, *[1e-3] * 60]),  # too long for the counter
+        (
+            5,
+            40.0,
+            range(6, 66),
+            40005,
+            [40.0, *[1e-3] * 60],
+        ),  # too long for the counter
     ],
 )
-def test_no_more_time_is_reported_than_passed(count, passed_s, waiting, then, steps_s, monkeypatch):
+def test_no_more_time_is_reported_than_passed(
+    count, passed_s, waiting, then, steps_s, monkeypatch
+):
     real, ahead_s = time.monotonic, 0.0
     for module in (fri, proxy):  # a slow clock, which advances where the test says so
         monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
@@ -273,7 +298,9 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
                     break
             ft.bias()
             zero = found[-1]
-            assert np.allclose(next(stream), WRENCH[len(found) % 5000] - zero, atol=3e-6)
+            assert np.allclose(
+                next(stream), WRENCH[len(found) % 5000] - zero, atol=3e-6
+            )
             ft.unbias()
     assert ft.report.missed == 0
     assert len(found) > 6000
@@ -313,7 +340,11 @@ def test_a_page_that_breaks_off_names_no_counts(monkeypatch):
     [
         ("N", "N-m", None),
         ("", "Nm", "counts per '' under <scalfu>, expected N"),
-        ("lbf", "lbf-in", "counts per 'lbf' under <scalfu>, expected N: set the sensor to it"),
+        (
+            "lbf",
+            "lbf-in",
+            "counts per 'lbf' under <scalfu>, expected N: set the sensor to it",
+        ),
         ("N", "N-mm", "counts per 'N-mm' under <scaltu>, expected Nm"),
     ],
 )
@@ -358,9 +389,13 @@ def received(*datagrams):
 
 
 @pytest.mark.parametrize(("first", "anew"), [(5, 10_000_000), (5_000_000, 0)])
-def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_record(first, anew):
+def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_record(
+    first, anew
+):
     odd, again = [anew], range(anew, anew + 800)
-    report = received(range(first, first + 50), odd, range(first + 50, first + 52), again)
+    report = received(
+        range(first, first + 50), odd, range(first + 50, first + 52), again
+    )
     stale = 1 + rdt.RENUMBERED + 1
     assert (report.used, report.stale, report.missed) == (853 - stale, stale, 0)
 
@@ -404,7 +439,13 @@ def test_what_a_haptic_service_should_not_send_is_counted():
     state = {"cursor_position": place, "cursor_velocity": place}
     good = {"inverse3": [{"device_id": "a", "state": state}]}
     grip = {"wireless_verse_grip": [{"state": {"buttons": {"a": False}}}]}
-    bad = ["{", "[]", "{}", '{"inverse3": []}', json.dumps({"inverse3": [{"state": {}}]})]
+    bad = [
+        "{",
+        "[]",
+        "{}",
+        '{"inverse3": []}',
+        json.dumps({"inverse3": [{"state": {}}]}),
+    ]
 
     def talk(link):
         for text in (*bad, json.dumps(good | grip)):
@@ -413,7 +454,9 @@ def test_what_a_haptic_service_should_not_send_is_counted():
 
     with server.serve(talk, LOOPBACK, 0) as service:
         threading.Thread(target=service.serve_forever, daemon=True).start()
-        with HaplyMaster(f"ws://{LOOPBACK}:{service.socket.getsockname()[1]}") as master:
+        with HaplyMaster(
+            f"ws://{LOOPBACK}:{service.socket.getsockname()[1]}"
+        ) as master:
             sample, end_s = None, time.monotonic() + PATIENCE_S
             while sample is None and time.monotonic() < end_s:
                 time.sleep(0.01)

@@ -34,12 +34,16 @@ def test_a_signal_ends_a_recording_whether_or_not_something_comes(
         signal.pthread_kill(threading.main_thread().ident, number)
 
     asking = threading.Thread(target=ask)
-    monkeypatch.setattr("needleforce.cli.live.FriArm", lambda **_: asking.start() or arm)
+    monkeypatch.setattr(
+        "needleforce.cli.live.FriArm", lambda **_: asking.start() or arm
+    )
     code = main(["record", "fri:0", "-o", str(path)])
     asking.join()
     signal.signal(signal.SIGINT, before)
     assert code == (0 if sends else 2)
-    assert (f" s in {path}" if sends else "error: no sample came from") in capsys.readouterr().err
+    assert (
+        f" s in {path}" if sends else "error: no sample came from"
+    ) in capsys.readouterr().err
     assert not sends or len(read_log(path)) == arm.report.used > 350
 
 
@@ -54,7 +58,12 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
         yield from [SAMPLE] * 100
 
     recorder = Recorder(tmp_path / "x.csv", ("a",) * 7)
-    with pytest.raises(CommandError, match="process that writes the recording has ended"), recorder:
+    with (
+        pytest.raises(
+            CommandError, match="process that writes the recording has ended"
+        ),
+        recorder,
+    ):
         collections.deque(map(recorder.put, samples()))
     assert recorder.rows == 50
 

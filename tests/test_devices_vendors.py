@@ -50,14 +50,20 @@ def test_a_franka_arm_is_read_bit_for_bit():
         found = taken(arm, 1000)
         assert emulator.stop()["sent"] >= 1000
     assert len(found) == 1000
-    first = next(k for k in range(1000) if np.array_equal(settings.q_rad[k], found[0].q_rad))
-    at = first + np.cumsum([sample.missed + 1 for sample in found]) - found[0].missed - 1
+    first = next(
+        k for k in range(1000) if np.array_equal(settings.q_rad[k], found[0].q_rad)
+    )
+    at = (
+        first + np.cumsum([sample.missed + 1 for sample in found]) - found[0].missed - 1
+    )
     for name, wanted in (
         ("q_rad", settings.q_rad),
         ("dq_rad_s", settings.dq_rad_s),
         ("tau_Nm", settings.effort),
     ):
-        assert np.array_equal([getattr(sample, name) for sample in found], wanted[at % 1000])
+        assert np.array_equal(
+            [getattr(sample, name) for sample in found], wanted[at % 1000]
+        )
     assert not arm.send(np.zeros(7))
 
 

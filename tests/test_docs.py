@@ -92,15 +92,24 @@ def test_an_example_is_short_runs_and_says_what_it_found(name, capsys, monkeypat
 
 
 def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
-    words = [word for word in README.split() if re.search(r"\w", word)]  # no rules of tables
+    words = [
+        word for word in README.split() if re.search(r"\w", word)
+    ]  # no rules of tables
     assert len(words) <= 1430
     first = "\n".join(README.splitlines()[:20])
-    for word in ("virtual force/torque sensor", "control engineers", "researchers", "rupture"):
+    for word in (
+        "virtual force/torque sensor",
+        "control engineers",
+        "researchers",
+        "rupture",
+    ):
         assert word in first
 
 
 def test_the_two_commands_install_and_run():
-    assert marked_command("run").startswith('pip install ".[bench]" && python -m benchmarks run')
+    assert marked_command("run").startswith(
+        'pip install ".[bench]" && python -m benchmarks run'
+    )
     wanted = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
     assert marked_command("test") == wanted
 
@@ -184,15 +193,23 @@ def test_the_arms_are_what_the_page_says(names):
 
 
 def test_torque_at_rest_is_gravity(names):
-    assert names["tau"] == pytest.approx(names["gravity"](names["arm"], names["q"]), abs=0.2)
+    assert names["tau"] == pytest.approx(
+        names["gravity"](names["arm"], names["q"]), abs=0.2
+    )
 
 
 @pytest.mark.parametrize(
     ("force", "weight_N", "tolerance_N"),
-    [("force", 1.961, 0.1), ("force_compensated", 1.961, 0.1), ("force_ur", 19.61, 1.0)],
+    [
+        ("force", 1.961, 0.1),
+        ("force_compensated", 1.961, 0.1),
+        ("force_ur", 19.61, 1.0),
+    ],
 )
 def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
-    assert names[force] == pytest.approx(np.array([0.0, 0.0, -weight_N]), abs=tolerance_N)
+    assert names[force] == pytest.approx(
+        np.array([0.0, 0.0, -weight_N]), abs=tolerance_N
+    )
 
 
 def test_a_stream_without_gravity_needs_the_option(names):
@@ -208,7 +225,9 @@ def test_names_and_links_of_the_page_exist(names):
 
 NOTATION = (ROOT / "docs" / "notation.md").read_text(encoding="utf-8")
 PACKAGES = ("urdf", "residual", "identification", "groundtruth")
-NAMES = sorted(set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION)))
+NAMES = sorted(
+    set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION))
+)
 COLUMNS = ["symbol", "name in the code", "unit", "shape", "equation"]
 
 
@@ -216,7 +235,8 @@ def tables():
     """Header and rows of every table with a column of code names."""
     for block in re.findall(r"(?:^\|.*\n)+", NOTATION, re.MULTILINE):
         header, _, *rows = [
-            [cell.strip() for cell in line.split("|")[1:-1]] for line in block.splitlines()
+            [cell.strip() for cell in line.split("|")[1:-1]]
+            for line in block.splitlines()
         ]
         if "name in the code" in header:
             yield header, rows

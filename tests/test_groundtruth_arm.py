@@ -15,7 +15,13 @@ from groundtruth.arm_motion import (
     scenario_motion,
     scenario_path,
 )
-from groundtruth.arm_plant import ArmPlant, TissueContact, arm_model, blended_links, lwr_bodies
+from groundtruth.arm_plant import (
+    ArmPlant,
+    TissueContact,
+    arm_model,
+    blended_links,
+    lwr_bodies,
+)
 from groundtruth.errors import MotionError, PlantError, PlantModelError
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from groundtruth.scenarios import SCENARIOS
@@ -37,12 +43,17 @@ FLANGE_BIAS_N = {0.1: 0.31, 0.2: 0.61, 0.3: 0.92, 1.0: 3.07}
 
 def test_blend_ends_at_the_two_tables_and_not_beyond():
     for link in blended_links(BARE.model, 0.3):
-        assert np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(link).toMatrix()).min() > 0.0
+        assert (
+            np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(link).toMatrix()).min()
+            > 0.0
+        )
     nominal = blended_links(BARE.model, 0.0)
     for mine, known in zip(nominal, BARE.model.inertias[1:], strict=True):
         assert mine.isApprox(known, 1e-12)
     cad = blended_links(BARE.model, 1.0)
-    assert [link.mass for link in cad] == pytest.approx([2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3])
+    assert [link.mass for link in cad] == pytest.approx(
+        [2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3]
+    )
     np.testing.assert_allclose(cad[0].lever, [0.00134, 0.02622, 0.11222], atol=1e-15)
     assert cad[5].inertia[2, 2] == pytest.approx(0.003413)
     for fraction in (-0.1, 1.1, float("nan")):
@@ -175,7 +186,9 @@ def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
 
 @EVERY_PLANT
 @pytest.mark.parametrize("push_N", [0.0, PUSH_N])
-def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tissue(name, push_N):
+def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tissue(
+    name, push_N
+):
     """The push is balanced at the joints through the tip, so nothing moves."""
     bodies = bodies_of(name)
     model, needle, rng = bodies.model(), bodies.needle, np.random.default_rng(2)

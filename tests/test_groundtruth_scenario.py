@@ -8,7 +8,13 @@ import pytest
 from groundtruth import SCENARIOS, Tissue, insert_needle, random_stack, scenario
 from groundtruth.errors import MotionError, PlantModelError, ScenarioError
 from groundtruth.materials import TABLE_I_SPEED_M_S
-from groundtruth.motion import TARE_STROKE_M, Motion, Stroke, constant_motion, sinusoidal_motion
+from groundtruth.motion import (
+    TARE_STROKE_M,
+    Motion,
+    Stroke,
+    constant_motion,
+    sinusoidal_motion,
+)
 from groundtruth.plant_model import MINI45, ForceNoise
 
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
@@ -25,7 +31,14 @@ def test_speed_is_the_rate_of_position_bounded_in_its_change_and_zero_at_rest(mo
     t = np.linspace(0.0, motion.duration_s, 200_001)
     acceleration = np.diff(motion.speed_m_s(t)) / (t[1] - t[0])
     assert np.abs(acceleration).max() < 0.05
-    for t in (0.0, 0.5, 1.0, motion.duration_s - 0.25, motion.duration_s, motion.duration_s + 9.0):
+    for t in (
+        0.0,
+        0.5,
+        1.0,
+        motion.duration_s - 0.25,
+        motion.duration_s,
+        motion.duration_s + 9.0,
+    ):
         assert motion.speed_m_s(t) == 0.0
 
 
@@ -79,8 +92,17 @@ def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
         Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
 
-GELS = [f"gel-{percent}-{kind}" for percent in (25, 50, 70) for kind in ("constant", "sinusoidal")]
-STACKS = ["stack-constant", "stack-sinusoidal", "stack-glove-constant", "stack-glove-sinusoidal"]
+GELS = [
+    f"gel-{percent}-{kind}"
+    for percent in (25, 50, 70)
+    for kind in ("constant", "sinusoidal")
+]
+STACKS = [
+    "stack-constant",
+    "stack-sinusoidal",
+    "stack-glove-constant",
+    "stack-glove-sinusoidal",
+]
 RUPTURES = dict.fromkeys(GELS, 1) | dict.fromkeys(STACKS, 3)
 RUPTURES |= {"liver-constant": 2, "abdomen-sinusoidal": 3}
 DRAWN = [random_stack(np.random.default_rng(seed)) for seed in range(200)]
@@ -97,18 +119,24 @@ def test_names_are_permanent_and_choose_motion_and_seed():
     assert all(scenario(name).id == name for name in SCENARIOS)
     assert scenario("random-stack", 7) == DRAWN[7] != DRAWN[8]
     assert scenario("gel-25-constant", 7) is scenario("gel-25-constant")
-    with pytest.raises(ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"):
+    with pytest.raises(
+        ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"
+    ):
         scenario("gel-80")
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
-        assert case.motion.deepest_m - Tissue(case.layers).interfaces[-1].depth_m >= 10e-3
+        assert (
+            case.motion.deepest_m - Tissue(case.layers).interfaces[-1].depth_m >= 10e-3
+        )
         assert case.motion.deepest_m < NEEDLE_M
 
 
 def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
     for name in (name for name in RUPTURES if name.endswith("-constant")):
         run = runs[name]
-        inside = (run.truth.layer > 0) & (run.t_s < scenario(name).motion.insertion_end_s - 1.0)
+        inside = (run.truth.layer > 0) & (
+            run.t_s < scenario(name).motion.insertion_end_s - 1.0
+        )
         speed_m_s = 3e-3 if "glove" in name else 2.3e-3
         assert run.speed_m_s[inside] == pytest.approx(speed_m_s, rel=1e-9)
     # About 15 s into the constant and 20 s into the sinusoidal insertion (Figs. 2, 8, 9).
@@ -117,7 +145,9 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
         assert rupture_s == pytest.approx(expected_s, abs=2.0)
     found = runs["stack-constant"].truth.ruptures  # Table I at this speed
     friction = [rupture.layer_friction_N for rupture in found]
-    assert friction == pytest.approx([113 * 2.3e-3, 283 * 2.3e-3, 534 * 2.3e-3], rel=0.01)
+    assert friction == pytest.approx(
+        [113 * 2.3e-3, 283 * 2.3e-3, 534 * 2.3e-3], rel=0.01
+    )
     assert found[-1].friction_N == pytest.approx(sum(friction), rel=0.01)
 
 
@@ -143,7 +173,9 @@ def test_free_motion_meets_nothing_and_reads_noise_as_large_as_stated(runs):
     assert (run.truth.axial_N == 0.0).all()
     assert run.truth.ruptures == ()
     assert np.isnan([run.truth.contact_s, run.truth.withdrawn_s]).all()
-    assert np.diff(run.force_N).std() / np.sqrt(2.0) == pytest.approx(MINI45.white_std_N, rel=0.05)
+    assert np.diff(run.force_N).std() / np.sqrt(2.0) == pytest.approx(
+        MINI45.white_std_N, rel=0.05
+    )
     steps = run.force_N / MINI45.step_N
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
@@ -164,11 +196,15 @@ def test_the_rate_changes_the_sampling_not_the_force(name):
     coarse = insert_needle(name, noise=ForceNoise())
     rare = insert_needle(name, rate_hz=250.0, noise=ForceNoise())
     assert rare.t_s == pytest.approx(coarse.t_s[::4][: rare.t_s.size])
-    assert rare.truth.axial_N == pytest.approx(coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3)
+    assert rare.truth.axial_N == pytest.approx(
+        coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("name", RUPTURES)
-def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives(runs, name):
+def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives(
+    runs, name
+):
     run = runs[name]
     truth, z = run.truth, run.depth_m
     assert run.tare_end_s < truth.contact_s < truth.withdrawn_s

@@ -26,7 +26,12 @@ STILL = np.zeros((N, 7))
 
 
 def torque_error(plant_model, seed=0, tau=STILL, q=STILL):
-    return sensors.measured_torque(tau, q, LIMIT_Nm, plant_model, np.random.default_rng(seed)) - tau
+    return (
+        sensors.measured_torque(
+            tau, q, LIMIT_Nm, plant_model, np.random.default_rng(seed)
+        )
+        - tau
+    )
 
 
 def test_ideal_sensors_are_perfect():
@@ -61,9 +66,14 @@ def test_the_clean_arms_torque_has_white_noise_and_a_bias_as_stated():
 
 @pytest.mark.parametrize("plant_model", [FRI, DEGRADED], ids=["fri", "degraded"])
 def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
-    names, still = ("torque_noise_std_Nm", "torque_noise_correlation_s"), np.zeros((10 * N, 7))
+    names, still = (
+        ("torque_noise_std_Nm", "torque_noise_correlation_s"),
+        np.zeros((10 * N, 7)),
+    )
     noisy = replace(IDEAL, **{name: getattr(plant_model, name) for name in names})
-    noise = torque_error(noisy, tau=still, q=still) / np.array(noisy.torque_noise_std_Nm)
+    noise = torque_error(noisy, tau=still, q=still) / np.array(
+        noisy.torque_noise_std_Nm
+    )
     np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.03)
     assert np.abs(noise[:3]).max() > 0.1  # at once as large, not rising from zero
     frequency, density = welch(noise, fs=1.0 / TICK_s, nperseg=8192, axis=0)
@@ -76,15 +86,23 @@ def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
 
 
 def test_torque_drift_over_a_minute_has_the_stated_spread_drawn_for_each_joint():
-    wide = replace(IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread)
-    step = np.array([np.diff(torque_error(wide, seed), axis=0).std(axis=0) for seed in range(12)])
+    wide = replace(
+        IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread
+    )
+    step = np.array(
+        [np.diff(torque_error(wide, seed), axis=0).std(axis=0) for seed in range(12)]
+    )
     factor = step / LIMIT_Nm / (3e-5 * np.sqrt(TICK_s / 60.0))
     assert 0.48 < factor.min() < 0.65 < 1.6 < factor.max() < 2.05
     others = ("torque_noise_std_Nm", "torque_bias_min_Nm", "torque_bias_max_Nm")
     quiet = replace(CLEAN, **dict.fromkeys(others, (0.0,) * 7))
-    ends = np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
+    ends = (
+        np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
+    )
     np.testing.assert_allclose(ends[:, 0], 0.0, atol=1e-15)
-    expected = np.hypot(CLEAN.torque_drift_std_per_min, CLEAN.torque_random_walk_std_per_sqrt_min)
+    expected = np.hypot(
+        CLEAN.torque_drift_std_per_min, CLEAN.torque_random_walk_std_per_sqrt_min
+    )
     # 420 draws: 3.5 % standard error
     assert ends[:, 1].std() == pytest.approx(expected, rel=0.12)
 
@@ -98,7 +116,10 @@ def test_ripple_repeats_twice_per_motor_turn_with_the_stated_amplitude():
     assert not np.allclose(error[:501], error[500:1001], atol=1e-4)
 
 
-@given(signal=arrays(float, (30, 3), elements=st.floats(-5.0, 5.0)), width=st.floats(0.0, 2.0))
+@given(
+    signal=arrays(float, (30, 3), elements=st.floats(-5.0, 5.0)),
+    width=st.floats(0.0, 2.0),
+)
 def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, width):
     out = sensors.backlash(signal, np.full(3, width))
     assert (np.abs(out - signal) <= width + 1e-12).all()
@@ -113,16 +134,21 @@ def test_position_is_noisy_on_the_encoders_grid_and_velocity_is_noisy_or_missing
     seen = sensors.measured_position(true, CLEAN, rng)
     steps = seen / CLEAN.position_step_rad
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
-    expected = np.hypot(CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12))
+    expected = np.hypot(
+        CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12)
+    )
     assert (seen - true).std() == pytest.approx(expected, rel=0.02)
-    assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(2e-4, rel=0.02)
+    assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(
+        2e-4, rel=0.02
+    )
     assert sensors.measured_velocity(STILL, DEGRADED, rng) is None
 
 
 def test_wrench_noise_and_drift_have_the_stated_spread():
     wrench = np.zeros((N, 6))
     readings = [
-        sensors.measured_wrench(wrench, CLEAN, np.random.default_rng(seed)) for seed in range(20)
+        sensors.measured_wrench(wrench, CLEAN, np.random.default_rng(seed))
+        for seed in range(20)
     ]
     for reading in readings[:3]:
         white = np.diff(reading, axis=0).std(axis=0) / np.sqrt(2)
@@ -135,7 +161,9 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
 def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
-    assert (np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0).all()
+    assert (
+        np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0
+    ).all()
     error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
     kept = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
@@ -144,7 +172,9 @@ def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated()
     # touching losses may add up; three per cent of a thousandth
     assert gaps.max() <= 2 * DEGRADED.drop_max_samples
     assert np.isin([1, 2, 3], gaps).all()
-    assert (gaps > 0).sum() / (10 * N) == pytest.approx(DEGRADED.drop_probability, rel=0.15)
+    assert (gaps > 0).sum() / (10 * N) == pytest.approx(
+        DEGRADED.drop_probability, rel=0.15
+    )
 
 
 COULOMB = 1e-3
@@ -184,7 +214,9 @@ def test_a_joint_at_rest_holds_below_the_peak_without_creeping_and_breaks_loose_
     ("speed", "level"),
     [(1e-3, STRIBECK_PEAK), (STRIBECK_SPEED_rad_s, 1.0 + 0.5 / np.e), (1.0, 1.0)],
 )
-def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(speed, level, direction):
+def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(
+    speed, level, direction
+):
     friction, dq = bearings(), np.full(7, direction * speed)
     for _ in range(round(20.0 * PRESLIDING_rad / (speed * STEP_s)) + 2):
         torque = friction.step(dq, STEP_s)
@@ -194,7 +226,9 @@ def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(speed,
 def test_sizes_of_single_joints_are_drawn_within_the_stated_factor():
     dq = np.ones(7)  # fast sliding, at once beyond presliding
     drawn = replace(IDEAL, joint_coulomb=COULOMB, size_spread=2.0)
-    friction = (BearingFriction(drawn, LIMIT_Nm, np.random.default_rng(k)) for k in range(60))
+    friction = (
+        BearingFriction(drawn, LIMIT_Nm, np.random.default_rng(k)) for k in range(60)
+    )
     fraction = np.array([-one.step(dq, 1.0) / LEVEL_Nm for one in friction])
     assert 0.5 <= fraction.min() < 0.55
     assert 1.9 < fraction.max() <= 2.0

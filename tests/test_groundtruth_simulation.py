@@ -51,7 +51,9 @@ def momentum_residual(run: Run):
         ]
     )
     return filtered(
-        np.diff(momentum, axis=0) / TICK_s - truth.tau_Nm[:-1] - 0.5 * (rate[1:] + rate[:-1])
+        np.diff(momentum, axis=0) / TICK_s
+        - truth.tau_Nm[:-1]
+        - 0.5 * (rate[1:] + rate[:-1])
     )
 
 
@@ -61,7 +63,9 @@ def filtered(torque_Nm):
     return lfilter([1.0 - decay], [1.0, -decay], torque_Nm, axis=0)
 
 
-def test_a_momentum_observer_is_the_ideal_filter_on_the_ideal_arm_only(runs, monkeypatch):
+def test_a_momentum_observer_is_the_ideal_filter_on_the_ideal_arm_only(
+    runs, monkeypatch
+):
     def error(run):
         return momentum_residual(run) - filtered(run.truth.external_torque_Nm[:-1])
 
@@ -76,7 +80,9 @@ def test_a_momentum_observer_is_the_ideal_filter_on_the_ideal_arm_only(runs, mon
     assert np.isnan([free.truth.contact_s, free.truth.withdrawn_s]).all()
 
 
-def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(monkeypatch):
+def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(
+    monkeypatch,
+):
     ideal = replace(PLANT_MODELS["ideal"], joint_coulomb=2e-4)
     monkeypatch.setitem(PLANT_MODELS, "ideal", ideal)
     run = simulate(SCENARIO)
@@ -98,13 +104,23 @@ def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
     run, truth = runs[name], runs[name].truth
     wanted = run.scenario.motion.position_m(truth.t_s)
     assert np.abs(truth.depth_m - wanted).max() < 1e-4
-    np.testing.assert_allclose(truth.tip_N + truth.friction_N, truth.axial_N, atol=1e-12)
-    np.testing.assert_allclose(truth.layer_friction_N.sum(axis=1), truth.friction_N, atol=1e-12)
+    np.testing.assert_allclose(
+        truth.tip_N + truth.friction_N, truth.axial_N, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        truth.layer_friction_N.sum(axis=1), truth.friction_N, atol=1e-12
+    )
     moving = np.abs(truth.speed_m_s) > 1e-4
     assert (truth.friction_N * np.sign(truth.speed_m_s))[moving].min() > -0.2
     assert truth.axial_N.max() > 0.2
     (rupture,) = truth.rupture_s
-    assert run.tare_end_s < run.truth.contact_s < rupture < run.truth.withdrawn_s < truth.t_s[-1]
+    assert (
+        run.tare_end_s
+        < run.truth.contact_s
+        < rupture
+        < run.truth.withdrawn_s
+        < truth.t_s[-1]
+    )
     assert not truth.axial_N[truth.t_s < run.truth.contact_s].any()
     if name == "ideal":
         reading = run.tool.beyond_sensor.mass_kg * GRAVITY - run.signals.ft_wrench[:, 2]
@@ -152,7 +168,9 @@ def test_plant_models_give_what_they_promise(runs):
 def test_unknown_names_and_tissue_that_throws_the_arm_off_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")
-    with pytest.raises(PlantModelError, match="'no-such'; known: ideal, clean, fri, degraded"):
+    with pytest.raises(
+        PlantModelError, match="'no-such'; known: ideal, clean, fri, degraded"
+    ):
         simulate("gel-70-constant", plant="no-such")
     with pytest.raises(PlantError, match="softer tissue"):
         simulate(short_scenario(4e5))

@@ -9,17 +9,30 @@ from hypothesis import strategies as st
 
 from groundtruth.errors import TissueError
 from groundtruth.layers import CUTTING_ONSET_M, Membrane, ShaftFriction
-from groundtruth.materials import BOVINE_CAPSULE, BOVINE_LIVER, GEL_TIP_FORCE_N, GLOVE, gel
+from groundtruth.materials import (
+    BOVINE_CAPSULE,
+    BOVINE_LIVER,
+    GEL_TIP_FORCE_N,
+    GLOVE,
+    gel,
+)
 from groundtruth.tissue import UNLOADING_M, Tissue, bristle_step
 
 SPEED = 2.3e-3
 MEMBRANE = Membrane(puncture_N=1.2, indentation_m=4e-3, hardening=0.5, release_m=5e-4)
 FRICTION = ShaftFriction(
-    coulomb_N_per_m=10.0, viscous_Ns_per_m2=1e3, presliding_m=1e-4, reference_speed_m_s=2.3e-3
+    coulomb_N_per_m=10.0,
+    viscous_Ns_per_m2=1e3,
+    presliding_m=1e-4,
+    reference_speed_m_s=2.3e-3,
 )
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}
 
-fractions, travels, times = st.floats(0.0, 1.0), st.floats(-0.1, 0.1), st.floats(1e-6, 10.0)
+fractions, travels, times = (
+    st.floats(0.0, 1.0),
+    st.floats(-0.1, 0.1),
+    st.floats(1e-6, 10.0),
+)
 bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
 
 
@@ -31,7 +44,9 @@ def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter(
         assert force[-1] == pytest.approx(layer.exit_force_N)
         assert (np.diff(force) > 0.0).all()
     cutting = replace(gel(50), cutting_fraction=1.0)
-    assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(0.75 * cutting.exit_force_N)
+    assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(
+        0.75 * cutting.exit_force_N
+    )
     assert cutting.tip_force_N(0.01) == pytest.approx(cutting.exit_force_N)
 
 
@@ -39,7 +54,11 @@ def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter(
 def test_calibrated_friction_is_the_measured_one_at_its_speed_and_odd_in_speed(
     force, speed, fraction
 ):
-    measured = {"force_N_per_m": force, "reference_speed_m_s": speed, "presliding_m": 1e-4}
+    measured = {
+        "force_N_per_m": force,
+        "reference_speed_m_s": speed,
+        "presliding_m": 1e-4,
+    }
     friction = ShaftFriction.calibrated(**measured, coulomb_fraction=fraction)
     assert friction.sliding_N_per_m(speed) == pytest.approx(force)
     assert friction.sliding_N_per_m(-speed) == -friction.sliding_N_per_m(speed)
@@ -49,9 +68,19 @@ def test_calibrated_friction_is_the_measured_one_at_its_speed_and_odd_in_speed(
 
 def test_what_no_tissue_has_is_refused_by_name():
     nan = float("nan")
-    layer = {"thickness_m": 0.0, "release_m": 0.0, "exit_force_N": -1.0, "stiffening": -0.1}
+    layer = {
+        "thickness_m": 0.0,
+        "release_m": 0.0,
+        "exit_force_N": -1.0,
+        "stiffening": -0.1,
+    }
     layer |= {"cutting_fraction": 1.1, "relaxed_fraction": nan}
-    membrane = {"puncture_N": 0.0, "release_m": 0.0, "indentation_m": -1e-3, "hardening": 1.5}
+    membrane = {
+        "puncture_N": 0.0,
+        "release_m": 0.0,
+        "indentation_m": -1e-3,
+        "hardening": 1.5,
+    }
     friction = {"coulomb_N_per_m": -1.0, "viscous_Ns_per_m2": nan}
     friction |= {"presliding_m": 0.0, "reference_speed_m_s": 0.0}
     for good, bad in ((gel(50), layer), (MEMBRANE, membrane), (FRICTION, friction)):
@@ -85,11 +114,15 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
     assert abs(bristle) > 1.0 - fraction or (after - bristle) * travel >= 0.0
     once = bristle_step(bristle, travel, 1e-3, length, 0.0)
     half = bristle_step(bristle, travel / 2, 5e-4, length, 0.0)
-    assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(once, abs=1e-9)
+    assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(
+        once, abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("percent", TABLE_I_N)
-def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(percent):
+def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(
+    percent,
+):
     layer = gel(percent)
     law = Tissue((layer,))
     depth, forces = advance(law, -2e-3, layer.thickness_m + 5e-3)
@@ -110,7 +143,9 @@ def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_len
     assert axial[slid] == pytest.approx(-friction_in[slid], abs=0.01)
     inside = (depth > 1e-3) & (depth < layer.thickness_m - 1e-3)
     per_length = -axial[inside] / depth[inside]
-    assert per_length == pytest.approx(np.full_like(per_length, per_length.mean()), rel=1e-6)
+    assert per_length == pytest.approx(
+        np.full_like(per_length, per_length.mean()), rel=1e-6
+    )
     assert (axial[depth < 0.0] == 0.0).all()
 
 
@@ -134,14 +169,20 @@ def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
     assert held == pytest.approx(1.0 - layer.relaxed_fraction, abs=0.02)
     assert (np.diff(tips(resting)) <= 0.0).all()
     _, after = advance(law, 25e-3, 26.5e-3)
-    assert after[-1].tip_N == pytest.approx(layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02)
+    assert after[-1].tip_N == pytest.approx(
+        layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02
+    )
 
 
 def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
-    depth, forces = advance(Tissue((BOVINE_LIVER,)), -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3)
+    depth, forces = advance(
+        Tissue((BOVINE_LIVER,)), -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3
+    )
     friction = np.array([force.friction_N for force in forces])
     intact = depth < BOVINE_CAPSULE.indentation_m
-    assert not any(force.layer for force, whole in zip(forces, intact, strict=True) if whole)
+    assert not any(
+        force.layer for force, whole in zip(forces, intact, strict=True) if whole
+    )
     assert (friction[intact] == 0.0).all()
     assert tips(forces).max() == pytest.approx(1.43, rel=0.02)
     assert forces[-1].layer == 1
@@ -157,7 +198,13 @@ def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_sta
     tissue, twin = Tissue((gel(25),)), Tissue((gel(25),))
     advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
     nan, inf = float("nan"), float("inf")
-    bad = [(nan, 0.0, 1e-3), (0.0, inf, 1e-3), (0.0, 0.0, 0.0), (0.0, 0.0, -1e-3), (0.0, 0.0, nan)]
+    bad = [
+        (nan, 0.0, 1e-3),
+        (0.0, inf, 1e-3),
+        (0.0, 0.0, 0.0),
+        (0.0, 0.0, -1e-3),
+        (0.0, 0.0, nan),
+    ]
     for sample in bad:
         with pytest.raises(TissueError, match=r"finite numbers .* state is unchanged"):
             tissue.step(*sample)

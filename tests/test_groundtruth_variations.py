@@ -24,7 +24,9 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
     return depths, [law.step(float(z), speed_m_s, 1e-5 / speed_m_s) for z in depths]
 
 
-@pytest.mark.parametrize("name", ["texture-20mN", "release-2mm", "concave", "kept-60", "speed-0.3"])
+@pytest.mark.parametrize(
+    "name", ["texture-20mN", "release-2mm", "concave", "kept-60", "speed-0.3"]
+)
 def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(name):
     plain = scenario("stack-glove-constant", 0)
     run = insert_needle(scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
@@ -94,7 +96,9 @@ def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
     assert scenario(rough, 1) == scenario(rough, 1) != scenario(rough, 2)
     assert scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
     assert "gel-70-constant" in SCENARIOS
-    with pytest.raises(ScenarioError, match=r"no variation 'soft'; known: texture-15mN"):
+    with pytest.raises(
+        ScenarioError, match=r"no variation 'soft'; known: texture-15mN"
+    ):
         scenario("gel-70-constant+soft", 0)
     stacks = [random_stack(np.random.default_rng(seed)) for seed in range(60)]
     tissues = [random_tissue(np.random.default_rng(seed)) for seed in range(60)]

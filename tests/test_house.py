@@ -39,7 +39,9 @@ def project_files():
         folders = (*PACKAGES, ".ci", "tests", "docs", "examples")
         paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
         paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
-    return [path for path in paths if path.is_file() and "__pycache__" not in path.parts]
+    return [
+        path for path in paths if path.is_file() and "__pycache__" not in path.parts
+    ]
 
 
 def text_files():
@@ -60,12 +62,18 @@ def syntax(path):
 
 
 SOURCES = [path for path in project_files() if path.suffix == ".py"]
-PACKAGE_SOURCES = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES]
+PACKAGE_SOURCES = [
+    path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES
+]
 TESTS = [path for path in SOURCES if path.parent == ROOT / "tests"]
 
 
 def functions(tree):
-    return [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    return [
+        n
+        for n in ast.walk(tree)
+        if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
+    ]
 
 
 def test_no_file_has_a_name_that_says_nothing():
@@ -93,7 +101,9 @@ def test_the_public_face_is_sorted_small_and_resolves(package_name):
     assert package.__doc__
     names = getattr(package, "__all__", [])
     # Constants first, then classes, then functions, as the formatter sorts them.
-    assert names == sorted(names, key=lambda n: (not n.isupper(), not n[0].isupper(), n))
+    assert names == sorted(
+        names, key=lambda n: (not n.isupper(), not n[0].isupper(), n)
+    )
     assert len(names) <= MOST_PUBLIC_NAMES
     assert [name for name in names if not hasattr(package, name)] == []
 
@@ -101,7 +111,9 @@ def test_the_public_face_is_sorted_small_and_resolves(package_name):
 INNER = sorted(
     path.parent.relative_to(ROOT).as_posix()
     for path in PACKAGE_SOURCES
-    if path.name == "__init__.py" and path.parent.parent != ROOT and path.parent.name != "data"
+    if path.name == "__init__.py"
+    and path.parent.parent != ROOT
+    and path.parent.name != "data"
 )
 
 
@@ -144,7 +156,11 @@ def with_arrays():
             module = None if "__main__" in info.name else import_module(info.name)
             for kind in vars(module).values() if module else ():
                 is_own = isinstance(kind, type) and kind.__module__ == info.name
-                if is_own and is_dataclass(kind) and re.search("[aA]rray", str(fields(kind))):
+                if (
+                    is_own
+                    and is_dataclass(kind)
+                    and re.search("[aA]rray", str(fields(kind)))
+                ):
                     yield kind
 
 
@@ -164,9 +180,13 @@ def undocumented(tree):
     nodes = [(node, "") for node in tree.body]
     while nodes:
         node, owner = nodes.pop()
-        if not isinstance(node, ast.ClassDef | ast.FunctionDef) or node.name.startswith("_"):
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef) or node.name.startswith(
+            "_"
+        ):
             continue
-        is_overload = any(ast.unparse(mark) == "overload" for mark in node.decorator_list)
+        is_overload = any(
+            ast.unparse(mark) == "overload" for mark in node.decorator_list
+        )
         if ast.get_docstring(node) is None and not is_overload:
             yield f"{owner}{node.name}"
         if isinstance(node, ast.ClassDef):
@@ -180,7 +200,9 @@ def test_everything_public_is_documented():
         if (names := list(undocumented(syntax(path))))
     }
     assert missing == {}
-    assert [name_of(path) for path in PACKAGE_SOURCES if not ast.get_docstring(syntax(path))] == []
+    assert [
+        name_of(path) for path in PACKAGE_SOURCES if not ast.get_docstring(syntax(path))
+    ] == []
 
 
 # Written so that these lines do not match themselves.
@@ -225,7 +247,9 @@ def asserts(node, helpers):
 @pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)
 def test_every_test_asserts_something(path):
     found = {node.name: node for node in functions(syntax(path))}
-    helpers = {name: node for name, node in found.items() if not name.startswith("test")}
+    helpers = {
+        name: node for name, node in found.items() if not name.startswith("test")
+    }
     tests = [node for name, node in found.items() if name.startswith("test")]
     assert [node.name for node in tests if not asserts(node, dict(helpers))] == []
     assert bool(tests) == path.name.startswith("test_")
@@ -243,7 +267,10 @@ def test_the_project_file_lists_every_package_on_disk():
 def test_every_dependency_has_a_range_and_a_reason():
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     extras = PROJECT["project"]["optional-dependencies"].values()
-    wanted = [*PROJECT["project"]["dependencies"], *(item for extra in extras for item in extra)]
+    wanted = [
+        *PROJECT["project"]["dependencies"],
+        *(item for extra in extras for item in extra),
+    ]
     own = [item for item in wanted if not item.startswith("needleforce[")]
     assert len(own) > 10
     for item in own:

@@ -18,7 +18,9 @@ from identification.rupture_report import (
 )
 from identification.tissue_motion import TissueMotion
 
-PLACE = Place(*(3.0, 0.01, 12.0, 4.0, 1.0, 0.9), usual_speed=4.0, noise=0.01, before=1.1)
+PLACE = Place(
+    *(3.0, 0.01, 12.0, 4.0, 1.0, 0.9), usual_speed=4.0, noise=0.01, before=1.1
+)
 
 
 def hypothesis(seed, kind, *, is_held=False):
@@ -60,8 +62,13 @@ def test_the_force_goes_on_as_it_was_across_an_event(seed, kind, is_held):
     after = spawn(before, 0.3, int(before.facts[0, law.RUPTURES]))
     born = Bank(*(part[1:] for part in after))
     assert len(born.log_weights) > 2
-    assert force_of(born) == pytest.approx(np.repeat(force_of(before), len(born.log_weights)))
-    assert set(born.facts[:, law.RUPTURES] - before.facts[0, law.RUPTURES]) <= {0.0, 1.0}
+    assert force_of(born) == pytest.approx(
+        np.repeat(force_of(before), len(born.log_weights))
+    )
+    assert set(born.facts[:, law.RUPTURES] - before.facts[0, law.RUPTURES]) <= {
+        0.0,
+        1.0,
+    }
     assert len(after.log_weights) <= CAPACITY
 
 
@@ -71,8 +78,13 @@ def test_the_friction_of_a_layer_left_stays_on_the_shaft_and_is_remembered():
     exits = (born.facts[:, law.RUPTURES] == 2.0) & (born.facts[:, law.IS_HELD] == 0.0)
     assert set(born.records[exits, law.RUPTURE_FORCE]) == {1.1}  # of the block before
     length = PLACE.depth - 4.0
-    own = before.means[0, law.OWN_COULOMB] + PLACE.speed * before.means[0, law.OWN_VISCOUS]
-    assert born.means[exits, law.LEFT] == pytest.approx(np.full(exits.sum(), length * own))
+    own = (
+        before.means[0, law.OWN_COULOMB]
+        + PLACE.speed * before.means[0, law.OWN_VISCOUS]
+    )
+    assert born.means[exits, law.LEFT] == pytest.approx(
+        np.full(exits.sum(), length * own)
+    )
     likely = born._replace(log_weights=np.where(exits, 0.0, -50.0))
     friction = friction_left(evidence_of(likely, None, 0), 2, 0.0)
     assert friction is not None
@@ -123,7 +135,9 @@ def test_a_force_that_was_expected_teaches_as_kalman_says():
 def test_noise_is_learned_part_by_part_and_neither_a_ramp_nor_chance_is_a_motion():
     levels, ramp, chance = (DisturbanceLevels() for _ in range(3))
     motions = []
-    for k, noise in enumerate((0.01 * np.random.default_rng(9).standard_normal(2000)).tolist()):
+    for k, noise in enumerate(
+        (0.01 * np.random.default_rng(9).standard_normal(2000)).tolist()
+    ):
         beat = 0.05 * np.sin(2.0 * np.pi * 1.2 * 0.01 * k)
         levels = levels.with_force(beat + noise, 0.01, 2.0)
         ramp = ramp.with_force(0.001 * k, 0.01, 2.0)
@@ -146,7 +160,9 @@ def test_texture_shows_an_error_of_the_law_and_noise_and_a_bend_do_not():
     for k, white in enumerate((0.005 * rng.standard_normal(4000)).tolist()):
         mixed = np.array([[a, b], [c, d]]) @ (error, slope)
         error, slope = mixed + rng.multivariate_normal((0.0, 0.0), spread)
-        smooth = smooth.with_force(white + 0.03 * 0.05 * k + 1e-5 * (0.05 * k) ** 2, 0.05, 5.0)
+        smooth = smooth.with_force(
+            white + 0.03 * 0.05 * k + 1e-5 * (0.05 * k) ** 2, 0.05, 5.0
+        )
         rough = rough.with_force(white + error, 0.05, 5.0)
         found.append((smooth.law_error(1.0, 0.0), rough.law_error(1.0, 0.0)))
     assert np.max(found, axis=0)[0] < 0.03
@@ -167,12 +183,22 @@ def test_texture_shows_an_error_of_the_law_and_noise_and_a_bend_do_not():
         (0.15, 2.3, 0.40, False),
     ],
 )
-def test_a_fall_that_braking_explains_is_no_rupture_yet(since_s, speed, fall_N, braking):
+def test_a_fall_that_braking_explains_is_no_rupture_yet(
+    since_s, speed, fall_N, braking
+):
     bank = first_bank()
-    bank.records[0, [law.RUPTURE_S, law.RUPTURE_SPEED, law.RUPTURE_FORCE]] = 10.0, 2.3, 1.0
-    place = Place(10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.0, 0.1)
+    bank.records[0, [law.RUPTURE_S, law.RUPTURE_SPEED, law.RUPTURE_FORCE]] = (
+        10.0,
+        2.3,
+        1.0,
+    )
+    place = Place(
+        10.0 + since_s, 0.01, 50.0, speed, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.0, 0.1
+    )
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
+    assert (
+        may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
+    )
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
         bank.records[0, law.RUPTURE_MM] = 50.0 - 0.4 * since_s
@@ -186,16 +212,29 @@ def test_a_coarse_encoder_makes_the_speed_later_and_what_falls_slowly_waits_for_
     at = [law.RUPTURE_S, law.RUPTURE_MM, law.RUPTURE_SPEED, law.RUPTURE_FORCE]
     bank.records[0, at] = 10.0, 49.66, 2.3, 1.0
     evaluation = Evaluation(more=0.99, fewer=0.0, pick=0, best=1)
-    for fall_N, lag_s, waits in ((0.2, 0.1, False), (0.2, 0.22, True), (0.25, 0.22, False)):
-        place = Place(10.15, 0.01, 50.0, 2.3, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.01, lag_s)
+    for fall_N, lag_s, waits in (
+        (0.2, 0.1, False),
+        (0.2, 0.22, True),
+        (0.25, 0.22, False),
+    ):
+        place = Place(
+            10.15, 0.01, 50.0, 2.3, 1.0, 1.0 - fall_N, 2.3, 0.004, 50.01, lag_s
+        )
         assert may_be_braking(bank, evaluation, place, 10.15, TissueMotion()) == waits
 
 
 @pytest.mark.parametrize(
     ("since_s", "force", "least", "more"),
-    [(0.1, 1.1, 0.9, 1.0), (0.1, 1.1, 0.98, 0.0), (0.6, 0.8, 0.8, 1.0), (0.6, 1.1, 0.8, 0.0)],
+    [
+        (0.1, 1.1, 0.9, 1.0),
+        (0.1, 1.1, 0.98, 0.0),
+        (0.6, 0.8, 0.8, 1.0),
+        (0.6, 1.1, 0.8, 0.0),
+    ],
 )
-def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(since_s, force, least, more):
+def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(
+    since_s, force, least, more
+):
     bank = first_bank()
     bank.facts[0, [law.KIND, law.RUPTURES]] = law.LAYER, 1.0
     bank.means[0, law.RELEASED] = 0.3
@@ -205,9 +244,15 @@ def test_a_rupture_counts_only_where_the_force_was_lower_and_late_is(since_s, fo
     assert count_ruptures(evidence, 0, PLACE._replace(force=force)).more == more
 
 
-@pytest.mark.parametrize(("reported", "left", "earlier"), [(1, 0.16, 0.3), (0, 0.46, 0.5)])
-def test_friction_of_a_rupture_not_reported_counts_with_the_next(reported, left, earlier):
-    bank = hypothesis(5, law.LAYER)  # knows of one rupture, and has 8 mm of shaft in the layer
+@pytest.mark.parametrize(
+    ("reported", "left", "earlier"), [(1, 0.16, 0.3), (0, 0.46, 0.5)]
+)
+def test_friction_of_a_rupture_not_reported_counts_with_the_next(
+    reported, left, earlier
+):
+    bank = hypothesis(
+        5, law.LAYER
+    )  # knows of one rupture, and has 8 mm of shaft in the layer
     own = [law.OWN_COULOMB, law.OWN_VISCOUS, law.LEFT, law.EARLIER]
     bank.means[0, own] = 0.02, 0.0, 0.3, 0.5
     found = spawn(bank, 0.1, reported)
@@ -230,8 +275,13 @@ def test_a_law_that_errs_leaves_no_tip_force_below_zero(friction):
     memory, answer = samples.FIRST_MEMORY.copy(), samples.NO_ANSWER.copy()
     memory[samples._DEFLECTION], memory[samples._DEEPEST] = 1.0, 0.02
     answer[0, samples.IN_CONTACT], answer[0, samples._LAW] = 1.0, 0.3**2
-    answer[1, samples.COULOMB], answer[2 + samples.COULOMB, samples.COULOMB] = friction, 0.3**2
-    found = samples.switching_outputs(0.02, 0.005, 1.1, memory, answer, np.zeros((0, 4)))
+    answer[1, samples.COULOMB], answer[2 + samples.COULOMB, samples.COULOMB] = (
+        friction,
+        0.3**2,
+    )
+    found = samples.switching_outputs(
+        0.02, 0.005, 1.1, memory, answer, np.zeros((0, 4))
+    )
     tips = np.random.default_rng(3).normal(1.1 - friction, 0.3, 1_000_000)
     tips, excess = tips[tips > 0.0], max(friction - 1.1, 0.0)
     assert found[4:8:2] == pytest.approx((tips.mean(), 1.1 - tips.mean()), abs=2e-3)

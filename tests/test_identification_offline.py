@@ -18,7 +18,9 @@ def _insertion(speed_of_t, duration_s=20.0):
 
 def _one_layer(t, z):
     end_s = float(t[np.searchsorted(z, THICKNESS_M)]) - 1e-9
-    return LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=end_s)
+    return LayerSpan(
+        start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=end_s
+    )
 
 
 def _constant(t):
@@ -46,7 +48,9 @@ def test_full_traversal_identifies_both_parameters(speed):
 
 def test_constant_speed_inside_one_layer_separates_nothing():
     t, z, v = _insertion(_constant, duration_s=10.0)
-    span = LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=99.0)
+    span = LayerSpan(
+        start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=99.0
+    )
     fit = identify_offline(t, z, v, STIFFNESS * z + FRICTION * z * v, [span])
     assert fit.rank == 1
     assert not fit.layers[0].stiffness_identified
@@ -62,7 +66,9 @@ def test_standard_deviations_cover_the_truth():
     clean = regression_matrix(t, z, v, [span]) @ [STIFFNESS, FRICTION]
     errors = []
     for _ in range(40):
-        fit = identify_offline(t, z, v, clean + 0.05 * rng.standard_normal(len(t)), [span])
+        fit = identify_offline(
+            t, z, v, clean + 0.05 * rng.standard_normal(len(t)), [span]
+        )
         layer = fit.layers[0]
         errors.append((layer.friction - FRICTION) / layer.friction_std)
     assert 0.6 < np.std(errors) < 1.6
@@ -70,17 +76,23 @@ def test_standard_deviations_cover_the_truth():
 
 def test_membrane_ends_elastic_column_at_its_own_rupture():
     t, z, v = _insertion(_constant)
-    span = LayerSpan(start_s=0.5, start_depth_m=float(z[250]), thickness_m=0.02, rupture_s=3.0)
+    span = LayerSpan(
+        start_s=0.5, start_depth_m=float(z[250]), thickness_m=0.02, rupture_s=3.0
+    )
     matrix = regression_matrix(t, z, v, [span])
     assert np.all(matrix[t > 3.0, 0] == 0)
     assert np.all(matrix[t > 3.1, 1] > 0)
     assert matrix[-1, 1] == pytest.approx(0.02 * v[-1])
 
 
-@pytest.mark.parametrize(("model", "columns"), [("kv", (0.5, 0.1)), ("ml", (0.5, 0.5 * 0.1))])
+@pytest.mark.parametrize(
+    ("model", "columns"), [("kv", (0.5, 0.1)), ("ml", (0.5, 0.5 * 0.1))]
+)
 def test_a_row_inside_a_layer_is_that_of_its_equation(model, columns):
     span = LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=1.0, rupture_s=9.0)
-    row = regression_matrix(np.zeros(1), np.array([0.5]), np.array([0.1]), [span], model)
+    row = regression_matrix(
+        np.zeros(1), np.array([0.5]), np.array([0.1]), [span], model
+    )
     assert row[0] == pytest.approx(columns)
 
 
@@ -114,7 +126,10 @@ def test_bad_columns_are_refused(change, message):
 
 @pytest.mark.parametrize(
     ("change", "message"),
-    [({"thickness_m": 0.0}, "thickness"), ({"start_s": 2.0, "rupture_s": 1.0}, "rupture")],
+    [
+        ({"thickness_m": 0.0}, "thickness"),
+        ({"start_s": 2.0, "rupture_s": 1.0}, "rupture"),
+    ],
 )
 def test_bad_layers_are_refused(change, message):
     with pytest.raises(InvalidConfigError, match=message):

@@ -39,7 +39,9 @@ def test_rls_equals_ridge_regression(rows):
     expected = np.linalg.solve(information, phi.T @ f)
     assert np.allclose(state[:2], expected, atol=1e-8)
     covariance = np.linalg.inv(information)
-    assert np.allclose(state[2:], [covariance[0, 0], covariance[0, 1], covariance[1, 1]], atol=1e-8)
+    assert np.allclose(
+        state[2:], [covariance[0, 0], covariance[0, 1], covariance[1, 1]], atol=1e-8
+    )
 
 
 def test_cusum_is_that_of_equation_9():
@@ -90,9 +92,15 @@ def test_reweighting_is_equation_12_and_splits_the_force_by_the_ratios():
     ratio=st.floats(0.01, 100.0),
     is_constant=st.booleans(),
 )
-def test_rerun_from_sums_equals_the_rerun_over_samples(seed, length, window, ratio, is_constant):
+def test_rerun_from_sums_equals_the_rerun_over_samples(
+    seed, length, window, ratio, is_constant
+):
     rng = np.random.default_rng(seed)
-    speed = np.full(length, 2.3e-3) if is_constant else 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
+    speed = (
+        np.full(length, 2.3e-3)
+        if is_constant
+        else 2e-3 + 1e-3 * np.sin(np.arange(length) / 9)
+    )
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
@@ -124,14 +132,21 @@ def ml_insertion(layers=LAYERS, noise_N=0.01, beyond_m=4e-3, seed=3):
     f, start = np.zeros_like(z), 0.0
     for thickness, stiffness, friction in layers:
         reach = np.clip(z - start, 0.0, thickness)
-        f += friction * reach * SPEED + np.where(reach < thickness, stiffness * reach, 0.0)
+        f += friction * reach * SPEED + np.where(
+            reach < thickness, stiffness * reach, 0.0
+        )
         start += thickness
     return z, f + noise_N * rng.standard_normal(len(z))
 
 
 def run(z, f, config=PUBLISHED, speed_m_s=SPEED):
     identifier = Identifier(config)
-    rows = zip(z.tolist(), np.broadcast_to(speed_m_s, z.shape).tolist(), f.tolist(), strict=True)
+    rows = zip(
+        z.tolist(),
+        np.broadcast_to(speed_m_s, z.shape).tolist(),
+        f.tolist(),
+        strict=True,
+    )
     return identifier, [identifier.update(*row, DT_S) for row in rows]
 
 
@@ -140,7 +155,9 @@ def test_finds_ruptures_and_friction_of_its_own_model():
     identifier, estimates = run(z, f)
     ruptures = [e.rupture for e in estimates if e.rupture]
     assert [round(r.depth_m, 3) for r in ruptures] == [0.030, 0.050]
-    for layer, (thickness, stiffness, friction) in zip(identifier.layers, LAYERS, strict=True):
+    for layer, (thickness, stiffness, friction) in zip(
+        identifier.layers, LAYERS, strict=True
+    ):
         assert layer.thickness_m == pytest.approx(thickness, rel=0.02)
         assert layer.friction_Ns_per_m2 == pytest.approx(friction, rel=0.25)
         assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=0.25)
@@ -168,13 +185,18 @@ def test_a_layer_is_subtracted_in_the_sample_that_identifies_it():
         assert estimate.cumulative_friction_Ns_per_m == 0.0
         assert not identifier.layers
     assert identifier.layers == (estimate.identified_layer,)
-    damping = estimate.identified_layer.friction_N / estimate.identified_layer.rupture.speed_m_s
+    damping = (
+        estimate.identified_layer.friction_N
+        / estimate.identified_layer.rupture.speed_m_s
+    )
     assert estimate.cumulative_friction_Ns_per_m == pytest.approx(damping)
 
 
 @pytest.mark.parametrize("swing_m_s", [0.0, 1.5e-3])
 @pytest.mark.parametrize("stiffness", [15.0, 60.0])
-def test_a_layer_of_equation_3_without_noise_is_identified_exactly(swing_m_s, stiffness):
+def test_a_layer_of_equation_3_without_noise_is_identified_exactly(
+    swing_m_s, stiffness
+):
     """The re-run is without the alarming sample: with it the friction erred by 2 to 225 %."""
     t_s = np.arange(0.0, 15.0, DT_S)
     v = SPEED + swing_m_s * np.sin(2.0 * np.pi * t_s / 5.0)

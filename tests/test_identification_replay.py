@@ -30,7 +30,13 @@ def test_with_recorded_speed_it_is_a_loop_over_update(columns):
     identifier = Identifier()
     usual = float(np.median(np.diff(t_s[:HEAD_ROWS])))
     dt_s = np.concatenate(([usual], np.diff(t_s))).tolist()
-    columns = (depth_m.tolist(), speed_m_s.tolist(), force_N.tolist(), dt_s, t_s.tolist())
+    columns = (
+        depth_m.tolist(),
+        speed_m_s.tolist(),
+        force_N.tolist(),
+        dt_s,
+        t_s.tolist(),
+    )
     rows = zip(*columns, strict=True)
     assert list(result.estimates) == [identifier.update(*row) for row in rows]
     assert result.layers == identifier.layers
@@ -45,7 +51,9 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     stream, dt_s = ReplayStream(), np.diff(t_s, prepend=t_s[0])
     edges = [0, *sorted(set(cuts)), len(t_s)]  # the first piece is the head at least
     found = [
-        stream.run(t_s[p], dt_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None)
+        stream.run(
+            t_s[p], dt_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None
+        )
         for p in (slice(a, b) for a, b in pairwise(edges) if b > a)
     ]
     assert [e for estimates in found for e in estimates] == list(whole.estimates)
@@ -57,7 +65,9 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
-    assert "longer than 0.25 s: 1;" in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1]
+    assert (
+        "longer than 0.25 s: 1;" in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1]
+    )
 
 
 def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(columns):
@@ -79,7 +89,9 @@ def test_repeated_rows_change_no_layer(columns):
 
 
 @pytest.mark.parametrize("has_speed", [True, False])
-def test_late_rows_shift_and_a_clock_that_was_set_back_hides_no_event(columns, has_speed):
+def test_late_rows_shift_and_a_clock_that_was_set_back_hides_no_event(
+    columns, has_speed
+):
     t_s, depth_m, force_N, speed_m_s = columns
     late_s, back_s = t_s.copy(), t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
@@ -89,7 +101,9 @@ def test_late_rows_shift_and_a_clock_that_was_set_back_hides_no_event(columns, h
     followed = replay(back_s, *given, dt_s=RowClock().update(back_s))
     rejected = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
     assert len([k for k in rejected if k != 300]) <= 12
-    expected_s, kept_s, moved_s = (r.layers[0].rupture.time_s for r in (clean, late, followed))
+    expected_s, kept_s, moved_s = (
+        r.layers[0].rupture.time_s for r in (clean, late, followed)
+    )
     assert kept_s == pytest.approx(expected_s, abs=0.02)
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.

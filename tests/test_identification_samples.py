@@ -43,12 +43,30 @@ class Hostile:
 
 
 NO_NUMBERS = [
-    *(1j, np.array(1.0 + 0.0j), np.ma.masked, np.ma.array(1.0, mask=True), True, np.array(True)),
-    *("0.1", np.array("0.1"), None, np.timedelta64(1, "ms"), Hostile(), [0.1], np.zeros(3)),
+    *(
+        1j,
+        np.array(1.0 + 0.0j),
+        np.ma.masked,
+        np.ma.array(1.0, mask=True),
+        True,
+        np.array(True),
+    ),
+    *(
+        "0.1",
+        np.array("0.1"),
+        None,
+        np.timedelta64(1, "ms"),
+        Hostile(),
+        [0.1],
+        np.zeros(3),
+    ),
 ]
 BAD_ANYWHERE = [
     *((value, SampleStatus.NOT_A_SCALAR) for value in NO_NUMBERS),
-    *((value, SampleStatus.NOT_FINITE) for value in (math.nan, math.inf, 10**400, -(10**400))),
+    *(
+        (value, SampleStatus.NOT_FINITE)
+        for value in (math.nan, math.inf, 10**400, -(10**400))
+    ),
 ]
 
 
@@ -70,7 +88,9 @@ BAD_ANYWHERE = [
         (0, 0.1, SampleStatus.DEPTH_JUMP),
     ],
 )
-def test_a_bad_sample_is_reported_without_a_warning_and_not_used(config, place, value, status):
+def test_a_bad_sample_is_reported_without_a_warning_and_not_used(
+    config, place, value, status
+):
     identifier = Identifier(config)
     before = identifier.update(*GOOD)
     state = pickle.dumps(identifier.snapshot().state)
@@ -102,7 +122,9 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
 def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt_s):
     identifier = Identifier(config)
     for k in range(300):
-        found = identifier.update(1e-5 * k, 0.01, 0.1 + 1e-3 * k, dt_s if k % 3 else 1e-3)
+        found = identifier.update(
+            1e-5 * k, 0.01, 0.1 + 1e-3 * k, dt_s if k % 3 else 1e-3
+        )
         assert found.status is (SampleStatus.TIME_RANGE if k % 3 else SampleStatus.OK)
         assert all(math.isfinite(value) for value in found if isinstance(value, float))
     assert found.time_s == pytest.approx(0.1)
@@ -181,7 +203,9 @@ def test_a_jump_of_depth_is_removed_for_good():
 
 def test_travel_before_a_stop_within_a_gap_is_no_jump():
     rows = [(8e-6 * k, 8e-3, 0.0, 1e-3) for k in range(500)]
-    seen, _, depth_m = check_rows([*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)])
+    seen, _, depth_m = check_rows(
+        [*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)]
+    )
     assert seen[-2:] == [SampleStatus.TIME_GAP, SampleStatus.OK]
     assert depth_m == pytest.approx(8e-3)
 
@@ -189,7 +213,9 @@ def test_travel_before_a_stop_within_a_gap_is_no_jump():
 def test_travel_within_a_gap_is_no_jump_but_a_new_zero_of_the_depth_is():
     rows = [(0.0, 0.0, 0.0, 1e-3)] * 50
     for there_m, kept_m, status in ((8e-3, 8e-3, "TIME_GAP"), (0.5, 0.0, "DEPTH_JUMP")):
-        seen, _, depth_m = check_rows([*rows, (there_m, 0.0, 0.0, 3.0), (there_m, 0.0, 0.0, 1e-3)])
+        seen, _, depth_m = check_rows(
+            [*rows, (there_m, 0.0, 0.0, 3.0), (there_m, 0.0, 0.0, 1e-3)]
+        )
         assert (seen[-2], seen[-1].is_used) == (SampleStatus[status], True)
         assert depth_m == pytest.approx(kept_m)
 
@@ -197,10 +223,14 @@ def test_travel_within_a_gap_is_no_jump_but_a_new_zero_of_the_depth_is():
 def test_a_gap_does_not_make_the_next_one_usual():
     rows = [(0.0, 0.0, 0.0, dt_s) for dt_s in (*[1e-3] * 50, 100.0, *[1e-3] * 20, 10.0)]
     seen, _, _ = check_rows(rows)
-    assert [each for each in seen if each is not SampleStatus.OK] == [SampleStatus.TIME_GAP] * 2
+    assert [each for each in seen if each is not SampleStatus.OK] == [
+        SampleStatus.TIME_GAP
+    ] * 2
 
 
-@pytest.mark.parametrize("std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400])
+@pytest.mark.parametrize(
+    "std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400]
+)
 def test_a_deviation_that_is_none_counts_as_not_stated(std):
     found, other = Identifier(), Identifier()
     for k in range(300):
@@ -209,7 +239,9 @@ def test_a_deviation_that_is_none_counts_as_not_stated(std):
 
 
 def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
-    rows = [(2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)]
+    rows = [
+        (2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)
+    ]
     seen, time_s, _ = check_rows(rows)
     rejected = [k for k, status in enumerate(seen) if status is SampleStatus.SPEED_SIGN]
     assert len(rejected) > 2000
@@ -219,10 +251,14 @@ def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
     assert time_s == pytest.approx(3.5)
 
 
-@pytest.mark.parametrize(("jumps", "after"), [(1, SampleStatus.OK), (300, SampleStatus.TIME_GAP)])
+@pytest.mark.parametrize(
+    ("jumps", "after"), [(1, SampleStatus.OK), (300, SampleStatus.TIME_GAP)]
+)
 def test_time_passes_over_jumps_of_depth(jumps, after):
     places = [0.05 * min(max(k - 99, 0), jumps) for k in range(500)]
-    seen, _, _ = check_rows([(z + 2e-6 * k, 0.002, 0.0, 1e-3) for k, z in enumerate(places)])
+    seen, _, _ = check_rows(
+        [(z + 2e-6 * k, 0.002, 0.0, 1e-3) for k, z in enumerate(places)]
+    )
     assert seen[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
     assert seen[100 + jumps] is after
     assert set(seen[101 + jumps :]) == {SampleStatus.OK}

@@ -15,7 +15,9 @@ def samples(n=8000, seed=4):
     rng = np.random.default_rng(seed)
     z = -2e-3 + 2.5e-6 * np.arange(n)
     reach = np.maximum(z, 0.0)
-    f = np.where(reach < 0.01, 60.0 * reach, 30.0 * reach) + 0.01 * rng.standard_normal(n)
+    f = np.where(reach < 0.01, 60.0 * reach, 30.0 * reach) + 0.01 * rng.standard_normal(
+        n
+    )
     return [(a, 2.5e-3, b, 1e-3) for a, b in zip(z.tolist(), f.tolist(), strict=True)]
 
 
@@ -36,7 +38,9 @@ def test_memory_is_bounded(config):
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
-def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config, least, tmp_path):
+def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(
+    config, least, tmp_path
+):
     """Each seventh one, and from a file each fifth one that is taken while work is left."""
     whole, part, files, found, taken = Identifier(config), Identifier(config), 0, [], []
     for k, row in enumerate(samples()):
@@ -44,7 +48,9 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config,
         assert part.update(*row) == found[-1]
         kept = part.snapshot()
         # Whether the work of a block or the wait for a force drop has begun and not ended.
-        is_at_work = kept.state.stage != 0 if config is MULTILAYER else bool(kept.state.ruptured)
+        is_at_work = (
+            kept.state.stage != 0 if config is MULTILAYER else bool(kept.state.ruptured)
+        )
         files += is_at_work
         if is_at_work and files % 5 == 1:
             write_snapshot(kept, tmp_path / "kept.json")
@@ -55,7 +61,9 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(config,
         part = Identifier(config)
         part.restore(kept)
     assert files >= least
-    assert all(pickle.dumps(kept) == before for kept, before in taken)  # nothing changes one
+    assert all(
+        pickle.dumps(kept) == before for kept, before in taken
+    )  # nothing changes one
     part.reset()
     assert run(part, samples()) == found
 
@@ -84,7 +92,9 @@ def in_tissue():
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )
-def test_a_damaged_state_is_refused_and_changes_nothing(in_tissue, config, place, change):
+def test_a_damaged_state_is_refused_and_changes_nothing(
+    in_tissue, config, place, change
+):
     identifier = in_tissue[config]
     whole, *names = identifier.snapshot(), *place.split(".")
     parts = [whole.state]

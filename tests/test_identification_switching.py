@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from groundtruth import insert_needle
-from identification import MULTILAYER, Identifier, MultilayerConfig, SampleStatus, replay
+from identification import (
+    MULTILAYER,
+    Identifier,
+    MultilayerConfig,
+    SampleStatus,
+    replay,
+)
 from identification.errors import InvalidConfigError
 
 SPEED = 4e-3
@@ -62,16 +68,26 @@ def run(rows, identifier=None):
 
 
 def of(estimates, name):
-    return [value for value in (getattr(one, name) for one in estimates) if value is not None]
+    return [
+        value
+        for value in (getattr(one, name) for one in estimates)
+        if value is not None
+    ]
 
 
 def assert_both_found(identifier, estimates, *, within=0.2, false=0):
     ruptures, retracted = of(estimates, "rupture"), of(estimates, "retracted")
     assert len(ruptures) - len(retracted) == 2 + false
-    kept = [one for one in ruptures if one.alarm_s not in {gone.alarm_s for gone in retracted}]
+    kept = [
+        one
+        for one in ruptures
+        if one.alarm_s not in {gone.alarm_s for gone in retracted}
+    ]
     ends = np.cumsum(THICK_M)
     assert [one.depth_m for one in kept] == pytest.approx(ends, abs=0.3e-3)
-    for layer, friction, thick in zip(identifier.layers, FRICTION, THICK_M, strict=True):
+    for layer, friction, thick in zip(
+        identifier.layers, FRICTION, THICK_M, strict=True
+    ):
         error = abs(layer.friction_N - friction * thick)
         assert error < within * friction * thick
         assert error < 3.0 * layer.friction_std_N + 0.03 * friction * thick
@@ -89,7 +105,9 @@ def test_two_layers_are_found_and_told_apart_from_their_friction():
     assert 0.0 < first.alarm_s - first.time_s < 0.06
     identified = of(estimates, "identified_layer")
     numbers = [(one.layer, one.is_final, one.rupture.is_final) for one in identified]
-    assert numbers == [(k, is_final, is_final) for k in (1, 2) for is_final in (False, True)]
+    assert numbers == [
+        (k, is_final, is_final) for k in (1, 2) for is_final in (False, True)
+    ]
     last = estimates[-1]
     assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
     assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)
@@ -137,9 +155,14 @@ def test_tip_and_friction_are_within_their_deviations(seed):
     rows = straight(seed)
     _, estimates = run(rows)
     true = [tissue_N(row[0]) for row in rows[6000:]]
-    truths = {"tip_force": [tip for tip, _ in true], "shaft_friction": [sum(f) for _, f in true]}
+    truths = {
+        "tip_force": [tip for tip, _ in true],
+        "shaft_friction": [sum(f) for _, f in true],
+    }
     for name, truth_N in truths.items():
-        found, std = (np.array(of(estimates[6000:], f"{name}{end}")) for end in ("_N", "_std_N"))
+        found, std = (
+            np.array(of(estimates[6000:], f"{name}{end}")) for end in ("_N", "_std_N")
+        )
         assert np.mean(np.abs(found - truth_N) < 2.0 * std + 5e-3) > 0.9
     # Before the needle brakes: one speed does not show how much of the friction stays at rest.
     assert std[-200] < 0.1 * found[-200]
@@ -156,17 +179,31 @@ def test_the_tissue_may_beat():
 def test_noise_of_the_position_does_not_hide_ruptures(has_speed):
     # Without the stop at the end, which a speed estimated from such depths shows late.
     rows = straight(4, jitter_m=1e-4)[:-250]
-    rows = rows if has_speed else [(depth, None, force, dt) for depth, _, force, dt in rows]
+    rows = (
+        rows
+        if has_speed
+        else [(depth, None, force, dt) for depth, _, force, dt in rows]
+    )
     assert_both_found(*run(rows), within=0.3)
 
 
 def test_rests_and_reversals_are_no_ruptures():
-    moves = [(12e-3, 3.0), (0.0, 1.5), (6e-3, 1.5), (0.0, 1.0), (-3e-3, 0.75), (3e-3, 0.75)]
+    moves = [
+        (12e-3, 3.0),
+        (0.0, 1.5),
+        (6e-3, 1.5),
+        (0.0, 1.0),
+        (-3e-3, 0.75),
+        (3e-3, 0.75),
+    ]
     identifier, estimates = run(insertion([*moves, (28e-3, 7.0)], seed=5))
     assert_both_found(identifier, estimates, within=0.3)
     # Friction may let go while the needle rests.
     assert estimates[4400].shaft_friction_N < 0.95 * estimates[3100].shaft_friction_N
-    assert abs(estimates[4400].shaft_friction_N - 0.1) < 2.0 * estimates[4400].shaft_friction_std_N
+    assert (
+        abs(estimates[4400].shaft_friction_N - 0.1)
+        < 2.0 * estimates[4400].shaft_friction_std_N
+    )
 
 
 def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
@@ -174,11 +211,18 @@ def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
     identifier, estimates = run(rows)
     assert len(identifier.layers) == 2
     assert all(layer.is_final for layer in identifier.layers)
-    out = [(one, row) for one, row in zip(estimates, rows, strict=True) if row[1] < 0.0][1000:]
+    out = [
+        (one, row) for one, row in zip(estimates, rows, strict=True) if row[1] < 0.0
+    ][1000:]
     withdrawn = [one for one, _ in out]
-    assert np.sqrt(np.mean([(row[2] - one.predicted_force_N) ** 2 for one, row in out])) < 0.1
+    assert (
+        np.sqrt(np.mean([(row[2] - one.predicted_force_N) ** 2 for one, row in out]))
+        < 0.1
+    )
     for depth_m, layer in ((30e-3, 2), (10e-3, 1), (-2e-3, 0)):
-        assert {one.layer for one, row in out if abs(row[0] - depth_m) < 1e-3} == {layer}
+        assert {one.layer for one, row in out if abs(row[0] - depth_m) < 1e-3} == {
+            layer
+        }
     assert of(withdrawn, "rupture") == []
     assert {one.tip_force_N for one in withdrawn[:3000]} == {0.0}
     left = [one.enhanced_force_N for one in withdrawn[:5000]]

@@ -22,10 +22,14 @@ def insertion(waves, name="gel-25-constant", seed=5):
 
     The caller's clock begins below zero; that of the motion is the time since the first sample.
     """
-    chosen = replace(scenario(name, 0), tissue_motion=TrueMotion(waves=waves) if waves else None)
+    chosen = replace(
+        scenario(name, 0), tissue_motion=TrueMotion(waves=waves) if waves else None
+    )
     run, found, motions = insert_needle(chosen, seed=seed), [], []
     identifier = Identifier()
-    samples = zip(run.depth_m.tolist(), run.speed_m_s.tolist(), run.force_N.tolist(), strict=True)
+    samples = zip(
+        run.depth_m.tolist(), run.speed_m_s.tolist(), run.force_N.tolist(), strict=True
+    )
     for k, sample in enumerate(samples):
         if run.tare_end_s < run.t_s[k] < run.scenario.motion.withdrawal_start_s:
             found.append(identifier.update(*sample, 1e-3, CLOCK_S + float(run.t_s[k])))
@@ -42,7 +46,9 @@ def test_speed_is_the_rate_of_the_place():
     assert np.allclose(displacement(fit.beats, times - 1.7)[0], place)
 
 
-@pytest.mark.parametrize(("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28), (HEART + BREATH, 0.28)])
+@pytest.mark.parametrize(
+    ("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28), (HEART + BREATH, 0.28)]
+)
 def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     run, found, motions = insertion(waves)
     known = [motion for motion in motions if motion.is_known]
@@ -55,7 +61,9 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     place = displacement(last.fit.beats, times)[0]
     error = place - 1e3 * true.at(begin_s + last.fit.at_s + times)[0]
     assert np.std(error) < 0.3 * np.std(place)
-    alarms_s = [each.rupture.alarm_s - CLOCK_S for each in found if each.rupture is not None]
+    alarms_s = [
+        each.rupture.alarm_s - CLOCK_S for each in found if each.rupture is not None
+    ]
     near = [each for each in alarms_s if abs(each - rupture_s) < 3.0]
     assert len(near) == 1
     assert len(alarms_s) <= 3  # not one at every beat
@@ -78,7 +86,9 @@ def test_a_motion_that_has_ended_is_given_up():
     forces = (0.1 + 0.02 * depths) * deflections + (5e-3 + 2e-3 * depths) * speeds
     forces += (0.2 + 0.03 * depths) * left + noise.normal(0.0, 0.01, len(times))
     motion, known = TissueMotion(), []
-    for time_s, depth, force in zip(times.tolist(), depths.tolist(), forces.tolist(), strict=True):
+    for time_s, depth, force in zip(
+        times.tolist(), depths.tolist(), forces.tolist(), strict=True
+    ):
         place, speed = motion.at(time_s)
         block = Place(time_s, 0.05, depth - place, 3.0 - speed, 1.0, force, 3.0, 0.01)
         motion = motion.with_block(block, is_met=True)
@@ -98,7 +108,9 @@ def test_a_motion_that_a_second_rupture_contradicts_is_forgotten():
 
 
 def test_a_fit_that_has_become_bad_is_noise_only_once_it_stays_so():
-    window = np.column_stack((np.arange(256) * 0.05, np.arange(256) * 0.15, np.full(256, 3.0)))
+    window = np.column_stack(
+        (np.arange(256) * 0.05, np.arange(256) * 0.15, np.full(256, 3.0))
+    )
     window = np.column_stack((window, np.random.default_rng(0).normal(1.0, 0.3, 256)))
     fit = Fit(np.array([[1.2, 0.2, 0.0, 0.0, 0.0]]), 12.8, 5.0, rms_N=0.01)
     motion, left_N = TissueMotion(window=window, fit=fit), []
@@ -115,17 +127,23 @@ def test_whatever_the_window_holds_work_never_fails(force, speed):
     motion = TissueMotion(unit=0)
     for k in range(400):
         sign = 1.0 if k % 7 else -1.0
-        block = Place(0.05 * k, 0.05, 0.05 * speed * k, speed, 1.0, sign * force, speed, 0.01)
+        block = Place(
+            0.05 * k, 0.05, 0.05 * speed * k, speed, 1.0, sign * force, speed, 0.01
+        )
         motion = motion.with_block(block, is_met=True)
         motion = motion.worked(0.05 * k) if motion.is_due(0.05 * k) else motion
         assert np.isfinite(motion.at(0.05 * k)).all()
 
 
 def test_an_insertion_goes_on_from_a_snapshot_in_moving_tissue():
-    chosen = replace(scenario("gel-25-constant", 0), tissue_motion=TrueMotion(waves=HEART))
+    chosen = replace(
+        scenario("gel-25-constant", 0), tissue_motion=TrueMotion(waves=HEART)
+    )
     run = insert_needle(chosen, seed=5)
     first, second = Identifier(), Identifier()
-    rows = np.column_stack((run.depth_m, run.speed_m_s, run.force_N))[13_000:26_000].tolist()
+    rows = np.column_stack((run.depth_m, run.speed_m_s, run.force_N))[
+        13_000:26_000
+    ].tolist()
     for k, row in enumerate(rows):
         if k == 11_000:
             second.restore(first.snapshot())

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
-from identification.sample_filter import LEAST_DEPTHS, OF_DEPTH, SAMPLE_MEMORY, filter_travel
+from identification.sample_filter import (
+    LEAST_DEPTHS,
+    OF_DEPTH,
+    SAMPLE_MEMORY,
+    filter_travel,
+)
 from identification.speed_trend import NO_TREND, follow_speed
 
 
@@ -48,12 +53,16 @@ def filtered(t_s, depth_m, speed_m_s):
 
 @pytest.mark.parametrize("given", ["none", "measured", "estimated"])
 @pytest.mark.parametrize("noise_m", [1.4e-5, 1.2e-4])
-@pytest.mark.parametrize(("rate_hz", "jitter"), [(1000.0, 0.0), (1000.0, 0.6), (200.0, 0.0)])
+@pytest.mark.parametrize(
+    ("rate_hz", "jitter"), [(1000.0, 0.0), (1000.0, 0.6), (200.0, 0.0)]
+)
 def test_noise_is_learned_and_what_it_leaves_is_stated(given, noise_m, rate_hz, jitter):
     rng = np.random.default_rng(1)
     t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
     noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
-    found, known_m = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
+    found, known_m = filtered(
+        t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng)
+    )
     assert known_m == pytest.approx(noise_m, rel=0.15)
     steady = (t_s > 2.0) & (t_s < 5.0)
     off_m, off_m_s = (found[:, :2] - np.column_stack((depth_m, speed_m_s)))[steady].T
@@ -89,7 +98,9 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
 def test_smooth_noise_of_a_coarse_encoder_is_learned_too(step_m):
     t_s, depth_m, speed_m_s = motion()
     at_m, rate_m_s = np.zeros(len(t_s)), np.zeros(len(t_s))
-    for part, rng in zip((0.5, 0.3, 0.2), np.random.default_rng(6).spawn(3), strict=True):
+    for part, rng in zip(
+        (0.5, 0.3, 0.2), np.random.default_rng(6).spawn(3), strict=True
+    ):
         noisy_m = part * depth_m + 0.3 * step_m * rng.standard_normal(len(t_s))
         rounded_m = np.round(noisy_m / step_m) * step_m
         rate = speed_given("estimated", t_s, rounded_m, None, rng)
@@ -108,13 +119,21 @@ def test_a_swing_is_no_noise_though_samples_are_late_or_lost(rate_hz, lost_s):
     rng, memory, least = np.random.default_rng(4), np.zeros(SAMPLE_MEMORY), []
     t_s = 0.0
     for k in range(int(14.0 * rate_hz)):
-        dt_s = (lost_s if k % int(2.0 * rate_hz) == 0 else 0.0) + rng.uniform(0.8, 1.2) / rate_hz
+        dt_s = (lost_s if k % int(2.0 * rate_hz) == 0 else 0.0) + rng.uniform(
+            0.8, 1.2
+        ) / rate_hz
         t_s += dt_s
-        swing_m = 2e-4 * math.sin(2.0 * math.pi * 6.0 * t_s) if k > 8.0 * rate_hz else 0.0
-        filter_travel(swing_m + 2e-6 * float(rng.standard_normal()), 0.0, dt_s, False, memory)
+        swing_m = (
+            2e-4 * math.sin(2.0 * math.pi * 6.0 * t_s) if k > 8.0 * rate_hz else 0.0
+        )
+        filter_travel(
+            swing_m + 2e-6 * float(rng.standard_normal()), 0.0, dt_s, False, memory
+        )
         least.append(memory[LEAST_DEPTHS])
     forgotten = math.exp(6.0 / 8.0)  # of the least, in 6 s of swing
-    assert max(least[int(3.0 * rate_hz) :]) < 2.0 * forgotten * 4e-12 / (0.016 * rate_hz)
+    assert max(least[int(3.0 * rate_hz) :]) < 2.0 * forgotten * 4e-12 / (
+        0.016 * rate_hz
+    )
 
 
 def test_after_a_gap_it_starts_anew():
@@ -134,7 +153,9 @@ def test_nobody_need_measure_the_speed():
         depth = 2.5e-6 * k - 5e-3
         force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.2
         noise = rng.standard_normal(2).tolist()
-        found = identifier.update(depth + 1e-4 * noise[0], None, force + 0.01 * noise[1], 1e-3)
+        found = identifier.update(
+            depth + 1e-4 * noise[0], None, force + 0.01 * noise[1], 1e-3
+        )
         assert found.status is SampleStatus.OK
     (layer,) = identifier.layers
     assert layer.rupture.depth_m == pytest.approx(0.01, abs=3e-4)

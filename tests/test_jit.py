@@ -21,12 +21,15 @@ PACKAGES = ("residual", "identification", "needleforce")
 def test_what_is_compiled_uses_nothing_of_another_file():
     """What numba keeps is made anew when the function's own file changes; `dot` never does."""
     found, count = {}, 0
-    for path in (path for package in PACKAGES for path in (ROOT / package).rglob("*.py")):
+    for path in (
+        path for package in PACKAGES for path in (ROOT / package).rglob("*.py")
+    ):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         foreign = {
             alias.asname or alias.name
             for node in tree.body
-            if isinstance(node, ast.ImportFrom) and node.module.split(".")[0] in (*PACKAGES, "urdf")
+            if isinstance(node, ast.ImportFrom)
+            and node.module.split(".")[0] in (*PACKAGES, "urdf")
             for alias in node.names
             if alias.name != "dot"
         }
@@ -35,7 +38,9 @@ def test_what_is_compiled_uses_nothing_of_another_file():
             if "compiled" in marks:
                 count += 1
                 body = ast.Module(body=node.body, type_ignores=[])
-                used = {item.id for item in ast.walk(body) if isinstance(item, ast.Name)} & foreign
+                used = {
+                    item.id for item in ast.walk(body) if isinstance(item, ast.Name)
+                } & foreign
                 if used:
                     found[f"{path.relative_to(ROOT)}:{node.name}"] = used
     assert found == {}
@@ -43,7 +48,9 @@ def test_what_is_compiled_uses_nothing_of_another_file():
 
 
 @pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
-@pytest.mark.parametrize("error", [RuntimeError("no locator"), EOFError(), OSError("disk full")])
+@pytest.mark.parametrize(
+    "error", [RuntimeError("no locator"), EOFError(), OSError("disk full")]
+)
 def test_where_nothing_can_be_kept_it_compiles_all_the_same(monkeypatch, error):
     import numba
 
@@ -69,14 +76,23 @@ def test_everything_runs_without_a_compiler(hidden):
         "assert COMPILER == '' and compiled(plain) is plain\n"
         "print('plain')"
     )
-    options = {"cwd": ROOT, "env": {"NUMBA_DISABLE_JIT": "1"}, "text": True, "check": True}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, **options)
+    options = {
+        "cwd": ROOT,
+        "env": {"NUMBA_DISABLE_JIT": "1"},
+        "text": True,
+        "check": True,
+    }
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, **options
+    )
     assert done.stdout == "plain\n"
 
 
 @pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
 def test_every_compiled_function_is_compiled_once_before_the_first_sample():
-    modules = [sys.modules[name] for name in sorted(sys.modules) if name.startswith(PACKAGES)]
+    modules = [
+        sys.modules[name] for name in sorted(sys.modules) if name.startswith(PACKAGES)
+    ]
     found = {
         f"{function.__module__}.{function.__name__}": function
         for module in modules
@@ -87,7 +103,9 @@ def test_every_compiled_function_is_compiled_once_before_the_first_sample():
     assert len(found) > 20
     assert set(before.values()) == {1}
     chain_numbers(10, 300)
-    assert {name: len(function.signatures) for name, function in found.items()} == before
+    assert {
+        name: len(function.signatures) for name, function in found.items()
+    } == before
 
 
 def chain_numbers(joint_rows, needle_rows):
@@ -102,7 +120,9 @@ def chain_numbers(joint_rows, needle_rows):
         for k in range(joint_rows):
             if k == 1000:
                 session.tare(ignore_contact=True)
-            estimate = session.update(q[k], dq[k] if has_velocity else None, tau[k], 1e-3)
+            estimate = session.update(
+                q[k], dq[k] if has_velocity else None, tau[k], 1e-3
+            )
             wrench = estimate.wrench
             found.append([wrench.axial, wrench.axial_std, estimate.speed_m_s])
     depth_m = 2e-5 * np.arange(needle_rows) - 2e-3
@@ -112,14 +132,20 @@ def chain_numbers(joint_rows, needle_rows):
     depth_m[200:] += 0.05
     for config in (MULTILAYER, PUBLISHED):
         made = replay(0.01 * np.arange(needle_rows), depth_m, force_N, config=config)
-        found += [[e.tip_force_N, e.enhanced_force_N, e.predicted_force_N] for e in made.estimates]
+        found += [
+            [e.tip_force_N, e.enhanced_force_N, e.predicted_force_N]
+            for e in made.estimates
+        ]
     return np.array(found)
 
 
 @pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
 def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
     script = f"import test_jit; test_jit.np.save({str(tmp_path / 'a')!r}, test_jit.chain_numbers"
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}"}
+    environment = os.environ | {
+        "NUMBA_DISABLE_JIT": "1",
+        "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}",
+    }
     command = [sys.executable, "-c", f"{script}(1100, 900))"]
     subprocess.run(command, env=environment, check=True)
     plain, compiled_ = np.load(tmp_path / "a.npy"), chain_numbers(1100, 900)

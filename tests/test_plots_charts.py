@@ -25,7 +25,9 @@ pytest.importorskip("matplotlib")
 
 def curve(y, label="a force", **more):
     y = np.asarray(y, dtype=float)
-    return Curve(style=palette.OURS, x=np.arange(len(y)) * 1e-3, y=y, label=label, **more)
+    return Curve(
+        style=palette.OURS, x=np.arange(len(y)) * 1e-3, y=y, label=label, **more
+    )
 
 
 def chart(*curves, title="Force\na run", limits=None, **more):
@@ -67,7 +69,15 @@ def test_labels_units_and_legend_are_in_the_figure(tmp_path):
     )
     path = save_figure(full, tmp_path / "a.svg")
     found = words(path)
-    expected = ["Force", "a run", "axial force [N]", "time [s]", "a force", "± 2 std", "tare"]
+    expected = [
+        "Force",
+        "a run",
+        "axial force [N]",
+        "time [s]",
+        "a force",
+        "± 2 std",
+        "tare",
+    ]
     for text in (*expected, "rupture", "rejected", "gel", "25 %"):
         assert found.count(text) == 1, "once, also where it stands for several marks"
     assert ElementTree.parse(path).getroot().tag.endswith("svg")
@@ -75,7 +85,9 @@ def test_labels_units_and_legend_are_in_the_figure(tmp_path):
 
 @pytest.mark.parametrize("name", ["force", "a force of a name as long as that"])
 def test_a_legend_ends_within_the_figure(name):
-    axes = drawn_axes(chart(*(curve([0.0, 1.0], label=f"{name} {k}") for k in range(9))))
+    axes = drawn_axes(
+        chart(*(curve([0.0, 1.0], label=f"{name} {k}") for k in range(9)))
+    )
     figure = axes[0].figure
     assert figure.legends[0].get_window_extent().width <= figure.bbox.width
     assert len(figure.legends) == 1
@@ -84,16 +96,25 @@ def test_a_legend_ends_within_the_figure(name):
 @pytest.mark.parametrize(
     ("suffix", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")]
 )
-def test_the_ending_gives_the_format_and_equal_charts_give_equal_bytes(tmp_path, suffix, start):
-    paths = [save_figure(chart(curve([0.0, 2.0])), tmp_path / f"{name}.{suffix}") for name in "ab"]
+def test_the_ending_gives_the_format_and_equal_charts_give_equal_bytes(
+    tmp_path, suffix, start
+):
+    paths = [
+        save_figure(chart(curve([0.0, 2.0])), tmp_path / f"{name}.{suffix}")
+        for name in "ab"
+    ]
     assert paths[0].read_bytes().startswith(start)
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
-@pytest.mark.parametrize("name", [r"$\frac{$.csv", "a\udcff\x01 -- <b>&.csv", "针.csv", "^_{}.csv"])
+@pytest.mark.parametrize(
+    "name", [r"$\frac{$.csv", "a\udcff\x01 -- <b>&.csv", "针.csv", "^_{}.csv"]
+)
 @pytest.mark.parametrize("suffix", ["svg", "png", "pdf"])
 def test_any_file_name_can_stand_in_a_title(tmp_path, name, suffix, recwarn):
-    path = save_figure(chart(curve([0.0, 1.0]), title=f"Forces\n{name}"), tmp_path / f"a.{suffix}")
+    path = save_figure(
+        chart(curve([0.0, 1.0]), title=f"Forces\n{name}"), tmp_path / f"a.{suffix}"
+    )
     assert path.stat().st_size > 1000
     assert not recwarn.list
     if suffix == "svg":
@@ -110,7 +131,9 @@ def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
     save_figure(chart(curve(wave, std=np.ones(len(wave)))), path)
     assert path.stat().st_size < 100_000, "of a band as well"
     noise[123_456] = 20.0
-    spiked = places(save_figure(chart(curve(noise), limits=(-25, 25)), path), palette.BLUE)
+    spiked = places(
+        save_figure(chart(curve(noise), limits=(-25, 25)), path), palette.BLUE
+    )
     upper, lower = spiked[:, 1].min(), spiked[:, 1].max()
     middle = np.median(spiked[:, 1])
     assert middle - upper > 3.0 * (lower - middle)
@@ -119,7 +142,9 @@ def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
     std = np.ones(len(holed))
     text = save_figure(chart(curve(holed, std=std)), path).read_text(encoding="utf-8")
     lines = re.findall(rf'<path d="([^"]*)" clip-path[^>]*stroke: {palette.BLUE}', text)
-    assert [line.count("M") for line in lines] == [2, 2, 2], "two pieces: curve and edges of band"
+    assert [line.count("M") for line in lines] == [2, 2, 2], (
+        "two pieces: curve and edges of band"
+    )
 
 
 def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked_also_in_a_window():
@@ -133,7 +158,9 @@ def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked_also_in_a_
     assert [line.get_xdata()[0] for line in marks] == [pytest.approx(0.077, abs=0.1)]
     assert marks[0].get_ydata()[0] == axes.get_ylim()[1]
     assert [text.get_text() for text in axes.texts] == ["1000000"]
-    assert not drawn_axes(chart(curve(np.ones(9))))[0].texts, "nothing is cut, nothing is marked"
+    assert not drawn_axes(chart(curve(np.ones(9))))[0].texts, (
+        "nothing is cut, nothing is marked"
+    )
     # A window has axes for the part that it shows.
     y = np.concatenate([np.full(100, 50.0), np.ones(100)])
     assert limits_of([curve(y)], (0.11, 0.2))[1] < 2.0
@@ -142,7 +169,9 @@ def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked_also_in_a_
     assert axes.get_xlim() == (0.11, 0.2)
     assert axes.get_ylim()[1] < 2.0
     assert not axes.texts, "what is cut outside of the window is not marked"
-    with pytest.raises(ChartError, match="from 2 to 1; the end must lie after the start"):
+    with pytest.raises(
+        ChartError, match="from 2 to 1; the end must lie after the start"
+    ):
         window.within(2.0, 1.0)
 
 

@@ -27,13 +27,22 @@ def page(dot):
         "tables": (table,),
         "command": "python -m a > b",
     }
-    sections = [Section(heading=f"Part {k}", anchor=f"part-{k}", **parts) for k in range(3)]
+    sections = [
+        Section(heading=f"Part {k}", anchor=f"part-{k}", **parts) for k in range(3)
+    ]
     return Page(title="A & B", lead=("Lead.",), sections=tuple(sections))
 
 
 def test_everything_is_there_and_nothing_comes_from_outside(page):
     html = page.html()
-    counts = {"section": 3, "table": 3, "figure": 6, "picture": 6, "nav": 1, "script": 0}
+    counts = {
+        "section": 3,
+        "table": 3,
+        "figure": 6,
+        "picture": 6,
+        "nav": 1,
+        "script": 0,
+    }
     for tag, count in counts.items():
         assert len(re.findall(rf"<{tag}\b", html)) == html.count(f"</{tag}>") == count
     assert html.count("<img ") == 6
@@ -44,7 +53,9 @@ def test_everything_is_there_and_nothing_comes_from_outside(page):
     assert len(found) == len(re.findall(r"(?:src|srcset|href)=", html)) == 6 + 6 + 3 + 1
     assert all(place.startswith(("data:", "#")) for place in found)
     assert not re.search(r"url\(|@import", html)
-    boxes = re.findall(r'<div class=scroll role=region tabindex=0 aria-label="[^"]+">', html)
+    boxes = re.findall(
+        r'<div class=scroll role=region tabindex=0 aria-label="[^"]+">', html
+    )
     assert len(boxes) == 3, "keys reach them"
     links = {place[1:] for place in found if place.startswith("#")}
     assert links == set(re.findall(r'<section id="(.*?)">', html))
@@ -72,4 +83,6 @@ def test_what_cannot_be_written_or_read_or_is_ragged_is_refused(page, tmp_path):
         PageTable(caption="a", head=("b", "c"), rows=(("d",),))
     lost = PageFigure(path=tmp_path / "lost.svg", alt="a", caption="b")
     with pytest.raises(WriteError, match="cannot read"):
-        Page(title="a", sections=(Section(heading="a", anchor="a", figures=(lost,)),)).html()
+        Page(
+            title="a", sections=(Section(heading="a", anchor="a", figures=(lost,)),)
+        ).html()

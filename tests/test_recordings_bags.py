@@ -32,27 +32,40 @@ from needleforce.recordings.bag_types import TopicDecoder
 
 
 def test_joints_are_put_in_the_robots_order_by_name(tmp_path):
-    folder = write_bag(tmp_path / "bag", insertion_rows(4, names=("elbow", "gripper", "base")))
+    folder = write_bag(
+        tmp_path / "bag", insertion_rows(4, names=("elbow", "gripper", "base"))
+    )
     log = read_log(folder, required=["q", "tau"], joints=["base", "elbow"])
     assert log["q_rad"][1].tolist() == [1.2, 1.0]
     assert log["tau_Nm"][1].tolist() == [2.4, 2.0]
-    log = read_log(folder, ColumnMapping(joints=("gripper", "elbow")), joints=["base", "elbow"])
+    log = read_log(
+        folder, ColumnMapping(joints=("gripper", "elbow")), joints=["base", "elbow"]
+    )
     assert log["q_rad"][1].tolist() == [1.1, 1.0]
 
 
 def test_a_bag_without_numbers_or_messages_is_refused(tmp_path):
-    with pytest.raises(FormatError, match=r"no topic with numbers: /log .*holds no numbers"):
+    with pytest.raises(
+        FormatError, match=r"no topic with numbers: /log .*holds no numbers"
+    ):
         read_log(write_bag(tmp_path / "bag", [("/log", 1, text("a"))]))
     with pytest.raises(FormatError, match="holds no messages"):
         read_log(write_bag(tmp_path / "empty", []))
 
 
 def test_a_topic_is_read_by_the_definition_in_the_bag(tmp_path):
-    definition = "std_msgs/Header header\nfloat64[3] tau_j\ngeometry_msgs/Point tip\nint8 mode\n"
+    definition = (
+        "std_msgs/Header header\nfloat64[3] tau_j\ngeometry_msgs/Point tip\nint8 mode\n"
+    )
     TYPES.register(get_types_from_msg(definition, "arm_msgs/msg/State"))
-    tip, torques = message("geometry_msgs/msg/Point", 4.0, 5.0, 6.0), np.array([1.0, 2.0, 3.0])
+    tip, torques = (
+        message("geometry_msgs/msg/Point", 4.0, 5.0, 6.0),
+        np.array([1.0, 2.0, 3.0]),
+    )
     state = message("arm_msgs/msg/State", header(5, "base"), torques, tip, -7)
-    table = read_table(write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3"))
+    table = read_table(
+        write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3")
+    )
     found = {name: values.tolist() for name, values in table.columns.items()}
     assert found == {
         "t_s": [5e-9],
@@ -64,13 +77,19 @@ def test_a_topic_is_read_by_the_definition_in_the_bag(tmp_path):
 
 @pytest.mark.parametrize("is_split_by_topic", [False, True])
 def test_a_bag_split_into_files_is_one_log(tmp_path, is_split_by_topic):
-    rows = [row for row in insertion_rows(3000) if row[0] in ("/joint_states", "/ft/wrench")]
+    rows = [
+        row for row in insertion_rows(3000) if row[0] in ("/joint_states", "/ft/wrench")
+    ]
     parts = [rows[::2], rows[1::2]] if is_split_by_topic else [rows[:2000], rows[2000:]]
     whole = tmp_path / "whole"
     whole.mkdir()
     for i, part in enumerate(parts):
-        data_file(write_bag(tmp_path / f"part_{i}", part)).rename(whole / f"whole_{9 + i}.mcap")
-    log = read_log(whole, mapped(force="/ft/wrench/force_xyz[2]"), required=["q", "force"])
+        data_file(write_bag(tmp_path / f"part_{i}", part)).rename(
+            whole / f"whole_{9 + i}.mcap"
+        )
+    log = read_log(
+        whole, mapped(force="/ft/wrench/force_xyz[2]"), required=["q", "force"]
+    )
     np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(3000.0))
     np.testing.assert_array_equal(log["force_N"], -np.arange(3000.0))
 
@@ -128,11 +147,14 @@ def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(tmp_path):
 def test_the_mapping_may_choose_the_clock(tmp_path):
     folder = write_bag(tmp_path / "bag", insertion_rows(40))
     mapping = ColumnMapping(
-        reference_topic="/depth_mm", channels=mapped(force="/ft/wrench/force_xyz[2]").channels
+        reference_topic="/depth_mm",
+        channels=mapped(force="/ft/wrench/force_xyz[2]").channels,
     )
     log = read_log(folder, mapping, required=["depth", "force"])
     np.testing.assert_allclose(log["force_N"], [-0.0, -10.0, -20.0, -30.0], atol=2e-3)
-    with pytest.raises(ColumnError, match="'/none' is no topic that can be read; topics are"):
+    with pytest.raises(
+        ColumnError, match="'/none' is no topic that can be read; topics are"
+    ):
         read_log(folder, ColumnMapping(reference_topic="/none"), required=["depth"])
 
 
@@ -144,7 +166,11 @@ def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(tmp_p
     ]
     folder = write_bag(tmp_path / "bag", rows)
     asked = {"required": ["q", "tau"], "optional": ["dq"]}
-    assert read_log(folder, joints=["b", "a"], **asked)["q_rad"][:, 0].tolist() == [2.0, 4.0, 6.0]
+    assert read_log(folder, joints=["b", "a"], **asked)["q_rad"][:, 0].tolist() == [
+        2.0,
+        4.0,
+        6.0,
+    ]
     several = r"several columns would fit \(/arm/position, /hand/position\)"
     for joints in ([], ["a", "x"]):
         with pytest.raises(ColumnError, match=several):
@@ -169,9 +195,16 @@ def test_columns_are_called_by_topic_and_field():
     for topic, content, names in (
         ("/ft", wrench(1, (1, 2, 3)), ["/ft/force_xyz", "/ft/torque_xyz"]),
         ("/d", message("std_msgs/msg/Float64", 1.0), ["/d"]),
-        ("/p", message("geometry_msgs/msg/Pose2D", 1.0, 2.0, 3.0), ["/p/x", "/p/y", "/p/theta"]),
+        (
+            "/p",
+            message("geometry_msgs/msg/Pose2D", 1.0, 2.0, 3.0),
+            ["/p/x", "/p/y", "/p/theta"],
+        ),
         ("/v", message("geometry_msgs/msg/Vector3", 1.0, 2.0, 3.0), ["/v/xyz"]),
     ):
         kind = content.__msgtype__
         decoder = TopicDecoder(BagTopic(topic, kind, "cdr"))
-        assert list(decoder.decode(bytes(TYPES.serialize_cdr(content, kind))).values) == names
+        assert (
+            list(decoder.decode(bytes(TYPES.serialize_cdr(content, kind))).values)
+            == names
+        )

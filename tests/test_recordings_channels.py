@@ -94,7 +94,18 @@ def test_a_name_is_taken_apart(name, channel, stem, number, unit):
 def test_a_pattern_gives_columns_in_the_order_of_their_numbers(pattern, names):
     # Written in an order that is neither the file's nor the alphabet's.
     table = table_of(
-        *("q3", "q1", "q2", "a", "k10", "k08", "k09", "/j10/effort", "/j9/effort", "odd*name"),
+        *(
+            "q3",
+            "q1",
+            "q2",
+            "a",
+            "k10",
+            "k08",
+            "k09",
+            "/j10/effort",
+            "/j9/effort",
+            "odd*name",
+        ),
         wrench=np.arange(18.0).reshape(3, 6),
     )
     assert [name for name, _ in find_columns(table, pattern)] == names
@@ -158,7 +169,11 @@ def test_columns_are_found_by_their_usual_names(names, channel, columns):
             "tau_ext",
             "say which one with --tau-ext, or under tau_ext",
         ),
-        (["t", "timestamp"], "time", r"several columns would fit \(t, timestamp\).*--time"),
+        (
+            ["t", "timestamp"],
+            "time",
+            r"several columns would fit \(t, timestamp\).*--time",
+        ),
         (["q", "position"], "q", "several"),
         (["q1", "q2", "/other/q1", "/other/q2"], "q", "q#, /other/q#"),
         (["q1", "q2", "q4"], "q", "numbers 1 to 4, but not 3"),
@@ -175,7 +190,9 @@ def from_toml(tmp_path, text):
     return load_mapping(path)
 
 
-@pytest.mark.parametrize("scale", [0.0, float("nan"), float("inf"), (1.0, 0.0), (), 10**400])
+@pytest.mark.parametrize(
+    "scale", [0.0, float("nan"), float("inf"), (1.0, 0.0), (), 10**400]
+)
 def test_a_scale_is_finite_and_not_zero(scale):
     with pytest.raises(MappingError, match="finite and not zero"):
         ColumnSpec(columns="z", scale=scale)
@@ -191,7 +208,11 @@ def test_a_mapping_is_a_copy_and_spells_units_one_way():
 @pytest.mark.parametrize(
     ("channels", "rate_hz", "message"),
     [
-        ({"torque": "tau"}, None, "unknown channel 'torque'; channels are: time, q, dq, tau"),
+        (
+            {"torque": "tau"},
+            None,
+            "unknown channel 'torque'; channels are: time, q, dq, tau",
+        ),
         ({}, 0.0, "positive"),
         ({"time": "t"}, 100.0, "keep one"),
     ],
@@ -221,7 +242,9 @@ def test_toml_gives_columns_units_scales_and_rate(tmp_path):
     assert mapping.rate_hz == 500
     assert mapping.channels["depth"] == ColumnSpec(columns="z")
     assert mapping.channels["q"] == ColumnSpec(columns="q{1..7}", unit="deg")
-    assert mapping.channels["tau"] == ColumnSpec(columns=("i1", "i2"), scale=(10.5, -9.0))
+    assert mapping.channels["tau"] == ColumnSpec(
+        columns=("i1", "i2"), scale=(10.5, -9.0)
+    )
     assert mapping.channels["force"] == ColumnSpec(columns="fz", scale=-1.0)
 
 
@@ -232,7 +255,10 @@ def test_toml_gives_columns_units_scales_and_rate(tmp_path):
         ("depht = 'z'", "unknown channel 'depht'"),
         ("rate_hz = 'fast'", r"Expected `float | null`, got `str` - at `\$.rate_hz`"),
         (f"a = {'[' * 5000}", "not valid TOML"),
-        ("[depth]\ncolumn = 'z'", r"\[depth\] has 'column'; a channel has columns, unit"),
+        (
+            "[depth]\ncolumn = 'z'",
+            r"\[depth\] has 'column'; a channel has columns, unit",
+        ),
         ("[depth]\n", "missing required field `columns` - at `\\$.depth`"),
         ("joints = ['a', 'a']", "names a joint twice"),
         ("[depth]\ncolumns = 'z'\nunit = 'N'", "unit 'N' of channel 'depth'"),
@@ -265,7 +291,9 @@ def test_the_short_form_means_the_same_specification(text, spec):
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
 def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
     path, rng = tmp_path / f"log{suffix}", np.random.default_rng(0)
-    columns = {name: rng.normal(size=(50, 3)) for name in ("q_rad", "dq_rad_s", "tau_Nm")}
+    columns = {
+        name: rng.normal(size=(50, 3)) for name in ("q_rad", "dq_rad_s", "tau_Nm")
+    }
     write_table(path, {"t_s": np.arange(50) / 1000, **columns})
     mapping = from_toml(tmp_path, suggest_mapping(path, JOINTS))
     assert set(mapping.channels) >= set(JOINTS)
@@ -277,17 +305,25 @@ def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
 
 def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
     folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
-    text = suggest_mapping(folder, JOINTS, joints=("a", "b"), payload=['payload = "none"'])
+    text = suggest_mapping(
+        folder, JOINTS, joints=("a", "b"), payload=['payload = "none"']
+    )
     content = tomllib.loads(text)
     assert content["reference_topic"] == "/joint_states"
     assert content["joints"] == ["a", "b"]
     assert content["payload"] == "none"
-    assert content["q"] == {"columns": "/joint_states/position", "unit": "rad", "scale": 1.0}
+    assert content["q"] == {
+        "columns": "/joint_states/position",
+        "unit": "rad",
+        "scale": 1.0,
+    }
     assert "# columns = " in text.split("# [dq]")[1]
     topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
     assert f"#   /joint_states: {topic}" in text.splitlines()
     kept = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
-    text = suggest_mapping(folder, JOINTS, mapping=ColumnMapping(**kept), joints=("a", "b", "c"))
+    text = suggest_mapping(
+        folder, JOINTS, mapping=ColumnMapping(**kept), joints=("a", "b", "c")
+    )
     assert tomllib.loads(text).items() >= kept.items()
     text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
     assert "# The robot calls them: x, y, z" in text.splitlines()

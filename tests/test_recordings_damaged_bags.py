@@ -6,17 +6,35 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from bag_samples import START_NS, STEP_NS, TYPES, data_file, insertion_rows, joint_state, write_bag
+from bag_samples import (
+    START_NS,
+    STEP_NS,
+    TYPES,
+    data_file,
+    insertion_rows,
+    joint_state,
+    write_bag,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from needleforce.recordings import FormatError, RecordingError, read_log, read_table, write_table
+from needleforce.recordings import (
+    FormatError,
+    RecordingError,
+    read_log,
+    read_table,
+    write_table,
+)
 from needleforce.recordings.bag_messages import read_messages
 from needleforce.recordings.errors import MAX_BYTES
 from needleforce.recordings.table import to_nanoseconds
 
 COUNT = 6000
-KINDS = {"mcap": ("mcap", None), "zstd": ("mcap", "STORAGE"), "sqlite3": ("sqlite3", None)}
+KINDS = {
+    "mcap": ("mcap", None),
+    "zstd": ("mcap", "STORAGE"),
+    "sqlite3": ("sqlite3", None),
+}
 MCAP = ("mcap", "zstd")
 
 
@@ -33,7 +51,9 @@ def bags(tmp_path_factory):
     made = {}
     for kind, (storage, compression) in KINDS.items():
         rows = insertion_rows(COUNT)
-        path = data_file(write_bag(folder / kind, rows, storage=storage, compression=compression))
+        path = data_file(
+            write_bag(folder / kind, rows, storage=storage, compression=compression)
+        )
         found, faults = messages_in(path)
         assert faults == []
         assert len(found) == 2 * COUNT + COUNT // 5
@@ -94,7 +114,9 @@ def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
 def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
     name, data, _ = bags["zstd"]
     (tmp_path / name).write_bytes(data.replace(b"zstd", b"lzma", 1))
-    with pytest.raises(FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"):
+    with pytest.raises(
+        FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"
+    ):
         read_table(tmp_path / name)
 
 
@@ -116,14 +138,18 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
     data = bytes(TYPES.serialize_cdr(rows[place][2], "sensor_msgs/msg/JointState"))
     file = data_file(path)
     assert file.read_bytes().count(data) == 1
-    file.write_bytes(file.read_bytes().replace(data, data[:20] + b"\xff" * (len(data) - 20)))
+    file.write_bytes(
+        file.read_bytes().replace(data, data[:20] + b"\xff" * (len(data) - 20))
+    )
     log = read_log(path, required=["q"])
     assert len(log) == 59
     assert "/j: messages that do not fit their type, left out: 1" in log.warnings
 
 
 @pytest.mark.parametrize(("storage", "compression"), KINDS.values())
-def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(tmp_path, storage, compression):
+def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(
+    tmp_path, storage, compression
+):
     folder = tmp_path / "it's x"
     write_bag(folder, insertion_rows(50), storage=storage, compression=compression)
     for path in (folder, data_file(folder)):
@@ -138,7 +164,9 @@ def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(tmp_path, stor
 def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path):
     rows = list(insertion_rows(5))
     write_bag(tmp_path / "m", rows, storage="sqlite3", compression="MESSAGE")
-    with pytest.raises(FormatError, match=r"is compressed message by message; .*ros2 bag convert"):
+    with pytest.raises(
+        FormatError, match=r"is compressed message by message; .*ros2 bag convert"
+    ):
         read_log(tmp_path / "m")
     write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
     with pytest.raises(FormatError, match=r"\.zstd must be unpacked: zstd -d"):
@@ -147,7 +175,10 @@ def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path
 
 @pytest.mark.parametrize("is_set", [False, True])
 def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, is_set):
-    rows = [("/j", k * STEP_NS, joint_state(k * STEP_NS * is_set, "ab", [k, k])) for k in (1, 2, 3)]
+    rows = [
+        ("/j", k * STEP_NS, joint_state(k * STEP_NS * is_set, "ab", [k, k]))
+        for k in (1, 2, 3)
+    ]
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
     assert log.start_ns == 0
     assert log.t_s.tolist() == [k * STEP_NS / 1e9 for k in (1, 2, 3)]
@@ -155,11 +186,19 @@ def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, i
     assert log.warnings == () if is_set else (note,)
 
 
-@pytest.mark.parametrize("names", [("", "", ""), ("a", "a", "a"), ("a", "", "b"), "abc"])
+@pytest.mark.parametrize(
+    "names", [("", "", ""), ("a", "a", "a"), ("a", "", "b"), "abc"]
+)
 def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, names):
-    rows = [("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)]
-    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"])
-    np.testing.assert_array_equal(log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)])
+    rows = [
+        ("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)
+    ]
+    log = read_log(
+        write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"]
+    )
+    np.testing.assert_array_equal(
+        log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)]
+    )
     words = "has the joints a, b, c, the robot x, y, z"
     assert [words in warning for warning in log.warnings] == [True] * (names == "abc")
 
@@ -168,7 +207,9 @@ def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, 
 def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, fraction):
     name, data, _ = bags["sqlite3"]
     (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
-    with pytest.raises(FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"):
+    with pytest.raises(
+        FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"
+    ):
         read_table(tmp_path / name)
 
 
@@ -187,7 +228,9 @@ def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(change)
-    with pytest.raises(FormatError, match=r"damaged .*\.recover|no tables messages and topics"):
+    with pytest.raises(
+        FormatError, match=r"damaged .*\.recover|no tables messages and topics"
+    ):
         read_table(path)
 
 
@@ -200,4 +243,7 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     path.write_bytes(data)
     log = read_log(path)
     assert 0 < len(log) < whole
-    assert "x.mcap has a chunk whose checksum is wrong, which was left out" in log.warnings[0]
+    assert (
+        "x.mcap has a chunk whose checksum is wrong, which was left out"
+        in log.warnings[0]
+    )

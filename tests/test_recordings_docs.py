@@ -17,7 +17,9 @@ from needleforce.recordings.table import Labels
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
 TEXT, BAGS = (page.read_text(encoding="utf-8") for page in PAGES)
-FILES = dict(re.findall(r"^```(?:csv|toml)\n# (\S+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE))
+FILES = dict(
+    re.findall(r"^```(?:csv|toml)\n# (\S+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
+)
 
 
 @pytest.fixture(autouse=True)
@@ -42,16 +44,24 @@ def test_the_options_on_the_page_give_the_mapping_that_it_describes():
     (line,) = re.findall(r"^needleforce identify robot.csv (.*)$", TEXT, re.MULTILINE)
     options = re.findall(r"--(\w+) (\S+)", line)
     specs = {name: parse_column_spec(text, CHANNELS[name]) for name, text in options}
-    log = read_log("robot.csv", ColumnMapping(channels=specs), required=["depth", "force"])
+    log = read_log(
+        "robot.csv", ColumnMapping(channels=specs), required=["depth", "force"]
+    )
     assert log["force_N"].tolist() == [2.5, 2.5]
     assert log["depth_m"].tolist() == [0.09, 0.09]
     assert log.t_s[0] == 0.001
 
 
 def test_the_table_of_names_and_units_is_the_codes():
-    rows = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \| (.*?) \|$", TEXT, re.MULTILINE)
+    rows = re.findall(
+        r"^\| `(\w+)` \| `(\w+)` \| (.*?) \| (.*?) \|$", TEXT, re.MULTILINE
+    )
     written = {
-        name: (key, tuple(re.findall("`(.*?)`", names)), tuple(re.findall("`(.*?)`", units)))
+        name: (
+            key,
+            tuple(re.findall("`(.*?)`", names)),
+            tuple(re.findall("`(.*?)`", units)),
+        )
         for name, key, names, units in rows
     }
     assert written == {

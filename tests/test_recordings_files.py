@@ -11,7 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from needleforce.recordings import FileAccessError, FormatError, read_log, read_table, write_table
+from needleforce.recordings import (
+    FileAccessError,
+    FormatError,
+    read_log,
+    read_table,
+    write_table,
+)
 from needleforce.recordings.bag_types import standard_types
 from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.follow import BINARY
@@ -66,7 +72,10 @@ FAULTS = {
     # A row of units under the header costs that row only.
     "t,f\ns,N\n0,1\n1,2\n": (
         {"t": [NAN, 0, 1], "f": [NAN, 1, 2]},
-        tuple(f"column {n!r}: {NOT_NUMBERS}: 1 (first: line 2, {u!r})" for n, u in ("ts", "fN")),
+        tuple(
+            f"column {n!r}: {NOT_NUMBERS}: 1 (first: line 2, {u!r})"
+            for n, u in ("ts", "fN")
+        ),
     ),
     "t,phase,spare\n0,in,\n1,out,\n": (
         {"t": [0, 1]},
@@ -94,7 +103,9 @@ FAULTS = {
 def test_what_is_odd_costs_little_and_is_reported(read, text):
     table = read(text)
     columns, warnings = FAULTS[text]
-    found = {name: [x if x == x else NAN for x in v] for name, v in values(table).items()}
+    found = {
+        name: [x if x == x else NAN for x in v] for name, v in values(table).items()
+    }
     assert found == columns
     assert table.warnings == warnings
 
@@ -113,8 +124,14 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         ("0,1\n1,2\n", "no header row: line 1 already holds numbers .'0,1'"),
         ("t,f,t\n0,1,2\n", "names 't' twice, in columns 1 and 3"),
         ("t,f\n0\n1\n", "no row has the header's 2 cells .first: line 2 with 1"),
-        ("Of Monday\nt,f\n0,1\n", "2 with 2.; check .* what stands above the header begins with #"),
-        ("t f\n0 1\n", "no column holds a number: column 't f' holds text .line 2, '0 1'"),
+        (
+            "Of Monday\nt,f\n0,1\n",
+            "2 with 2.; check .* what stands above the header begins with #",
+        ),
+        (
+            "t f\n0 1\n",
+            "no column holds a number: column 't f' holds text .line 2, '0 1'",
+        ),
         *(
             (head + bytes(3), f"it is {suffix[1:]}, not text; give it as a file")
             for head, suffix in BINARY.items()
@@ -222,7 +239,10 @@ def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(read
     table = read(bytes(data), "log.npz")
     assert list(table.columns) == ["t"]
     assert [warning.split("'")[1] for warning in table.warnings] == list(others)
-    assert "column 'trap' cannot be read (it holds object, no numbers" in table.warnings[-2]
+    assert (
+        "column 'trap' cannot be read (it holds object, no numbers"
+        in table.warnings[-2]
+    )
     assert "(Bad CRC-32" in table.warnings[-1]
 
 
@@ -232,7 +252,10 @@ def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(read
         (b"", "is not an npz archive, or it is cut short"),
         (array_bytes(t=np.arange(1000.0))[:-50], "cut short"),
         (array_bytes(), "holds no array of numbers"),
-        (array_bytes(names=np.array(["a"])), "holds no array of numbers: column 'names' cannot"),
+        (
+            array_bytes(names=np.array(["a"])),
+            "holds no array of numbers: column 'names' cannot",
+        ),
     ],
 )
 def test_what_is_no_npz_is_refused_with_file_and_reason(read, content, message):
@@ -257,8 +280,12 @@ def test_types_of_other_writers_become_numbers(path):
     )
 
 
-@pytest.mark.parametrize(("unit", "name"), [("ns", "time"), ("us", "stamp_ns"), ("ms", "time_ms")])
-def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(path, unit, name):
+@pytest.mark.parametrize(
+    ("unit", "name"), [("ns", "time"), ("us", "stamp_ns"), ("ms", "time_ms")]
+)
+def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(
+    path, unit, name
+):
     stamps = np.array([1_700_000_000_123, 1_700_000_000_124, "NaT"], dtype="M8[ms]")
     stamps = stamps.astype(f"M8[{unit}]")
     pq.write_table(pa.table({name: pa.array(stamps), "f": [1.0, 2.0, 3.0]}), path)
@@ -269,8 +296,12 @@ def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(p
 
 
 def test_two_columns_of_one_name_are_refused(path):
-    pq.write_table(pa.table([[0.0, 1.0], [1.0, 2.0], [3.0, 4.0]], names=["t_s", "f", "f"]), path)
-    with pytest.raises(FormatError, match="more than one column 'f'; rename the others"):
+    pq.write_table(
+        pa.table([[0.0, 1.0], [1.0, 2.0], [3.0, 4.0]], names=["t_s", "f", "f"]), path
+    )
+    with pytest.raises(
+        FormatError, match="more than one column 'f'; rename the others"
+    ):
         read_table(path)
 
 
@@ -281,8 +312,12 @@ def test_a_file_cut_short_is_refused_with_the_reason(path):
         read_table(path)
 
 
-@pytest.mark.parametrize(("suffix", "library"), [("parquet", "pyarrow"), ("mcap", "rosbags mcap")])
-def test_without_a_library_the_error_says_what_to_install(tmp_path, monkeypatch, suffix, library):
+@pytest.mark.parametrize(
+    ("suffix", "library"), [("parquet", "pyarrow"), ("mcap", "rosbags mcap")]
+)
+def test_without_a_library_the_error_says_what_to_install(
+    tmp_path, monkeypatch, suffix, library
+):
     path = tmp_path / f"log.{suffix}"
     write_table(path, {"t_s": [0.0], "f": [1.0]})
     standard_types.cache_clear()
@@ -294,7 +329,9 @@ def test_without_a_library_the_error_says_what_to_install(tmp_path, monkeypatch,
 
 
 @given(where=st.floats(0.0, 1.0, exclude_max=True), byte=st.integers(0, 255))
-def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(tmp_path_factory, where, byte):
+def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
+    tmp_path_factory, where, byte
+):
     path = tmp_path_factory.mktemp("damaged") / "log.parquet"
     write_table(path, {"t_s": np.arange(50.0), "force_N": np.ones(50)})
     data = bytearray(path.read_bytes())

@@ -37,7 +37,9 @@ from needleforce.recordings.open_recording import stream_tables
 def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
     compression = "STORAGE" if kind == "zstd" else None
     bag = write_bag(tmp_path / "bag", insertion_rows(3000), compression=compression)
-    data = without_chunks(bag) if kind == "without chunks" else data_file(bag).read_bytes()
+    data = (
+        without_chunks(bag) if kind == "without chunks" else data_file(bag).read_bytes()
+    )
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, count))
     start_s = time.monotonic()
@@ -69,7 +71,9 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     assert rows == 3000
 
 
-def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(tmp_path):
+def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(
+    tmp_path,
+):
     data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
@@ -88,7 +92,12 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
 @pytest.mark.parametrize(
     ("name", "data", "error", "message"),
     [
-        ("x.db3", None, FileAccessError, r"x.db3 cannot be followed.*ros2 bag record -s mcap"),
+        (
+            "x.db3",
+            None,
+            FileAccessError,
+            r"x.db3 cannot be followed.*ros2 bag record -s mcap",
+        ),
         ("x.mcap", None, FileAccessError, r"cannot read .*x.mcap: No such file"),
         ("bag", None, FileAccessError, r"is a folder.*name the .mcap file in it"),
         ("x.mcap", b"", FormatError, "x.mcap is empty"),
@@ -96,7 +105,9 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
         ("x.mcap", MAGIC + HEADER, FormatError, "holds no messages"),
     ],
 )
-def test_what_cannot_be_followed_is_reported_with_what_to_do(tmp_path, name, data, error, message):
+def test_what_cannot_be_followed_is_reported_with_what_to_do(
+    tmp_path, name, data, error, message
+):
     if name == "bag":
         write_bag(tmp_path / name, insertion_rows(3))
     if data is not None:
@@ -145,7 +156,9 @@ def arm_and_force(count, late_ns=0, force_ends=None):
 
 @pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
 def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
-    data = without_chunks(write_bag(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s))))
+    data = without_chunks(
+        write_bag(tmp_path / "bag", arm_and_force(500, round(1e9 * late_s)))
+    )
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, 60))
     found = followed(path, mapping=FORCE_MAPPING, **FORCE)
@@ -155,11 +168,15 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
 
 
 def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
-    data = without_chunks(write_bag(tmp_path / "bag", arm_and_force(800, force_ends=300)))
+    data = without_chunks(
+        write_bag(tmp_path / "bag", arm_and_force(800, force_ends=300))
+    )
     path, is_over = tmp_path / "growing.mcap", threading.Event()
     path.write_bytes(data[: -len(END)])
     patience = FollowOptions(follow=True, should_stop=is_over.is_set)
-    tables = stream_tables(path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE))
+    tables = stream_tables(
+        path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE)
+    )
     timer = threading.Timer(LONGEST_S, is_over.set)
     timer.start()
     first = next(tables)

@@ -62,26 +62,46 @@ PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 @pytest.mark.parametrize("compression", PACKERS)
 @pytest.mark.parametrize("declared", [BOMB, 100])
 def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, declared):
-    zeros = dict.fromkeys(("message_start_time", "message_end_time", "uncompressed_crc"), 0)
+    zeros = dict.fromkeys(
+        ("message_start_time", "message_end_time", "uncompressed_crc"), 0
+    )
     packed = {"data": PACKERS[compression](bytes(BOMB)), "compression": compression}
     chunk = Chunk(**packed, uncompressed_size=declared, **zeros)
     path = mcap_file(tmp_path / "x.mcap", chunk)
-    with bounded(), pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"):
+    with (
+        bounded(),
+        pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"),
+    ):
         read_table(path, max_bytes=SMALL)
 
 
 @pytest.mark.parametrize(
     ("lines", "seconds", "max_bytes", "message"),
     [
-        (b"# note\n" * (BOMB // 28), 60.0, SMALL, "raise max_bytes|lines after line 2 are"),
-        (b"\n" * BOMB, 20.0, MAX_BYTES, "1000000 lines after line 2 are blank or comments"),
+        (
+            b"# note\n" * (BOMB // 28),
+            60.0,
+            SMALL,
+            "raise max_bytes|lines after line 2 are",
+        ),
+        (
+            b"\n" * BOMB,
+            20.0,
+            MAX_BYTES,
+            "1000000 lines after line 2 are blank or comments",
+        ),
     ],
     ids=["comments", "line ends"],
 )
-def test_compressed_text_without_rows_is_left_soon(tmp_path, lines, seconds, max_bytes, message):
+def test_compressed_text_without_rows_is_left_soon(
+    tmp_path, lines, seconds, max_bytes, message
+):
     path = tmp_path / "x.csv.gz"
     path.write_bytes(gzip.compress(b"t,f\n0,1\n" + lines))
-    with bounded(peak=12 * SMALL, seconds=seconds), pytest.raises(FormatError, match=message):
+    with (
+        bounded(peak=12 * SMALL, seconds=seconds),
+        pytest.raises(FormatError, match=message),
+    ):
         read_table(path, max_bytes=max_bytes)
 
 
@@ -102,7 +122,9 @@ def test_a_parquet_of_repeated_numbers_that_takes_any_memory_is_refused(tmp_path
         read_table(path, max_bytes=SMALL)
 
 
-@pytest.mark.parametrize("name", ["x.npz", "x.mcap", "x.db3", "x.csv", "x.parquet", "x.toml"])
+@pytest.mark.parametrize(
+    "name", ["x.npz", "x.mcap", "x.db3", "x.csv", "x.parquet", "x.toml"]
+)
 def test_a_device_is_no_file(tmp_path, name):
     (tmp_path / name).symlink_to("/dev/zero")
     read = load_mapping if name == "x.toml" else read_table
@@ -110,9 +132,15 @@ def test_a_device_is_no_file(tmp_path, name):
         read(tmp_path / name)
 
 
-@pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.npz", "a\0b.mcap", f"{'x' * 300}.csv"])
+@pytest.mark.parametrize(
+    "name", ["a\0b.csv", "a\0b.npz", "a\0b.mcap", f"{'x' * 300}.csv"]
+)
 def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
-    for read in (read_table, load_mapping, lambda path: list(stream_tables(path, FollowOptions()))):
+    for read in (
+        read_table,
+        load_mapping,
+        lambda path: list(stream_tables(path, FollowOptions())),
+    ):
         with pytest.raises(FileAccessError, match="cannot read"):
             read(tmp_path / name)
     with pytest.raises(FileAccessError, match="cannot write"):
@@ -140,7 +168,9 @@ def nested(depth, size):
 )
 def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
     schema = Schema(data=definition.encode(), encoding="ros2msg", id=1, name="a/msg/X")
-    channel = Channel(id=1, topic="/x", message_encoding="cdr", metadata={}, schema_id=1)
+    channel = Channel(
+        id=1, topic="/x", message_encoding="cdr", metadata={}, schema_id=1
+    )
     data = b"\0\1\0\0" + bytes(1 << 16)
     message = Message(channel_id=1, log_time=1, data=data, publish_time=1, sequence=0)
     path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
@@ -150,7 +180,10 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
 
 @pytest.mark.parametrize(
     ("rows", "message"),
-    [(range(1000, 1500), "was written anew while it was followed"), ((), "has become shorter")],
+    [
+        (range(1000, 1500), "was written anew while it was followed"),
+        ((), "has become shorter"),
+    ],
     ids=["as long", "shorter"],
 )
 def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path, rows, message):
@@ -177,7 +210,9 @@ def test_a_followed_file_that_was_renamed_or_removed_is_read_to_its_end_and_repo
     if is_rotated:
         path.write_text("t,f\n301,1\n")
     last = []
-    with pytest.raises(FileAccessError, match="was renamed or removed while it was followed"):
+    with pytest.raises(
+        FileAccessError, match="was renamed or removed while it was followed"
+    ):
         last.extend(table.columns["t"][-1] for table in tables)
     assert last[-1] == 300.0
 

@@ -22,7 +22,12 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.channels import CHANNELS
 from needleforce.recordings.log import LogStream
-from needleforce.recordings.table import RowClock, start_of_clock, to_nanoseconds, to_seconds
+from needleforce.recordings.table import (
+    RowClock,
+    start_of_clock,
+    to_nanoseconds,
+    to_seconds,
+)
 
 T_S = np.arange(4) / 1000.0
 
@@ -39,7 +44,11 @@ def test_log_stores_read_only_copies():
     ("t_s", "channels", "message"),
     [
         (T_S, {}, "at least one channel"),
-        ([0.0, np.nan, 1.0], {"force_N": [0.0, 0.0, 0.0]}, "not finite: 1 .first: row 2"),
+        (
+            [0.0, np.nan, 1.0],
+            {"force_N": [0.0, 0.0, 0.0]},
+            "not finite: 1 .first: row 2",
+        ),
         (T_S, {"force_N": T_S[:-1]}, r"force_N has shape \(3,\).*4 stamps"),
         (T_S, {"force_N": ["a", "b", "c", "d"]}, "force_N is not an array of numbers"),
     ],
@@ -51,7 +60,9 @@ def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
 
 @example(np.array([3.0, 2.0, 1.0]))
 @example(np.ones(1))
-@given(hnp.arrays(np.float64, st.integers(1, 30), elements=st.integers(-5, 5).map(float)))
+@given(
+    hnp.arrays(np.float64, st.integers(1, 30), elements=st.integers(-5, 5).map(float))
+)
 def test_every_stamp_advances_or_is_counted_and_where_none_does_the_log_is_refused(t_s):
     advancing = int(np.count_nonzero(RowClock().update(t_s)[1:] > 0.0))
     if not advancing:
@@ -108,8 +119,14 @@ def test_pieces_give_what_the_whole_gives(cut, late):
 
 def test_a_log_shows_that_its_clock_was_set_back():
     log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
-    assert "clock set back, from where it counts anew: 1 (first: row 1101" in log.warnings[0]
-    assert "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)" in log.warnings[1]
+    assert (
+        "clock set back, from where it counts anew: 1 (first: row 1101"
+        in log.warnings[0]
+    )
+    assert (
+        "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)"
+        in log.warnings[1]
+    )
 
 
 @given(
@@ -119,7 +136,10 @@ def test_a_log_shows_that_its_clock_was_set_back():
 def test_stamps_come_back_from_seconds(first_ns, since_ns):
     stamps_ns = np.array([first_ns, *(first_ns + step for step in since_ns)])
     start_ns = start_of_clock(first_ns)
-    assert to_nanoseconds(to_seconds(stamps_ns, start_ns), start_ns).tolist() == stamps_ns.tolist()
+    assert (
+        to_nanoseconds(to_seconds(stamps_ns, start_ns), start_ns).tolist()
+        == stamps_ns.tolist()
+    )
     assert start_ns in (0, first_ns)
 
 
@@ -143,7 +163,9 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
 
 def log_of(mapping=None, required=(), optional=(), **columns):
     table = Table(columns=columns)
-    return LogStream([table], ChannelRequest(mapping or mapped(), required, optional)).joined()
+    return LogStream(
+        [table], ChannelRequest(mapping or mapped(), required, optional)
+    ).joined()
 
 
 T = np.arange(3.0) / 100
@@ -152,7 +174,9 @@ ONES = np.ones(3)
 
 def test_a_csv_with_usual_names_needs_no_mapping(tmp_path):
     path = tmp_path / "LOG.CSV"
-    path.write_text("time [ms],q1_deg,q2_deg,effort_1,effort_2\n0,180,0,1,2\n1,90,0,3,4\n")
+    path.write_text(
+        "time [ms],q1_deg,q2_deg,effort_1,effort_2\n0,180,0,1,2\n1,90,0,3,4\n"
+    )
     log = read_log(path, required=("q", "tau"), optional=("dq",))
     np.testing.assert_allclose(log.t_s, [0.0, 0.001])
     np.testing.assert_allclose(log["q_rad"], [[np.pi, 0.0], [np.pi / 2, 0.0]])
@@ -162,7 +186,9 @@ def test_a_csv_with_usual_names_needs_no_mapping(tmp_path):
 
 
 @given(
-    st.sampled_from([(name, unit) for name, channel in CHANNELS.items() for unit in channel.units]),
+    st.sampled_from(
+        [(name, unit) for name, channel in CHANNELS.items() for unit in channel.units]
+    ),
     st.floats(-4.0, 4.0).filter(lambda scale: abs(scale) > 0.01),
 )
 def test_units_and_scales_multiply(chosen, scale):
@@ -190,15 +216,30 @@ CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
     [
         (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
         # A stated unit wins over the one in the name; each column has its own, and its own scale.
-        (ColumnSpec(columns="depth_m", unit="mm"), {"depth_m": ONES}, "depth_m", ONES / 1000),
+        (
+            ColumnSpec(columns="depth_m", unit="mm"),
+            {"depth_m": ONES},
+            "depth_m",
+            ONES / 1000,
+        ),
         (
             ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
             {"a_deg": 180.0 * ONES, "b_rad": ONES},
             "q_rad",
             np.array([[np.pi, -2.0]] * 3),
         ),
-        (ColumnSpec(columns="i", scale=(1.0, 2.0)), {"i": CURRENT}, "tau_Nm", CURRENT * [1, 2]),
-        (ColumnSpec(columns="w[2]", scale=-1.0), {"w": WRENCH}, "force_N", -WRENCH[:, 2]),
+        (
+            ColumnSpec(columns="i", scale=(1.0, 2.0)),
+            {"i": CURRENT},
+            "tau_Nm",
+            CURRENT * [1, 2],
+        ),
+        (
+            ColumnSpec(columns="w[2]", scale=-1.0),
+            {"w": WRENCH},
+            "force_N",
+            -WRENCH[:, 2],
+        ),
     ],
 )
 def test_columns_become_si(spec, columns, key, expected):
@@ -225,23 +266,47 @@ def test_a_missing_channel_is_reported_with_usual_names_and_columns():
     [
         (None, ("torque",), MappingError, "unknown channel 'torque'"),
         (mapped(force="pull"), (), ColumnError, "no column 'pull'"),
-        (mapped(force="pair"), (), ColumnError, "force is one column, but pair gives 2"),
-        (mapped(q=("a", "short")), (), LogError, "q: the columns a, short differ in length"),
+        (
+            mapped(force="pair"),
+            (),
+            ColumnError,
+            "force is one column, but pair gives 2",
+        ),
+        (
+            mapped(q=("a", "short")),
+            (),
+            LogError,
+            "q: the columns a, short differ in length",
+        ),
         (mapped(depth="short"), (), LogError, "in rows: t_s 3, depth_m 2"),
-        (mapped(q="pair", tau="a"), (), LogError, "number of joints: q has 2 .*tau has 1"),
+        (
+            mapped(q="pair", tau="a"),
+            (),
+            LogError,
+            "number of joints: q has 2 .*tau has 1",
+        ),
         (mapped(depth="empty"), ("depth",), LogError, "depth_m has no finite value"),
     ],
 )
 def test_what_forms_no_log_is_refused(mapping, required, error, message):
-    columns = {"a": ONES, "short": ONES[:2], "pair": np.ones((3, 2)), "empty": ONES * np.nan}
+    columns = {
+        "a": ONES,
+        "short": ONES[:2],
+        "pair": np.ones((3, 2)),
+        "empty": ONES * np.nan,
+    }
     with pytest.raises(error, match=message):
         log_of(mapping, required, t=T, **columns)
 
 
 def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
-    log.write_text("time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n")
-    with pytest.raises(ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'") as caught:
+    log.write_text(
+        "time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n"
+    )
+    with pytest.raises(
+        ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
+    ) as caught:
         read_log(log, required=["tau"])
     assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
 
@@ -269,26 +334,40 @@ def test_an_optional_channel_without_values_is_left_out_and_reported():
 
 
 def test_no_time_and_no_rate_is_refused():
-    with pytest.raises(ColumnError, match="no time column found; say which one with --time"):
+    with pytest.raises(
+        ColumnError, match="no time column found; say which one with --time"
+    ):
         log_of(f=ONES)
 
 
 def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
-    names = {"t": np.arange(3.0), "q": 90.0 * ONES, "depth": 85.0 * ONES, "v": 3.0 * ONES}
+    names = {
+        "t": np.arange(3.0),
+        "q": 90.0 * ONES,
+        "depth": 85.0 * ONES,
+        "v": 3.0 * ONES,
+    }
     hints = log_of(**names).warnings
     assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
     assert (
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm"
         in hints
     )
-    stated = {"t_s": np.arange(3.0), "q_rad": 90.0 * ONES, "depth_m": 85.0 * ONES, "v_m_s": ONES}
+    stated = {
+        "t_s": np.arange(3.0),
+        "q_rad": 90.0 * ONES,
+        "depth_m": 85.0 * ONES,
+        "v_m_s": ONES,
+    }
     assert log_of(**stated).warnings == ()
     assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
 
 
 def test_real_liver_log_holds_many_insertions_and_no_time(recordings_dir):
     path = recordings_dir / "liver_dejong2017/insertions.npz"
-    with pytest.raises(ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"):
+    with pytest.raises(
+        ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"
+    ):
         read_log(path, required=("depth", "force"))
     mapping = mapped(depth="depth_m_04", force="force_N_04", rate_hz=1000.0)
     log = read_log(path, mapping, required=("depth", "force"))

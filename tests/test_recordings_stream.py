@@ -34,7 +34,9 @@ def text_of(rows):
     lines[5] = lines[5].replace(",rest", "")
     lines[rows // 2] = "# a comment half way"
     lines[rows // 2 + 1] = lines[rows // 2 - 1]
-    lines[rows // 2 + 3] = ",".join([*lines[rows // 2 + 3].split(",")[:-2], "oops,rest"])
+    lines[rows // 2 + 3] = ",".join(
+        [*lines[rows // 2 + 3].split(",")[:-2], "oops,rest"]
+    )
     lines[rows // 2 + 5] = ",1,2,3,4,5,6,rest"
     lines[rows // 2 + 7] += ",more"
     return "\n".join(lines) + "\n"
@@ -46,8 +48,14 @@ def assert_all_the_same(found, log):
 
 
 @settings(max_examples=30)
-@given(st.integers(1, 3000), st.sampled_from([20, HEAD_ROWS, HEAD_ROWS + 7, 1000]), st.booleans())
-def test_text_in_pieces_of_any_size_is_the_whole_text(tmp_path_factory, size, rows, packed):
+@given(
+    st.integers(1, 3000),
+    st.sampled_from([20, HEAD_ROWS, HEAD_ROWS + 7, 1000]),
+    st.booleans(),
+)
+def test_text_in_pieces_of_any_size_is_the_whole_text(
+    tmp_path_factory, size, rows, packed
+):
     text = text_of(rows).encode()
     path = tmp_path_factory.mktemp("log") / "log.csv"
     path.write_bytes(text)
@@ -101,7 +109,10 @@ def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_pat
     assert found.t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(found.warnings)
     found = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
-    assert "line 4, the last, is cut short (3 of 3 cells) and was left out" in found.warnings
+    assert (
+        "line 4, the last, is cut short (3 of 3 cells) and was left out"
+        in found.warnings
+    )
 
 
 def test_standard_input_that_is_closed_is_reported(monkeypatch):
@@ -112,7 +123,9 @@ def test_standard_input_that_is_closed_is_reported(monkeypatch):
 
 ROWS = np.arange(5000)
 COLUMNS = {"t_s": ROWS / 1000, "depth_m": 1e-6 * ROWS, "force_N": 1e-3 * ROWS**0.5}
-COLUMNS |= {"force_std_N": np.where(ROWS < HEAD_ROWS, np.nan, 0.1)}  # for none in the first rows
+COLUMNS |= {
+    "force_std_N": np.where(ROWS < HEAD_ROWS, np.nan, 0.1)
+}  # for none in the first rows
 
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
@@ -120,7 +133,9 @@ COLUMNS |= {"force_std_N": np.where(ROWS < HEAD_ROWS, np.nan, 0.1)}  # for none 
 def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
     path, pipe = tmp_path / f"log.{suffix.removesuffix('.gz')}", tmp_path / "pipe"
     write_table(path, COLUMNS)
-    data = gzip.compress(path.read_bytes()) if suffix.endswith("gz") else path.read_bytes()
+    data = (
+        gzip.compress(path.read_bytes()) if suffix.endswith("gz") else path.read_bytes()
+    )
     os.mkfifo(pipe)
 
     def write():
@@ -139,7 +154,10 @@ def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"PK\x03\x04" + bytes(2000), "takes 0.002 MB unpacked, more than the limit of 0.001 MB"),
+        (
+            b"PK\x03\x04" + bytes(2000),
+            "takes 0.002 MB unpacked, more than the limit of 0.001 MB",
+        ),
         (b"PAR1" + bytes(500), "standard input is not a Parquet file"),
         (b"SQLi" + bytes(500), "standard input is not an SQLite file"),
     ],

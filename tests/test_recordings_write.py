@@ -51,7 +51,9 @@ def test_numbers_and_stamps_read_back_bit_for_bit(
 
 def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     path = tmp_path / "t.csv"
-    write_table(path, {"n": [1, 2], "on": [True, False], "w, z": np.array([[0.1, 0.2], [1, 2]])})
+    write_table(
+        path, {"n": [1, 2], "on": [True, False], "w, z": np.array([[0.1, 0.2], [1, 2]])}
+    )
     assert path.read_text() == 'n,on,"w, z_1","w, z_2"\n1,1,0.1,0.2\n2,0,1.0,2.0\n'
     assert list(read_table(path).columns) == ["n", "on", "w, z_1", "w, z_2"]
 
@@ -62,7 +64,11 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     [
         ("csv", {}, "no columns"),
         ("csv", {"#t": T_S}, "starts with '#'"),
-        ("csv", {"t": T_S, "f": T_S[:2]}, r"'f' has shape \(2,\).*numbers of shape \(3,\)"),
+        (
+            "csv",
+            {"t": T_S, "f": T_S[:2]},
+            r"'f' has shape \(2,\).*numbers of shape \(3,\)",
+        ),
         ("csv", {"t": ["a", "b"]}, "type <U1"),
         ("csv", {"q": np.zeros((3, 2)), "q_1": T_S}, "'q_1' would stand twice"),
         ("mcap", {"axial_N": [1.0]}, "a bag needs time stamps: a column t_s"),
@@ -99,12 +105,18 @@ def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
     rng = np.random.default_rng(5)
-    columns = {"t_s": np.arange(50.0), "q_rad": rng.normal(size=(50, 7)), "status": np.arange(50)}
+    columns = {
+        "t_s": np.arange(50.0),
+        "q_rad": rng.normal(size=(50, 7)),
+        "status": np.arange(50),
+    }
     write_table(tmp_path / f"once.{suffix}", columns)
     path = tmp_path / f"pieces.{suffix}"
     with open_table(path) as table:
         for start in range(0, 50, 7):
-            table.append({name: values[start : start + 7] for name, values in columns.items()})
+            table.append(
+                {name: values[start : start + 7] for name, values in columns.items()}
+            )
     assert path.read_bytes() == (tmp_path / f"once.{suffix}").read_bytes()
     if suffix == "npz":
         assert np.load(path)["status"].dtype == columns["status"].dtype
@@ -125,7 +137,13 @@ def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix, most_held_
 
 
 @pytest.mark.parametrize(
-    "later", [{"t": T_S}, {"t": T_S, "x": T_S}, {"f": T_S, "t": T_S}, {"t": T_S, "f": [1, 2, 3]}]
+    "later",
+    [
+        {"t": T_S},
+        {"t": T_S, "x": T_S},
+        {"f": T_S, "t": T_S},
+        {"t": T_S, "f": [1, 2, 3]},
+    ],
 )
 def test_rows_with_other_columns_are_refused(tmp_path, later):
     with open_table(tmp_path / "t.csv") as table:
@@ -170,7 +188,11 @@ def test_joint_signals_are_joint_states_and_a_wrench(path):
         assert stamp_ns == START_NS + k * 1_000_000
         assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == stamp_ns
         assert state.name == ["a", "b"]
-        for field, name in (("position", "q_rad"), ("velocity", "dq_rad_s"), ("effort", "tau_Nm")):
+        for field, name in (
+            ("position", "q_rad"),
+            ("velocity", "dq_rad_s"),
+            ("effort", "tau_Nm"),
+        ):
             np.testing.assert_array_equal(getattr(state, field), columns[name][k])
     for k, (_, wrench) in enumerate(messages_of(path, "/ft_sensor/wrench")):
         assert wrench.header.frame_id == "ft_sensor"

@@ -29,20 +29,34 @@ TRUTH = ForceTruth(
 GEL = Job(benchmark="gel-70-constant", plant="clean")
 
 
-ERRORS_N = {("virtual", "ours"): 0.05, ("ft", "ours"): 0.01, ("virtual", "published"): 0.2}
+ERRORS_N = {
+    ("virtual", "ours"): 0.05,
+    ("ft", "ours"): 0.01,
+    ("virtual", "published"): 0.2,
+}
 STD_N = np.full(len(T), 0.1)
 READINGS = [
-    ForceReading(source=source, method=method, axial_N=TRUTH.axial_N + error_N, std_N=STD_N)
+    ForceReading(
+        source=source, method=method, axial_N=TRUTH.axial_N + error_N, std_N=STD_N
+    )
     for (source, method), error_N in ERRORS_N.items()
 ]
 
 
-def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_panel(tmp_path):
+def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_panel(
+    tmp_path,
+):
     over_time, over_depth = force_figures(GEL, tmp_path, TRUTH, READINGS)
-    assert [item.figure + item.panel for item in (over_time, over_depth)] == ["5a", "5c"]
+    assert [item.figure + item.panel for item in (over_time, over_depth)] == [
+        "5a",
+        "5c",
+    ]
     against_ft, against_truth, delay, within = over_time.facts
     assert against_ft.published == "0.2444"
-    assert dict(against_ft.here) == {"published, here": "0.1900", "ours, here": "0.0400"}
+    assert dict(against_ft.here) == {
+        "published, here": "0.1900",
+        "ours, here": "0.0400",
+    }
     assert dict(against_truth.here)["ours, here"] == "0.0500"
     assert dict(within.here)["ours, here"] == "100.0"
     assert "delay" in delay.what
@@ -59,7 +73,9 @@ SHORT = gel_slice()
 def run():
     """A short insertion, and what both methods made of it."""
     run = insert_needle(SHORT, seed=0)
-    measured = {name: getattr(run, name) for name in ("t_s", "depth_m", "speed_m_s", "force_N")}
+    measured = {
+        name: getattr(run, name) for name in ("t_s", "depth_m", "speed_m_s", "force_N")
+    }
     truth, signal = insertion_truth(run), NeedleSignal(source="ft", **measured)
     commanded_m_s = SHORT.motion.speed_m_s(truth.t_s)
     identified = [identify(signal, truth, method) for method in ("ours", "published")]
@@ -76,8 +92,12 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
     (rupture,) = run.truth.ruptures
 
     def error_N(item):
-        inside = [alarm for alarm in item.alarms if alarm.alarm_s < run.truth.insertion_end_s]
-        return abs(sum(alarm.layer.friction_N for alarm in inside) - rupture.layer_friction_N)
+        inside = [
+            alarm for alarm in item.alarms if alarm.alarm_s < run.truth.insertion_end_s
+        ]
+        return abs(
+            sum(alarm.layer.friction_N for alarm in inside) - rupture.layer_friction_N
+        )
 
     assert error_N(tuned) < 0.15 * rupture.layer_friction_N
     assert error_N(tuned) < 0.5 * error_N(identify(noisy, run.truth, "published"))
@@ -99,7 +119,10 @@ def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tm
     ]
     ours = [dict(fact.here)["ours, one setting, here"] for fact in facts]
     (rupture,) = run.truth.ruptures
-    assert ours[0] == f"1, at {run.identified[0].alarms[0].alarm_s - run.truth.tare_end_s:.1f} s"
+    assert (
+        ours[0]
+        == f"1, at {run.identified[0].alarms[0].alarm_s - run.truth.tare_end_s:.1f} s"
+    )
     assert float(ours[1]) == pytest.approx(rupture.layer_friction_N / 5e-3, rel=0.05)
     assert 0.0 <= float(ours[2]) < 10.0
     tuned = dict(facts[1].here)["published, tuned, here"]

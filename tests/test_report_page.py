@@ -51,7 +51,9 @@ def rows(plant="clean", scenarios=GELS, seeds=(0,)):
 
 def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
     figures = [item for item in PUBLISHED_FIGURES if item.number not in ("10", "I")]
-    drawn = [drawing(dot, item.number, name) for item in figures for name in item.scenarios]
+    drawn = [
+        drawing(dot, item.number, name) for item in figures for name in item.scenarios
+    ]
     page = write_report(tmp_path, rows(), drawn).read_text(encoding="utf-8")
     for number in NUMBERS:
         anchor = f"table-{number}" if number == "I" else f"figure-{number}"
@@ -66,7 +68,9 @@ def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
     half, whole = sections
     assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
     assert "stack-glove-constant" in half.notices[0]
-    command = "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
+    command = (
+        "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
+    )
     assert (half.command, whole.command) == (command, "")
 
 
@@ -80,8 +84,12 @@ def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
     assert first["here\ntrue"] == "101 ± 1"
     assert first["here online\nours, F/T"] == "105 ± 1 (-5 %)"
     assert first["here online\npublished, tuned, F/T"] == "103 ± 1 (-7 %)"
-    assert [row[0] for row in table.rows] == [f"{percent} %" for percent in TABLE_ONE_Ns_per_m]
-    points = {curve.label: curve for curve in friction_chart("a", gels).panels[0].curves}
+    assert [row[0] for row in table.rows] == [
+        f"{percent} %" for percent in TABLE_ONE_Ns_per_m
+    ]
+    points = {
+        curve.label: curve for curve in friction_chart("a", gels).panels[0].curves
+    }
     assert list(points["published, offline"].y) == [113.0, 283.0, 534.0]
     assert points["ours, F/T, constant"].y[1] == 105.0
 

@@ -15,7 +15,9 @@ def held(values, samples, rng=None):
     if rng is not None:
         lengths += rng.integers(-1, 2, size=len(values))
     first = np.concatenate(([0], np.cumsum(lengths)))
-    return values[first[np.searchsorted(first, np.arange(len(values)), side="right") - 1]]
+    return values[
+        first[np.searchsorted(first, np.arange(len(values)), side="right") - 1]
+    ]
 
 
 def rounded(values, resolution):
@@ -41,28 +43,37 @@ def test_an_arm_at_rest_is_not_refused_whatever_its_source(lwr, source, moves_fi
     _, q, dq, tau = swing(lwr, seconds=0.8, amplitude=0.1)
     if not moves_first:
         q, dq, tau = (np.repeat(x[:1], len(x), axis=0) for x in (q, 0.0 * dq, tau))
-    q, dq, tau = (np.concatenate((x, np.repeat(x[-1:], 2000, axis=0))) for x in (q, dq, tau))
+    q, dq, tau = (
+        np.concatenate((x, np.repeat(x[-1:], 2000, axis=0))) for x in (q, dq, tau)
+    )
     tau = held(rounded(tau + noise * rng.normal(size=tau.shape), resolution), samples)
     sensor = VirtualForceSensor(lwr)
     rows = list(zip(q, tau, strict=True))
-    found = [sensor.update_external_torque(q_k, None, tau_k, 1e-3) for q_k, tau_k in rows]
+    found = [
+        sensor.update_external_torque(q_k, None, tau_k, 1e-3) for q_k, tau_k in rows
+    ]
     assert not any(SensorWarning.FROZEN in e.warnings for e in found[800:])
 
 
 @pytest.mark.parametrize("which", ["torque", "position", "all"])
 @pytest.mark.parametrize("resolution", [0.0, 1e-2])
-def test_what_stays_the_same_in_all_joints_is_frozen_until_it_moves_again(lwr, resolution, which):
+def test_what_stays_the_same_in_all_joints_is_frozen_until_it_moves_again(
+    lwr, resolution, which
+):
     sensor, rows = tared(lwr)
     rows = [(q, dq, rounded(tau, resolution)) for q, dq, tau in rows]
     feed(sensor, rows[:100])
     q0, dq0, tau0 = rows[99]
     stuck = [
-        (q, dq, tau0) if which == "torque" else (q0, dq0, tau if which == "position" else tau0)
+        (q, dq, tau0)
+        if which == "torque"
+        else (q0, dq0, tau if which == "position" else tau0)
         for q, dq, tau in rows[100:400]
     ]
     found = feed(sensor, stuck)
     assert all(
-        e.status is Status.REJECTED and SensorWarning.FROZEN in e.warnings for e in found[30:]
+        e.status is Status.REJECTED and SensorWarning.FROZEN in e.warnings
+        for e in found[30:]
     )
     assert ("position and torque" if which == "all" else which) in found[-1].message
     after = feed(sensor, rows[400:600])
@@ -87,7 +98,9 @@ def test_one_torque_that_stays_the_same_is_reported_and_not_refused(lwr):
     sensor, rows = tared(lwr, more=1.5)
     feed(sensor, rows[:100])
     alone, value = np.arange(7) == 1, rows[99][2]
-    found = feed(sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]])
+    found = feed(
+        sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]]
+    )
     assert all(e.status is Status.OK for e in found)
     assert not any(SensorWarning.FROZEN in e.warnings for e in found[:400])
     assert all(SensorWarning.FROZEN in e.warnings for e in found[600:])
@@ -141,7 +154,9 @@ def spikes(estimates):
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
 @pytest.mark.parametrize("samples", MILLISECONDS)
-def test_positions_held_from_50_to_500_hz_are_no_spikes(lwr, samples, noise_rad, with_velocity):
+def test_positions_held_from_50_to_500_hz_are_no_spikes(
+    lwr, samples, noise_rad, with_velocity
+):
     q, dq, tau = moving(lwr, noise_rad)
     for rng in (None, np.random.default_rng(1)):
         sent = (held(q, samples, rng), dq if with_velocity else None, tau)

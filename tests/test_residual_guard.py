@@ -13,7 +13,9 @@ from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize(("which", "size"), [(0, 0.02), (2, 10.0)])
-def test_a_spike_is_held_back_and_the_next_sample_is_taken(lwr, which, size, with_velocity):
+def test_a_spike_is_held_back_and_the_next_sample_is_taken(
+    lwr, which, size, with_velocity
+):
     sensor, rows = tared(lwr, with_velocity=with_velocity)
     before = feed(sensor, rows[:50])[-1]
     spiked = list(rows[50])
@@ -53,7 +55,9 @@ def test_a_position_that_jumps_and_stays_restarts_the_velocity(lwr):
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("number", [np.nan, np.inf, 1e10])
-def test_numbers_that_no_sample_has_never_pass_for_ordinary_ones(lwr, number, with_velocity):
+def test_numbers_that_no_sample_has_never_pass_for_ordinary_ones(
+    lwr, number, with_velocity
+):
     sensor, rows = tared(lwr, with_velocity=with_velocity)
     before = feed(sensor, rows[:50])[-1]
     for which in (0, 1, 2) if with_velocity else (0, 2):
@@ -70,7 +74,10 @@ def test_garbage_is_not_held_back_for_ever(lwr):
     sensor, rows = tared(lwr)
     feed(sensor, rows[:50])
     rng = np.random.default_rng(0)
-    found = feed(sensor, [(q, dq, tau + 50.0 * rng.normal(size=7)) for q, dq, tau in rows[50:400]])
+    found = feed(
+        sensor,
+        [(q, dq, tau + 50.0 * rng.normal(size=7)) for q, dq, tau in rows[50:400]],
+    )
     assert any(e.status is not Status.REJECTED for e in found)
     recovered = feed(sensor, rows[400:])
     assert recovered[-1].status is Status.OK
@@ -85,7 +92,9 @@ def test_a_saturated_torque_is_held_back(lwr, slowly):
     steps = 200 if slowly else 1
     for k in range(steps):
         q, dq, tau = rows[50 + k]
-        last = sensor.update(q, dq, tau + (limit - tau * (limit > 0)) * (k + 1) / steps, 1e-3)
+        last = sensor.update(
+            q, dq, tau + (limit - tau * (limit > 0)) * (k + 1) / steps, 1e-3
+        )
     q, dq, tau = rows[51 + steps]
     last = sensor.update(q, dq, np.where(limit > 0, limit, tau), 1e-3)
     assert last.status is Status.REJECTED
@@ -111,7 +120,9 @@ def test_a_joint_at_its_limit_is_reported(lwr):
 def test_a_pose_that_feels_nothing_is_reported(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
     for q in (np.full(7, 0.001), MIDDLE):
-        found = [sensor.update(q, np.zeros(7), np.zeros(7), 1e-3) for _ in range(600)][-1]
+        found = [sensor.update(q, np.zeros(7), np.zeros(7), 1e-3) for _ in range(600)][
+            -1
+        ]
         assert (SensorWarning.NEAR_SINGULAR in found.warnings) == (q[3] > -1.0)
         assert all(np.isfinite(value).all() for value in found[:8])
         sensor.reset()
@@ -122,7 +133,10 @@ def test_a_push_aside_does_not_fit_the_axial_mode_and_fits_the_point_mode(lwr):
         sensor, rows = tared(lwr, replace(DEFAULT, mode=mode))
         assert feed(sensor, rows[:100])[-1].model_mismatch < 2.0
         force = np.array([1.0, 0.5, 0.0])
-        pushed = [(q, dq, tau - external_torque_of(lwr, q, force)) for q, dq, tau in rows[100:600]]
+        pushed = [
+            (q, dq, tau - external_torque_of(lwr, q, force))
+            for q, dq, tau in rows[100:600]
+        ]
         found = feed(sensor, pushed)[-1]
         assert (found.model_mismatch > 4.0) == mismatches
         assert (SensorWarning.MODEL_MISMATCH in found.warnings) == mismatches
@@ -132,7 +146,9 @@ def test_a_push_aside_does_not_fit_the_axial_mode_and_fits_the_point_mode(lwr):
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_valid_sample_of_a_fast_arm_a_hand_or_a_rupture_is_held_back(lwr, kind, with_velocity):
+def test_no_valid_sample_of_a_fast_arm_a_hand_or_a_rupture_is_held_back(
+    lwr, kind, with_velocity
+):
     rng = np.random.default_rng(1)
     motion = sensed(KINDS[kind](lwr, rng, 2000), rng)
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
@@ -144,7 +160,10 @@ def test_a_step_of_a_coarse_encoder_at_rest_is_no_spike(lwr):
     q, _, tau = rows[0]
     # Near the edge of a step, which noise passes now and then only.
     edge = np.round(q / step) * step + 0.5 * step - 4e-5
-    at = [np.round((edge + 1.5e-5 * rng.normal(size=7)) / step) * step for _ in range(8000)]
+    at = [
+        np.round((edge + 1.5e-5 * rng.normal(size=7)) / step) * step
+        for _ in range(8000)
+    ]
     changes = np.count_nonzero(np.diff(at, axis=0), axis=0)
     assert (changes > 10).all()
     assert (changes < 400).all()
@@ -175,9 +194,13 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-@pytest.mark.parametrize("middle", [MIDDLE, np.array([0.0, 0.9, 0.0, -1.1, 0.0, 1.1, 0.0])])
+@pytest.mark.parametrize(
+    "middle", [MIDDLE, np.array([0.0, 0.9, 0.0, -1.1, 0.0, 1.1, 0.0])]
+)
 @pytest.mark.parametrize("newton", [5.0, 40.0])
-def test_a_force_that_comes_in_one_sample_loses_none(lwr, newton, middle, with_velocity):
+def test_a_force_that_comes_in_one_sample_loses_none(
+    lwr, newton, middle, with_velocity
+):
     sensor, rows = tared(lwr, with_velocity=with_velocity, middle=middle)
     directions = np.repeat(
         [[0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 1, 0], [0, 0, 0], [0, 0, 1]], 50, 0

@@ -26,7 +26,9 @@ from residual import (
 from urdf import Payload, Robot, UnsupportedJointError
 
 
-@pytest.mark.parametrize(("copied", "with_velocity"), [(copy.copy, True), (copy.deepcopy, False)])
+@pytest.mark.parametrize(
+    ("copied", "with_velocity"), [(copy.copy, True), (copy.deepcopy, False)]
+)
 def test_a_copy_goes_on_bit_for_bit(lwr, copied, with_velocity):
     sensor, rows = tared(lwr, with_velocity=with_velocity)
     feed(sensor, rows[:700])
@@ -44,7 +46,9 @@ def robot_of(joint, count):
         model.addJointFrame(index, -1)
         model.appendBodyToJoint(index, link, place)
     tip = pin.SE3(np.eye(3), np.array([0.2, 0.2, 0.1]))
-    model.addFrame(pin.Frame("tool", count, model.nframes - 1, tip, pin.FrameType.OP_FRAME))
+    model.addFrame(
+        pin.Frame("tool", count, model.nframes - 1, tip, pin.FrameType.OP_FRAME)
+    )
     return Robot(bare_model=model, tool_frame="tool", flange_frame="tool")
 
 
@@ -52,24 +56,32 @@ def robot_of(joint, count):
 @pytest.mark.parametrize("mode", ["axial", "point"])
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize(
-    ("joint", "count"), [(pin.JointModelPZ(), 1), (pin.JointModelRX(), 1), (pin.JointModelRY(), 3)]
+    ("joint", "count"),
+    [(pin.JointModelPZ(), 1), (pin.JointModelRX(), 1), (pin.JointModelRY(), 3)],
 )
 def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity, mode):
     robot = robot_of(joint, count)
     sensor = VirtualForceSensor(robot, replace(DEFAULT, mode=mode))
-    _, q, dq, tau = swing(robot, seconds=2.0, amplitude=0.03, middle=np.full(count, 0.4))
+    _, q, dq, tau = swing(
+        robot, seconds=2.0, amplitude=0.03, middle=np.full(count, 0.4)
+    )
     rng = np.random.default_rng(0)
     tau = tau - 0.2 + 0.01 * rng.normal(size=tau.shape)
     rows = rows_of(q, dq if with_velocity else None, tau)
     feed(sensor, rows[:1500])
     sensor.tare()
     force = np.array([0.0, 0.0, 3.0])
-    pushed = [(q, dq, tau - external_torque_of(robot, q, force)) for q, dq, tau in rows[1500:]]
+    pushed = [
+        (q, dq, tau - external_torque_of(robot, q, force)) for q, dq, tau in rows[1500:]
+    ]
     last = feed(sensor, pushed)[-1]
     assert last.status is Status.OK
     assert all(np.isfinite(value).all() for value in last[:8])
     if count == 1 and mode == "axial":
-        torque, lever_m = external_torque_of(robot, q[-1], force), sensor.kinematics.axial_jacobian
+        torque, lever_m = (
+            external_torque_of(robot, q[-1], force),
+            sensor.kinematics.axial_jacobian,
+        )
         assert last.axial == pytest.approx(-torque[0] / lever_m[0], abs=0.3)
 
 
@@ -177,7 +189,10 @@ def test_settings_that_cannot_work_are_refused(name):
         (MomentumObserver, {"gain_per_s": [1.0, 2.0]}),
         (MomentumObserver, {"alignment": "euler"}),
         (MomentumObserver, {"max_gap_s": 0.0}),
-        (lambda _, **settings: VelocityEstimator(7, **settings), {"bandwidth_per_s": np.inf}),
+        (
+            lambda _, **settings: VelocityEstimator(7, **settings),
+            {"bandwidth_per_s": np.inf},
+        ),
         (lambda _, **settings: VelocityEstimator(**settings), {"joints": -1}),
     ],
 )
@@ -187,18 +202,28 @@ def test_each_part_refuses_settings_that_cannot_work_by_name(lwr, make, settings
 
 
 def hand(mass_kg):
-    return Payload(mass_kg=mass_kg, com_m=np.array([0, 0, 0.1]), inertia_kg_m2=1e-3 * np.eye(3))
+    return Payload(
+        mass_kg=mass_kg, com_m=np.array([0, 0, 0.1]), inertia_kg_m2=1e-3 * np.eye(3)
+    )
 
 
 WRONG = {
-    "missing gravity": (lambda g, tau: tau - g, {}, "torque_is_gravity_compensated=True"),
+    "missing gravity": (
+        lambda g, tau: tau - g,
+        {},
+        "torque_is_gravity_compensated=True",
+    ),
     "gravity twice": (
         lambda g, tau: tau,
         {"torque_is_gravity_compensated": True},
         "torque_is_gravity_compensated=False",
     ),
     "wrong sign": (lambda g, tau: -tau, {}, "wrong sign"),
-    "two joints": (lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]], {}, "joint 2 reads as joint 4's"),
+    "two joints": (
+        lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]],
+        {},
+        "joint 2 reads as joint 4's",
+    ),
 }
 
 
@@ -220,9 +245,15 @@ OTHERS = np.arange(7) != 3
 @pytest.mark.parametrize(
     ("bend", "words"),
     [
-        (lambda q, tau: (np.degrees(q), tau), "limit: .* is q in degrees. If not, the sensor"),
+        (
+            lambda q, tau: (np.degrees(q), tau),
+            "limit: .* is q in degrees. If not, the sensor",
+        ),
         (lambda q, tau: (q * OTHERS, tau), "q at joint 4 never changed"),
-        (lambda q, tau: (q, tau * OTHERS), "tau at joint 4 has not .* If not, the sensor reads"),
+        (
+            lambda q, tau: (q, tau * OTHERS),
+            "tau at joint 4 has not .* If not, the sensor reads",
+        ),
     ],
 )
 def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
@@ -244,11 +275,17 @@ def test_a_tare_without_data_says_what_was_rejected(lwr):
 
 @pytest.mark.parametrize(
     ("in_model", "on_arm", "words"),
-    [(0.76, 0.0, r"has about 0\.[678]\d? kg too much"), (0.0, 2.5, r"lacks about 2(\.[2-6])? kg")],
+    [
+        (0.76, 0.0, r"has about 0\.[678]\d? kg too much"),
+        (0.0, 2.5, r"lacks about 2(\.[2-6])? kg"),
+    ],
 )
-def test_a_hand_left_in_the_model_or_missing_there_is_named(lwr, in_model, on_arm, words):
+def test_a_hand_left_in_the_model_or_missing_there_is_named(
+    lwr, in_model, on_arm, words
+):
     robot, model = (
-        lwr.with_payload(lwr.payload + hand(kg)) if kg else lwr for kg in (on_arm, in_model)
+        lwr.with_payload(lwr.payload + hand(kg)) if kg else lwr
+        for kg in (on_arm, in_model)
     )
     _, q, dq, tau = swing(robot, seconds=3.0, amplitude=0.3)
     sensor = VirtualForceSensor(model)
@@ -262,7 +299,9 @@ def test_measured_torque_given_as_external_torque_is_named(lwr):
     sensor = VirtualForceSensor(lwr)
     for one in zip(q, tau, strict=True):
         sensor.update_external_torque(one[0], None, one[1], 1e-3)
-    with pytest.raises(TareError, match=r"the measured torque; call update\(\) instead"):
+    with pytest.raises(
+        TareError, match=r"the measured torque; call update\(\) instead"
+    ):
         sensor.tare()
 
 
@@ -309,7 +348,9 @@ def test_a_tip_offset_is_a_tool_frame_further_out(lwr, mode):
     np.testing.assert_allclose(*forces, atol=1e-9)
     config = replace(DEFAULT, tool_offset_m=tuple(offset), mode=mode)
     sensor, rows = tared(lwr, config)
-    pushed = [(q, dq, tau - external_torque_of(longer, q, [0, 0, 2.0])) for q, dq, tau in rows]
+    pushed = [
+        (q, dq, tau - external_torque_of(longer, q, [0, 0, 2.0])) for q, dq, tau in rows
+    ]
     last = feed(sensor, pushed)[-1]
     assert last.status is Status.OK
     if mode == "point":

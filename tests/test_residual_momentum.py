@@ -44,7 +44,9 @@ def step(before, after, gain, dt_s, alignment="trapezoid"):
     gain=st.floats(0.1, 1000.0),
     dt=st.floats(1e-5, 0.05),
 )
-def test_two_half_steps_equal_one_step_for_a_held_input(residual, slope, held, gain, dt):
+def test_two_half_steps_equal_one_step_for_a_held_input(
+    residual, slope, held, gain, dt
+):
     gain = np.array([gain])
     start = rows(0.0, 1.0, 2.0, held, residual)
     middle = rows(slope * dt / 2, 1.0, 2.0, held)
@@ -64,7 +66,9 @@ def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
 
 
 @pytest.mark.parametrize(("alignment", "torque"), [("hold", 1.0), ("trapezoid", 3.0)])
-def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(alignment, torque):
+def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(
+    alignment, torque
+):
     found = step(rows(0, 0, 0, 1.0), rows(0, 0, 0, 5.0), 50.0, 1e-3, alignment)
     assert found == pytest.approx(np.expm1(-0.05) * torque)
 
@@ -74,18 +78,25 @@ def askew():
     """Sliding and turning joints along odd directions, a branch, and rotors."""
     model, along = pin.Model(), np.array([0.6, 0.0, 0.8])
     turning, sliding = pin.JointModelRevoluteUnaligned(along), pin.JointModelPY()
-    joints = [pin.JointModelRX(), sliding, turning, pin.JointModelPrismaticUnaligned(-along)]
+    joints = [
+        pin.JointModelRX(),
+        sliding,
+        turning,
+        pin.JointModelPrismaticUnaligned(-along),
+    ]
     pin.seed(1)
     for k, parent in enumerate((0, 1, 2, 1, 4, 5, 5)):
         model.addJoint(parent, joints[k % 4], pin.SE3.Random(), f"j{k}")
         model.appendBodyToJoint(k + 1, pin.Inertia.Random(), pin.SE3.Identity())
-    return Robot(bare_model=model, tool_frame="universe", flange_frame="universe").with_armature(
-        np.linspace(0.0, 0.6, 7)
-    )
+    return Robot(
+        bare_model=model, tool_frame="universe", flange_frame="universe"
+    ).with_armature(np.linspace(0.0, 0.6, 7))
 
 
 @pytest.mark.parametrize("alignment", ["hold", "trapezoid"])
-@pytest.mark.parametrize("gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"])
+@pytest.mark.parametrize(
+    "gain", [40.0, np.linspace(10.0, 80.0, 7)], ids=["one gain", "gains"]
+)
 @pytest.mark.parametrize("arm", ["lwr", "askew"])
 def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, request):
     robot = request.getfixturevalue(arm)
@@ -97,7 +108,9 @@ def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, requ
         inertia = pin.crba(robot.model, data, q[k]).copy()
         coriolis = pin.computeCoriolisMatrix(robot.model, data, q[k], dq[k]).copy()
         gravity = pin.computeGeneralizedGravity(robot.model, data, q[k]).copy()
-        return np.stack([np.zeros(7), inertia @ dq[k], coriolis.T @ dq[k], gravity, tau[k]])
+        return np.stack(
+            [np.zeros(7), inertia @ dq[k], coriolis.T @ dq[k], gravity, tau[k]]
+        )
 
     expected, before = np.zeros(7), sample_rows(0)
     observer.update(q[0], dq[0], tau[0], 0.0)
@@ -106,7 +119,9 @@ def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, requ
         before[0] = expected
         expected = step(before, after, gain, dt, alignment)
         before = after
-        np.testing.assert_allclose(observer.update(q[k], dq[k], tau[k], dt), expected, atol=1e-12)
+        np.testing.assert_allclose(
+            observer.update(q[k], dq[k], tau[k], dt), expected, atol=1e-12
+        )
 
 
 def test_residual_converges_to_the_external_torque(lwr):
@@ -114,7 +129,9 @@ def test_residual_converges_to_the_external_torque(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
     observer = MomentumObserver(lwr, 200.0)
     residual = feed(observer, rows_of(q, dq, tau))[-1]
-    np.testing.assert_allclose(residual, external_torque_of(lwr, q[-1], force), atol=0.02)
+    np.testing.assert_allclose(
+        residual, external_torque_of(lwr, q[-1], force), atol=0.02
+    )
 
 
 def test_start_on_a_moving_arm_has_no_spike(lwr):
@@ -140,10 +157,17 @@ def test_modelled_friction_does_not_read_as_force(lwr):
         offset_Nm=np.zeros(JOINTS),
     )
     _, q, dq, tau = swing(lwr, seconds=1.0)
-    with_friction = np.array([t + friction.torque(v) for t, v in zip(tau, dq, strict=True)])
-    known, unknown = MomentumObserver(lwr, 50.0, friction=friction), MomentumObserver(lwr, 50.0)
+    with_friction = np.array(
+        [t + friction.torque(v) for t, v in zip(tau, dq, strict=True)]
+    )
+    known, unknown = (
+        MomentumObserver(lwr, 50.0, friction=friction),
+        MomentumObserver(lwr, 50.0),
+    )
     rows = rows_of(q, dq, with_friction)
-    worst_known, worst_unknown = (np.abs(feed(one, rows)).max() for one in (known, unknown))
+    worst_known, worst_unknown = (
+        np.abs(feed(one, rows)).max() for one in (known, unknown)
+    )
     assert worst_known < 0.01 < 0.5 < worst_unknown
 
 
@@ -172,12 +196,16 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
 def test_smooth_friction_opposes_motion_and_reaches_coulomb_plus_viscous():
     friction = JointFriction(viscous_Nms=[2.0], coulomb_Nm=[1.0], offset_Nm=[0.25])
     assert friction.torque(np.array([0.5]))[0] == pytest.approx(2.0 * 0.5 + 1.0 + 0.25)
-    assert friction.torque(np.array([-0.5]))[0] == pytest.approx(-2.0 * 0.5 - 1.0 + 0.25)
+    assert friction.torque(np.array([-0.5]))[0] == pytest.approx(
+        -2.0 * 0.5 - 1.0 + 0.25
+    )
     assert friction.torque(np.array([0.0]))[0] == pytest.approx(0.25)
 
 
 def test_sigmoid_friction_is_zero_at_rest_and_follows_its_formula():
-    friction = SigmoidFriction(amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.04])
+    friction = SigmoidFriction(
+        amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.04]
+    )
     assert friction.torque(np.array([0.0]))[0] == 0.0
     expected = 0.5 / (1 + np.exp(-5 * (0.3 + 0.04))) - 0.5 / (1 + np.exp(-5 * 0.04))
     assert friction.torque(np.array([0.3]))[0] == pytest.approx(expected)
@@ -231,9 +259,12 @@ def test_velocity_noise_follows_its_formula():
     rng = np.random.default_rng(0)
     estimator = VelocityEstimator(200, 100.0)
     noise = [
-        estimator.update(1e-5 * rng.normal(size=200), np.zeros(200), 1e-3).dq for _ in range(500)
+        estimator.update(1e-5 * rng.normal(size=200), np.zeros(200), 1e-3).dq
+        for _ in range(500)
     ]
-    assert np.std(noise[200:]) == pytest.approx(1e-5 * np.sqrt(1e-3 * 100.0**3 / 4), rel=0.15)
+    assert np.std(noise[200:]) == pytest.approx(
+        1e-5 * np.sqrt(1e-3 * 100.0**3 / 4), rel=0.15
+    )
 
 
 def test_matched_delay_keeps_motion_from_reading_as_force(lwr):

@@ -40,13 +40,21 @@ BEYOND = {
 UPDATES = {
     "velocity, q": lambda robot, bad: VelocityEstimator(7).update(bad, STILL, 1e-3),
     "velocity, tau": lambda robot, bad: VelocityEstimator(7).update(STILL, bad, 1e-3),
-    "momentum, q": lambda robot, bad: MomentumObserver(robot).update(bad, STILL, STILL, 1e-3),
-    "momentum, dq": lambda robot, bad: MomentumObserver(robot).update(STILL, bad, STILL, 1e-3),
-    "momentum, tau": lambda robot, bad: MomentumObserver(robot).update(STILL, STILL, bad, 1e-3),
+    "momentum, q": lambda robot, bad: MomentumObserver(robot).update(
+        bad, STILL, STILL, 1e-3
+    ),
+    "momentum, dq": lambda robot, bad: MomentumObserver(robot).update(
+        STILL, bad, STILL, 1e-3
+    ),
+    "momentum, tau": lambda robot, bad: MomentumObserver(robot).update(
+        STILL, STILL, bad, 1e-3
+    ),
     **{
-        f"{mode} wrench, {name}": lambda robot, bad, mode=mode, name=name: WrenchEstimator(
-            robot, SensorConfig(mode=mode)
-        ).estimate(**({"q": MIDDLE, "residual": STILL} | {name: bad}))
+        f"{mode} wrench, {name}": lambda robot, bad, mode=mode, name=name: (
+            WrenchEstimator(robot, SensorConfig(mode=mode)).estimate(
+                **({"q": MIDDLE, "residual": STILL} | {name: bad})
+            )
+        )
         for mode in ("axial", "point", "full")
         for name in ("q", "residual")
     },
@@ -58,7 +66,9 @@ UPDATES = {
 def test_what_is_no_real_number_is_refused(lwr, update, kind):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        with pytest.raises(SampleError, match=f"^{update.split()[-1]} is not an array of numbers"):
+        with pytest.raises(
+            SampleError, match=f"^{update.split()[-1]} is not an array of numbers"
+        ):
             UPDATES[update](lwr, NO_NUMBERS[kind])
 
 
@@ -72,7 +82,9 @@ def test_what_no_sensor_measures_is_refused(lwr, update, kind):
 
 
 @pytest.mark.parametrize("update", UPDATES)
-@pytest.mark.parametrize("valid", [[0.0] * 7, STILL.astype(np.float32), [Fraction(0)] * 7])
+@pytest.mark.parametrize(
+    "valid", [[0.0] * 7, STILL.astype(np.float32), [Fraction(0)] * 7]
+)
 def test_real_numbers_of_any_type_are_welcome(lwr, update, valid):
     assert str(UPDATES[update](lwr, valid)) == str(UPDATES[update](lwr, STILL))
 
@@ -88,7 +100,10 @@ def test_a_time_step_may_be_any_real_number(lwr, dt_s):
     _, q, dq, tau = swing(lwr, seconds=0.02)
     sensor, velocity = VirtualForceSensor(lwr), VelocityEstimator(7)
     for one in zip(q, dq, tau, strict=True):
-        wrench, matched = sensor.update(*one, dt_s), velocity.update(one[0], one[2], dt_s)
+        wrench, matched = (
+            sensor.update(*one, dt_s),
+            velocity.update(one[0], one[2], dt_s),
+        )
     assert sensor.rejected == 0
     assert sensor.elapsed_s == pytest.approx(1e-3)
     assert type(wrench.axial) is float
@@ -111,7 +126,10 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
 def test_arrays_of_any_layout_are_taken(has_velocity):
     robot = load_lwr()
     _, q, dq, tau = swing(robot, seconds=0.1)
-    plain, strange = VirtualForceSensor(robot, DEFAULT), VirtualForceSensor(robot, DEFAULT)
+    plain, strange = (
+        VirtualForceSensor(robot, DEFAULT),
+        VirtualForceSensor(robot, DEFAULT),
+    )
     for one in zip(q, dq, tau, strict=True):
         gaps = [np.repeat(row, 2)[::2] for row in one]
         if not has_velocity:

@@ -24,13 +24,17 @@ from residual import (
 
 def push(robot, sensor, force, *, with_velocity=True):
     """The estimate after half a second under a force."""
-    _, q, dq, tau = swing(robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force)
+    _, q, dq, tau = swing(
+        robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force
+    )
     return feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))[-1]
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
-    sensor = tared_sensor(lwr, replace(DEFAULT, mode="point"), with_velocity=with_velocity)
+    sensor = tared_sensor(
+        lwr, replace(DEFAULT, mode="point"), with_velocity=with_velocity
+    )
     force = np.array([1.0, -0.5, 2.0])
     estimate = push(lwr, sensor, force, with_velocity=with_velocity)
     assert estimate.status is Status.OK
@@ -78,11 +82,19 @@ def test_before_the_tare_the_standard_deviation_is_that_of_the_prior(lwr):
     estimate = feed(sensor, rows_of(q, dq, tau - BIAS))[-1]
     assert abs(estimate.axial) < 2 * estimate.axial_std
     sensor.tare()
-    assert sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std < 0.1 * estimate.axial_std
+    assert (
+        sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std
+        < 0.1 * estimate.axial_std
+    )
 
 
 BAD = {
-    "not finite": lambda q, dq, tau: (q, dq, np.where(np.arange(7) == 3, np.nan, tau), 1e-3),
+    "not finite": lambda q, dq, tau: (
+        q,
+        dq,
+        np.where(np.arange(7) == 3, np.nan, tau),
+        1e-3,
+    ),
     "shape": lambda q, dq, tau: (q[:3], dq, tau, 1e-3),
     "not an array of numbers": lambda q, dq, tau: (q, dq, ["a"] * 7, 1e-3),
     "dq was given before": lambda q, dq, tau: (q, None, tau, 1e-3),
@@ -118,7 +130,9 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
 
 
-def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(lwr):
+def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(
+    lwr,
+):
     sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
     for k in range(2995):
@@ -128,7 +142,9 @@ def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_
     with pytest.raises(TareError, match="in contact"):
         sensor.tare()
     assert not sensor.tared
-    ours, theirs = (one.update(q[2995], dq[2995], tau[2995], 1e-3) for one in (sensor, twin))
+    ours, theirs = (
+        one.update(q[2995], dq[2995], tau[2995], 1e-3) for one in (sensor, twin)
+    )
     assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
     sensor.tare(ignore_contact=True)
     assert sensor.tared
@@ -157,7 +173,10 @@ def force_noise(robot, config, amplitude):
     for size in (0.01, amplitude):
         _, q, dq, tau = swing(robot, seconds=3.0, amplitude=size)
         noisy = dq + 2e-4 * rng.normal(size=dq.shape)
-        found = [sensor.update(*sample, 1e-3).axial for sample in zip(q, noisy, tau, strict=True)]
+        found = [
+            sensor.update(*sample, 1e-3).axial
+            for sample in zip(q, noisy, tau, strict=True)
+        ]
         if not sensor.tared:
             sensor.tare()
     return np.std(found[200:])
@@ -196,7 +215,11 @@ SIX = np.ones(6)
     [
         {"gain_per_s": (50.0, 50.0)},
         {"friction": JointFriction(viscous_Nms=SIX, coulomb_Nm=SIX, offset_Nm=SIX)},
-        {"friction": SigmoidFriction(amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX)},
+        {
+            "friction": SigmoidFriction(
+                amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX
+            )
+        },
         {"friction": type("NoNumber", (), {"torque": lambda self, dq: dq + np.nan})()},
     ],
 )
@@ -212,7 +235,9 @@ def with_friction(viscous_7):
     """Settings whose friction differs in the tenth digit of one number among many."""
     viscous = np.full(7, 0.1)
     viscous[6] = viscous_7
-    friction = JointFriction(viscous_Nms=viscous, coulomb_Nm=np.full(7, 0.2), offset_Nm=np.zeros(7))
+    friction = JointFriction(
+        viscous_Nms=viscous, coulomb_Nm=np.full(7, 0.2), offset_Nm=np.zeros(7)
+    )
     return replace(DEFAULT, friction=friction)
 
 
@@ -230,9 +255,15 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
         state._replace(offset=replace(state.offset, recorder=None)),
         state._replace(torque_covariance=-np.eye(7)),
         state._replace(monitor=None),
-        state._replace(offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))),
+        state._replace(
+            offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))
+        ),
     ):
         with pytest.raises(SnapshotError, match="damaged"):
             sensor.restore(damaged)
     for ours, theirs in zip(feed(sensor, rows), feed(twin, rows), strict=True):
-        assert (ours.axial, ours.axial_std, ours.status) == (theirs.axial, theirs.axial_std, "ok")
+        assert (ours.axial, ours.axial_std, ours.status) == (
+            theirs.axial,
+            theirs.axial_std,
+            "ok",
+        )

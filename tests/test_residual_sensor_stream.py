@@ -7,7 +7,14 @@ import pytest
 from guarded_sensor import feed, rows_of, signals, tared, tared_sensor
 from residual_signals import BIAS, external_torque_of, swing
 
-from residual import DEFAULT, SensorConfig, SensorWarning, Status, TareError, VirtualForceSensor
+from residual import (
+    DEFAULT,
+    SensorConfig,
+    SensorWarning,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 from residual.estimate import UNSEEN_STD
 
 
@@ -38,10 +45,19 @@ def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
-def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only(lwr, mode):
+def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only(
+    lwr, mode
+):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
-    size, good, bad = {"axial": 1, "point": 3, "full": 6}[mode], np.zeros(7), np.full(7, np.nan)
-    for blank in (sensor.update(bad, good, good, 1e-3), sensor.update(good, good, bad, 1e-3)):
+    size, good, bad = (
+        {"axial": 1, "point": 3, "full": 6}[mode],
+        np.zeros(7),
+        np.full(7, np.nan),
+    )
+    for blank in (
+        sensor.update(bad, good, good, 1e-3),
+        sensor.update(good, good, bad, 1e-3),
+    ):
         assert (blank.status, blank.axial_std) == (Status.REJECTED, UNSEEN_STD)
         assert blank.covariance.shape == (size, size)
         assert all(np.isfinite(value).all() for value in blank[:8])
@@ -68,7 +84,9 @@ def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, with_velocity):
+def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(
+    lwr, with_velocity
+):
     sensor = VirtualForceSensor(lwr, SensorConfig(force_bandwidth_per_s=None))
     _, q, dq, _ = swing(lwr, seconds=2.0, amplitude=0.03)
     rng = np.random.default_rng(0)
@@ -88,7 +106,9 @@ def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(lwr, 
             np.testing.assert_allclose(sensor.velocity_rad_s, dq[at], atol=2e-3)
     assert found[60].status is Status.NOT_TARED
     stated = np.array([e.axial_std for e in found[1000:]])
-    error = np.array([e.axial for e in found[1000:]]) - np.mean([e.axial for e in found[1000:]])
+    error = np.array([e.axial for e in found[1000:]]) - np.mean(
+        [e.axial for e in found[1000:]]
+    )
     assert stated.max() < 0.2
     assert 0.3 < np.std(error) / stated.mean() < 3.0
     assert sensor.lag_s == 0.0
@@ -116,7 +136,10 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
         twin.update(q[1], dq[1], tau[1], 1e-3).axial, abs=1e-6
     )
     sensor.start_tare_recording()
-    assert sensor.update_external_torque(q[2], dq[2], np.zeros(7), 1e-3).status is Status.NOT_TARED
+    assert (
+        sensor.update_external_torque(q[2], dq[2], np.zeros(7), 1e-3).status
+        is Status.NOT_TARED
+    )
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is Status.REJECTED
     sensor.reset()
     assert sensor.update(q[3], dq[3], tau[3], 1e-3).status is not Status.REJECTED
@@ -149,7 +172,9 @@ def run(robot, stamps_s, *, with_velocity=True):
     for k, dt_s in enumerate(steps):
         if k == 2000:
             sensor.tare()
-        found.append(sensor.update(q[k], dq[k] if with_velocity else None, tau[k], dt_s))
+        found.append(
+            sensor.update(q[k], dq[k] if with_velocity else None, tau[k], dt_s)
+        )
     return found
 
 
@@ -157,10 +182,16 @@ def run(robot, stamps_s, *, with_velocity=True):
 def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
     ticks = np.arange(3000)
     exact = run(lwr, ticks / 1000, with_velocity=with_velocity)
-    for stamps_s in (ticks * 1e-3, np.cumsum(np.full(3000, 1e-3)), 1.7e9 + ticks / 1000):
+    for stamps_s in (
+        ticks * 1e-3,
+        np.cumsum(np.full(3000, 1e-3)),
+        1.7e9 + ticks / 1000,
+    ):
         rounded = run(lwr, stamps_s, with_velocity=with_velocity)
         assert [e.status for e in rounded] == [e.status for e in exact]
-        axial = np.array([(a.axial, b.axial) for a, b in zip(rounded, exact, strict=True)])
+        axial = np.array(
+            [(a.axial, b.axial) for a, b in zip(rounded, exact, strict=True)]
+        )
         assert np.abs(np.diff(axial[2000:])).max() < 1e-4
 
 
@@ -189,9 +220,13 @@ def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
 
 def test_a_leap_while_recording_is_reported_and_what_was_before_it_forgotten(lwr):
     rows, sensor = list(zip(*signals(lwr, 3.0), strict=True)), VirtualForceSensor(lwr)
-    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[-1].warnings
+    assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[
+        -1
+    ].warnings
     sensor.update(*rows[1000], 3600.0)
-    with pytest.raises(TareError, match=r"no settled free motion.*a time step of minutes"):
+    with pytest.raises(
+        TareError, match=r"no settled free motion.*a time step of minutes"
+    ):
         sensor.tare()
     reported = feed(sensor, rows[1001:2000])
     assert all(SensorWarning.TARE_EXPIRED in e.warnings for e in reported)

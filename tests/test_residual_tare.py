@@ -26,7 +26,15 @@ AHEAD = (MIDDLE + 0.8 * TOWARDS, FORWARD, 20.0)
 
 
 def stroke(
-    robot, basis, *, truth=None, noise=0.005, seed=0, blocks=300, reach=1.0, joint_speed=False
+    robot,
+    basis,
+    *,
+    truth=None,
+    noise=0.005,
+    seed=0,
+    blocks=300,
+    reach=1.0,
+    joint_speed=False,
 ):
     """Blocks of a there-and-back motion with a bias drawn from the prior (or given)."""
     rng = np.random.default_rng(seed)
@@ -40,7 +48,9 @@ def stroke(
         trend[:, -1] = speed
     age = np.linspace(-9.0, 0.0, blocks)
     theta = basis.std * rng.normal(size=len(basis.std)) if truth is None else truth
-    bias = np.array([basis.columns(*row) @ theta for row in zip(q, trend, age, strict=True)])
+    bias = np.array(
+        [basis.columns(*row) @ theta for row in zip(q, trend, age, strict=True)]
+    )
     residual = bias + noise * rng.normal(size=bias.shape)
     scatter = np.full(robot.nv, (2 * noise) ** 2)
     return theta, TareBlocks(
@@ -96,7 +106,9 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
     at_once = (*AHEAD[:2], 0.0)
     tares = [FreeMotionFit(basis, each).tare for each in (blocks, wavy)]
-    covariances = [basis.covariance_Nm2(tare, *at_once) - tare.noise_Nm2 for tare in tares]
+    covariances = [
+        basis.covariance_Nm2(tare, *at_once) - tare.noise_Nm2 for tare in tares
+    ]
     smooth, rough = (np.sqrt(covariance.diagonal()[1:4]) for covariance in covariances)
     assert (rough > 1.5 * smooth).all()
     assert (np.abs(basis.bias_Nm(tares[1], *at_once))[1:4] < 3.0 * rough).all()
@@ -106,7 +118,9 @@ def test_uncertainty_grows_with_distance_and_time(lwr, basis):
     fitted = FreeMotionFit(basis, stroke(lwr, basis)[1]).tare
 
     def uncertainty(distance, age):
-        covariance = basis.covariance_Nm2(fitted, MIDDLE + distance * TOWARDS, STILL, age)
+        covariance = basis.covariance_Nm2(
+            fitted, MIDDLE + distance * TOWARDS, STILL, age
+        )
         return covariance.trace()
 
     assert uncertainty(0.0, 0.0) < uncertainty(0.5, 0.0) < uncertainty(1.0, 0.0)
@@ -121,7 +135,9 @@ def test_constant_kind_is_the_mean_residual(lwr):
     np.testing.assert_allclose(basis.bias_Nm(tare, MIDDLE, STILL, 5.0), mean, atol=2e-4)
 
 
-@pytest.mark.parametrize("push", [1.0 * LATE, -1.0 * LATE, np.full(300, 60.0), 0.5 * GROWING])
+@pytest.mark.parametrize(
+    "push", [1.0 * LATE, -1.0 * LATE, np.full(300, 60.0), 0.5 * GROWING]
+)
 def test_contact_on_the_way_standing_or_growing_is_refused(lwr, basis, push):
     wrench, stands = WrenchEstimator(lwr), push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
@@ -129,14 +145,18 @@ def test_contact_on_the_way_standing_or_growing_is_refused(lwr, basis, push):
     lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
     touched = replace(blocks, residual_Nm=blocks.residual_Nm - push[:, None] * lever_m)
     with pytest.raises(TareError, match="in contact"):
-        check_free_of_contact(FreeMotionFit(basis, touched), wrench, 0.25, is_external=False)
+        check_free_of_contact(
+            FreeMotionFit(basis, touched), wrench, 0.25, is_external=False
+        )
 
 
 def recorded(values, block):
     """A recorder of one loop that was given samples at 1 kHz, in blocks of so many."""
     recorder = TareRecorder.of_size(values.shape[1], 1)
     for k, value in enumerate(values):
-        recorder.add(np.full_like(value, k), np.ones((1, len(value))), value, 1e-3 * k, 1e-3)
+        recorder.add(
+            np.full_like(value, k), np.ones((1, len(value))), value, 1e-3 * k, 1e-3
+        )
         if (k + 1) % block == 0:
             recorder.close_block()
     return recorder
@@ -151,7 +171,9 @@ def test_recorder_keeps_block_means_in_bounded_memory():
     blocks = recorder.blocks(now_s=20.0)
     assert 100 < len(blocks.age_s) < 400
     np.testing.assert_allclose(blocks.residual_Nm, 2 * blocks.q_rad)
-    np.testing.assert_allclose(blocks.q_rad[:, 0] * 1e-3, blocks.age_s + 20.0, atol=1e-3)
+    np.testing.assert_allclose(
+        blocks.q_rad[:, 0] * 1e-3, blocks.age_s + 20.0, atol=1e-3
+    )
     assert len(recorder.blocks(now_s=99.0, window_s=0.1).age_s) == 1
 
 
@@ -182,7 +204,11 @@ def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
 
 
 def test_settings_that_cannot_work_are_refused(lwr):
-    for name, value in (("mass_fraction", 0.0), ("hysteresis_widths", 1e-4), ("com_m", np.nan)):
+    for name, value in (
+        ("mass_fraction", 0.0),
+        ("hysteresis_widths", 1e-4),
+        ("com_m", np.nan),
+    ):
         with pytest.raises(ConfigurationError, match=name):
             BiasPrior(**{name: value})
     with pytest.raises(ConfigurationError, match="constant"):
@@ -211,10 +237,14 @@ class Arm:
 
     def __init__(self, robot, seed, factor=1.0):
         # 0.02 to 0.1 Nm of friction, equal chance per octave.
-        coulomb_Nm = factor * 0.02 * 5.0 ** np.random.default_rng([seed, 1]).uniform(size=7)
+        coulomb_Nm = (
+            factor * 0.02 * 5.0 ** np.random.default_rng([seed, 1]).uniform(size=7)
+        )
         rng = self.rng = np.random.default_rng(seed)
         model = replace(
-            CLEAN, joint_coulomb=1.0, joint_viscous_Nms_per_rad=(0.3 * coulomb_Nm.max(),) * 7
+            CLEAN,
+            joint_coulomb=1.0,
+            joint_viscous_Nms_per_rad=(0.3 * coulomb_Nm.max(),) * 7,
         )
         self.bearings = BearingFriction(model, coulomb_Nm, rng)
         self.offset = rng.uniform(-0.5, 0.5, 7)
@@ -257,7 +287,9 @@ def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, s
 @pytest.mark.parametrize("seed", [2, 3])
 def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
     arm, estimator = Arm(lwr, seed), BiasEstimator(lwr, DEFAULT)
-    arm.feed(estimator, 0.0, 13.0, lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3))
+    arm.feed(
+        estimator, 0.0, 13.0, lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3)
+    )
     with pytest.raises(TareError, match="in contact"):
         estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
 

@@ -9,7 +9,14 @@ from residual_signals import BIAS
 from scipy.signal import lfilter
 
 from needleforce import InsertionSession
-from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError, VirtualForceSensor
+from residual import (
+    DEFAULT,
+    PUBLISHED,
+    SensorWarning,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
 
 RATIOS = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
@@ -93,21 +100,45 @@ RIGHT = {
     "factor of 1.2": lambda q, dq: (q, 1.2 * dq),
     "vibration of 7 Hz": lambda q, dq: vibrating(q, dq, 7.0, 5e-4),
     "vibration of 50 Hz": lambda q, dq: vibrating(q, dq, 50.0, 5e-5),
-    "position that jumps": lambda q, dq: (q + (np.arange(len(q)) % 3500 > 1700)[:, None] * 0.1, dq),
+    "position that jumps": lambda q, dq: (
+        q + (np.arange(len(q)) % 3500 > 1700)[:, None] * 0.1,
+        dq,
+    ),
 }
 
 DEGREES = 180.0 / np.pi
 WRONG = {
-    "deg/s": (lambda q, dq: (q, DEGREES * dq), "is 57.3 times the rate of q: is it in deg/s"),
-    "q in degrees": (lambda q, dq: (DEGREES * q, dq), "is 0.0175 times the rate .*q in degrees"),
-    "sign": (lambda q, dq: (q, -dq), r"joints 2, 4, 6 is -1 times the rate .* sign the other one"),
-    "deg/s and sign": (lambda q, dq: (q, -DEGREES * dq), "is -57.3 times .*is its sign .* deg/s"),
-    "rpm": (lambda q, dq: (q, 30.0 / np.pi * dq), "is 9.55 times .*revolutions per minute"),
-    "gear": (lambda q, dq: (q, 100.0 * dq), "is 100 times the rate of q: .* before its gear"),
+    "deg/s": (
+        lambda q, dq: (q, DEGREES * dq),
+        "is 57.3 times the rate of q: is it in deg/s",
+    ),
+    "q in degrees": (
+        lambda q, dq: (DEGREES * q, dq),
+        "is 0.0175 times the rate .*q in degrees",
+    ),
+    "sign": (
+        lambda q, dq: (q, -dq),
+        r"joints 2, 4, 6 is -1 times the rate .* sign the other one",
+    ),
+    "deg/s and sign": (
+        lambda q, dq: (q, -DEGREES * dq),
+        "is -57.3 times .*is its sign .* deg/s",
+    ),
+    "rpm": (
+        lambda q, dq: (q, 30.0 / np.pi * dq),
+        "is 9.55 times .*revolutions per minute",
+    ),
+    "gear": (
+        lambda q, dq: (q, 100.0 * dq),
+        "is 100 times the rate of q: .* before its gear",
+    ),
     "not sent": (lambda q, dq: (q, 0.0 * dq), "stands still while q moves"),
     "stale": (lambda q, dq: (q, 0.0 * dq + dq[1500]), "does not follow q: .* stale"),
     "late by 0.5 s": (lambda q, dq: (q, late(dq, 0.5)), "is 0.5 s behind q"),
-    "reversed order": (lambda q, dq: (q, dq[:, ::-1]), r"joint 2 is the rate of q at joint 6"),
+    "reversed order": (
+        lambda q, dq: (q, dq[:, ::-1]),
+        r"joint 2 is the rate of q at joint 6",
+    ),
     "two joints swapped": (
         lambda q, dq: (q, dq[:, [0, 1, 2, 5, 4, 3, 6]]),
         r"joint 4 is the rate of q at joint 6.*joint 6 is the rate of q at joint 4",
@@ -137,7 +168,9 @@ def test_jitter_of_the_clock_and_gaps_are_not_reported():
     stamps = np.maximum.accumulate(times + 5e-3 * rng.uniform(size=len(times)))
     assert not any(text for _, text in reports(stamps, q, dq)[0])
     kept = np.ones(len(times), dtype=bool)
-    for start, length in zip(rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True):
+    for start, length in zip(
+        rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True
+    ):
         kept &= ~((times >= start) & (times < start + length))
     assert not any(text for _, text in reports(times[kept], q[kept], dq[kept])[0])
 
@@ -164,7 +197,9 @@ def test_a_position_that_stands_still_under_a_velocity_is_reported():
 
 def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
     q, dq, tau = signals(robot, seconds, start=start)
-    return [(q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)]
+    return [
+        (q_k, factor * dq_k, tau_k) for q_k, dq_k, tau_k in zip(q, dq, tau, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
@@ -196,7 +231,10 @@ def test_right_velocities_are_not_reported_and_without_velocities_nothing_is(lwr
 
 def test_free_motion_recorded_anew_is_judged_anew(lwr):
     sensor = VirtualForceSensor(lwr)
-    assert feed(sensor, rows_of(lwr, factor=DEGREES))[-1].warnings == SensorWarning.VELOCITY
+    assert (
+        feed(sensor, rows_of(lwr, factor=DEGREES))[-1].warnings
+        == SensorWarning.VELOCITY
+    )
     # A jump of all velocities, which the filters have to forget first.
     feed(sensor, rows_of(lwr, 0.5, start=4.0))
     sensor.start_tare_recording()
@@ -204,7 +242,10 @@ def test_free_motion_recorded_anew_is_judged_anew(lwr):
     assert not any(e.warnings for e in found)
     sensor.tare()
     sensor.start_tare_recording()
-    assert SensorWarning.VELOCITY in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].warnings
+    assert (
+        SensorWarning.VELOCITY
+        in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].warnings
+    )
 
 
 def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
@@ -226,5 +267,6 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
     session.tare(ignore_contact=True)
     found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
     assert all(
-        SensorWarning.VELOCITY in e.warnings and not e.used_for_identification for e in found
+        SensorWarning.VELOCITY in e.warnings and not e.used_for_identification
+        for e in found
     )

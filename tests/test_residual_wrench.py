@@ -33,7 +33,9 @@ def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
         torque = external_torque_of(robot, POINTING_DOWN, weight)
         estimate = estimator_of(robot, mode=mode).estimate(POINTING_DOWN, torque)
         np.testing.assert_allclose(estimate.force, weight, atol=2e-3)
-        assert estimate.axial == pytest.approx(-2.0, abs=2e-3), "a pull on the needle is negative"
+        assert estimate.axial == pytest.approx(-2.0, abs=2e-3), (
+            "a pull on the needle is negative"
+        )
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -52,7 +54,9 @@ def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
     jacobian = jacobian_of(lwr, MIDDLE, "flange")
     estimator = estimator_of(lwr, mode="full", frame="flange", expected_force_N=None)
     estimate = estimator.estimate(MIDDLE, jacobian.T @ wrench)
-    np.testing.assert_allclose(np.r_[estimate.force, estimate.torque], wrench, atol=1e-9)
+    np.testing.assert_allclose(
+        np.r_[estimate.force, estimate.torque], wrench, atol=1e-9
+    )
 
 
 def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
@@ -61,7 +65,9 @@ def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
     estimate = estimator.estimate(MIDDLE, torque)
     expected = np.linalg.pinv(jacobian_of(lwr, MIDDLE).T) @ torque
-    np.testing.assert_allclose(np.r_[estimate.force, estimate.torque], expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        np.r_[estimate.force, estimate.torque], expected, rtol=1e-9
+    )
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -71,12 +77,18 @@ def test_standard_deviation_is_that_of_repeated_noise(lwr, mode, weighting):
     std = np.array([0.05, 0.05, 0.03, 0.03, 0.03, 0.011, 0.011])
     estimator = estimator_of(lwr, mode=mode, weighting=weighting)
     estimator.set_torque_covariance(np.diag(std**2))
-    estimates = [estimator.estimate(MIDDLE, std * rng.normal(size=7)) for _ in range(2000)]
-    assert np.std([e.axial for e in estimates]) == pytest.approx(estimates[0].axial_std, rel=0.06)
+    estimates = [
+        estimator.estimate(MIDDLE, std * rng.normal(size=7)) for _ in range(2000)
+    ]
+    assert np.std([e.axial for e in estimates]) == pytest.approx(
+        estimates[0].axial_std, rel=0.06
+    )
 
 
 def test_fewer_unknowns_mean_less_noise(lwr):
-    found = [estimator_of(lwr, mode=mode).estimate(MIDDLE, np.zeros(7)) for mode in MODES]
+    found = [
+        estimator_of(lwr, mode=mode).estimate(MIDDLE, np.zeros(7)) for mode in MODES
+    ]
     assert found[0].axial_std < found[1].axial_std < found[2].axial_std
     assert {one.axial for one in found} == {0.0}
 
@@ -88,10 +100,14 @@ def test_singular_pose_gives_finite_numbers_that_say_so(lwr):
         estimate = estimator_of(lwr, mode=mode).estimate(stretched, torque)
         assert np.isfinite(estimate.axial)
         assert np.isfinite(estimate.force).all()
-        assert estimate.axial_std > 50.0, "the joints cannot see a force along the stretched arm"
+        assert estimate.axial_std > 50.0, (
+            "the joints cannot see a force along the stretched arm"
+        )
         assert estimate.conditioning > 1e3
         assert estimate.damping_fraction.max() > 0.5
-    undamped = estimator_of(lwr, mode="full", expected_force_N=None).estimate(stretched, torque)
+    undamped = estimator_of(lwr, mode="full", expected_force_N=None).estimate(
+        stretched, torque
+    )
     assert undamped.axial_std == UNSEEN_STD
     assert np.isfinite(undamped.force).all()
 
@@ -135,7 +151,9 @@ def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
     rows, rng = jacobian_of(lwr, MIDDLE)[:3], np.random.default_rng(0)
     stds = rng.uniform(1e-3, 1e-2, 7)
     usual = np.diag(stds**2)
-    found = [unusual_change(rows, stds * rng.normal(size=7), usual, 0.0) for _ in range(2000)]
+    found = [
+        unusual_change(rows, stds * rng.normal(size=7), usual, 0.0) for _ in range(2000)
+    ]
     assert np.mean(found) == pytest.approx(1.0, abs=0.05)
     assert unusual_change(rows, np.array([1.0, -2.0, 0.5]) @ rows, usual, 0.0) < 1e-12
     aside = np.linalg.svd(rows)[2][-1]  # a torque that no force makes
@@ -147,7 +165,10 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
     estimator, found = estimator_of(lwr, mode=mode), []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
     estimator.weigh(MIDDLE)
-    memory, torques = np.zeros((3, estimator.size)), np.random.default_rng(0).normal(size=(4000, 7))
+    memory, torques = (
+        np.zeros((3, estimator.size)),
+        np.random.default_rng(0).normal(size=(4000, 7)),
+    )
     torques *= 0.02
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
     for k, torque in enumerate(torques):
@@ -169,13 +190,17 @@ def test_deviation_knows_what_a_lag_hides_of_a_force_that_swings(lwr):
     unit = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
     for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):  # of a heart
         felt_N += (true_N - felt_N) / (1.0 + lag)
-        found = estimator.solve(MIDDLE, felt_N * unit, np.zeros(7), memory, (100.0 / 3.0, lag))
+        found = estimator.solve(
+            MIDDLE, felt_N * unit, np.zeros(7), memory, (100.0 / 3.0, lag)
+        )
         errors.append(abs(found[0] - true_N) / found[1])
     assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
 
 
 def test_a_copy_of_the_tool_sees_its_own_joints():
-    one = ToolKinematics(load_lwr(), insertion_axis=(0.1, 0.2, 1.0), offset_m=(0.01, 0.0, 0.02))
+    one = ToolKinematics(
+        load_lwr(), insertion_axis=(0.1, 0.2, 1.0), offset_m=(0.01, 0.0, 0.02)
+    )
     other, axis, dq = deepcopy(one), np.array((0.6, 0.0, 0.8)), np.ones(7)
     other.update(np.full(7, 0.6))
     one.update(np.full(7, 0.3))

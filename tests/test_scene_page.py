@@ -20,38 +20,69 @@ pytest.importorskip("viser")
 from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy.plan_match import PlanState
 from needleforce.cli import main
-from needleforce.scene import PlanScene, SceneError, SlicerOutput, StateRing, Viewer, open_viewer
+from needleforce.scene import (
+    PlanScene,
+    SceneError,
+    SlicerOutput,
+    StateRing,
+    Viewer,
+    open_viewer,
+)
 from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
 from urdf import example_robot_path, load_example
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
-needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no chromium: apt-get install chromium")
+needs_chromium = pytest.mark.skipif(
+    PROGRAM is None, reason="no chromium: apt-get install chromium"
+)
 
 
 def row(time_s, depth_m=0.0, rupture=0.0, q=HOME, **more):
-    values = dict.fromkeys(FIELDS, 0.0) | {"time_s": time_s, "depth_m": depth_m, "is_good": 1.0}
+    values = dict.fromkeys(FIELDS, 0.0) | {
+        "time_s": time_s,
+        "depth_m": depth_m,
+        "is_good": 1.0,
+    }
     values |= {f"plan_{name}": np.nan for name in PLAN_FIELDS}
     values |= {"force_N": 20.0 * depth_m, "tip_N": 10.0 * depth_m, "force_std_N": 0.05}
-    values |= {"rupture": rupture, "rupture_depth_m": depth_m, "layer": 1.0, "tip_std_N": 0.1}
+    values |= {
+        "rupture": rupture,
+        "rupture_depth_m": depth_m,
+        "layer": 1.0,
+        "tip_std_N": 0.1,
+    }
     return (*((values | more)[name] for name in FIELDS), *q)
 
 
 def insertion(count=200):
-    return np.array([row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)])
+    return np.array(
+        [row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)]
+    )
 
 
 def planned(layer, next_mm, matched=-1):
     """What a plan says, as fields of a row."""
     values = (layer, 0.93, 2e-3, 0.4e-3, 1e-3 * next_mm, 0.5e-3, matched, 0.97)
-    return {f"plan_{name}": value for name, value in zip(PLAN_FIELDS, values, strict=True)}
+    return {
+        f"plan_{name}": value for name, value in zip(PLAN_FIELDS, values, strict=True)
+    }
 
 
 def plan():
     """Two boxes under the needle, and the way through them."""
-    box = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float) * 0.05
-    triangles = np.array([[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]])
+    box = (
+        np.array(
+            [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float
+        )
+        * 0.05
+    )
+    triangles = np.array(
+        [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]]
+    )
     surfaces = [
-        SimpleNamespace(name=name, colour=color, vertices_m=box + shift, triangles=triangles)
+        SimpleNamespace(
+            name=name, colour=color, vertices_m=box + shift, triangles=triangles
+        )
         for name, color, shift in (
             ("liver", (0.6, 0.2, 0.2), [-0.6, 0.0, 0.2]),
             ("rib", (0.9, 0.9, 0.9), [-0.6, 0.0, 0.1]),
@@ -62,7 +93,9 @@ def plan():
         SimpleNamespace(name="liver", exit_m=0.05, is_obstacle=False),
         SimpleNamespace(name="rib", exit_m=0.08, is_obstacle=True),
     ]
-    return PlanScene(surfaces, layers, np.array([-0.6, 0.0, 0.3]), np.array([-0.6, 0.0, 0.2]))
+    return PlanScene(
+        surfaces, layers, np.array([-0.6, 0.0, 0.3]), np.array([-0.6, 0.0, 0.2])
+    )
 
 
 @pytest.fixture
@@ -124,7 +157,9 @@ def test_before_the_tare_no_curve_is_shown(viewer):
 
 
 def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
-    viewer.append(np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))]))
+    viewer.append(
+        np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))])
+    )
     viewer.show(0.5)
     assert "in **outside** (93 %), fat at 2.0 ± 1.0 mm" in viewer._text.content
     viewer.show()
@@ -150,12 +185,19 @@ def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
 
 
 def test_a_row_holds_the_estimate_and_its_plan():
-    plan = PlanState(1, "liver", 0.9, 2e-3, 1e-3, "rib", 0.05, 1e-3, 1, "liver", 0.8, True)
+    plan = PlanState(
+        1, "liver", 0.9, 2e-3, 1e-3, "rib", 0.05, 1e-3, 1, "liver", 0.8, True
+    )
     rupture = SimpleNamespace(layer=1, depth_m=0.03)
     found = SimpleNamespace(rupture=None, retracted=rupture, tip_force_N=0.5, layer=2)
     found.tip_force_std_N, found.shaft_friction_N = None, 0.1
-    now = SimpleNamespace(time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan)
-    now.wrench, now.status = SimpleNamespace(axial=1.0, axial_std=0.1), SimpleNamespace(value="ok")
+    now = SimpleNamespace(
+        time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan
+    )
+    now.wrench, now.status = (
+        SimpleNamespace(axial=1.0, axial_std=0.1),
+        SimpleNamespace(value="ok"),
+    )
     made = dict(zip(FIELDS, view_row(now, HOME), strict=False))
     assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
     assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
@@ -183,7 +225,9 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
         text = page.evaluate("document.body.innerText")
         assert "not a medical device" in text
         viewer.show(3.0)
-        assert page.wait_for("!document.body.innerText.includes('rupture 1 at 12.0 mm')")
+        assert page.wait_for(
+            "!document.body.innerText.includes('rupture 1 at 12.0 mm')"
+        )
         assert page.wait_for("document.body.innerText.includes('3.0 s')")
         time.sleep(3.0)  # the scene fades in
         picture = page.picture(tmp_path / "scene.png")
@@ -194,7 +238,9 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
 def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
     robot = load_lwr(payload=NeedleTool())
     wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
-    found = SimpleNamespace(rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None)
+    found = SimpleNamespace(
+        rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None
+    )
     found.shaft_friction_N, found.layer = 0.1, 1
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")
@@ -213,7 +259,9 @@ def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
 
 
 @needs_chromium
-def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypatch, capsys):
+def test_a_recording_becomes_one_page_that_needs_nothing_else(
+    tmp_path, monkeypatch, capsys
+):
     from scene_page import open_page
 
     from needleforce.cli.simulate import signal_table
@@ -223,9 +271,19 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypa
     run = short_run()
     table = {name: values[::4] for name, values in signal_table(run).items()}
     write_table(
-        "insertion.npz", {name: table[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+        "insertion.npz",
+        {name: table[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")},
     )
-    options = ["--payload", "needle", "--tare", "13", "--export", "scene.html", "--port", "8251"]
+    options = [
+        "--payload",
+        "needle",
+        "--tare",
+        "13",
+        "--export",
+        "scene.html",
+        "--port",
+        "8251",
+    ]
     assert main(["view", "insertion.npz", *options]) == 0
     assert "scene.html" in capsys.readouterr().out
     text = (tmp_path / "scene.html").read_text(encoding="utf-8")
@@ -237,11 +295,41 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("joints", "torque", "options", "code", "why"),
     [
-        (6, 1.0, [], 2, "error: the log has 6 columns per joint signal, the robot has 7 joints"),
-        (7, 1.0, ["--tare", "-3"], 2, "error: --tare -3: expected seconds of free motion"),
-        (7, 1.0, ["--tare", "100"], 0, r"warning: no tare in 2.001 s \(--tare 100 asks"),
-        (7, 1e3, [], 0, "warning: samples rejected, 19..: 19.. x tau is at the effort limit"),
-        (7, -1.0, ["--tare", "1"], 0, "no tare at 1.0 s: .* wrong sign; negate it. Tare in free"),
+        (
+            6,
+            1.0,
+            [],
+            2,
+            "error: the log has 6 columns per joint signal, the robot has 7 joints",
+        ),
+        (
+            7,
+            1.0,
+            ["--tare", "-3"],
+            2,
+            "error: --tare -3: expected seconds of free motion",
+        ),
+        (
+            7,
+            1.0,
+            ["--tare", "100"],
+            0,
+            r"warning: no tare in 2.001 s \(--tare 100 asks",
+        ),
+        (
+            7,
+            1e3,
+            [],
+            0,
+            "warning: samples rejected, 19..: 19.. x tau is at the effort limit",
+        ),
+        (
+            7,
+            -1.0,
+            ["--tare", "1"],
+            0,
+            "no tare at 1.0 s: .* wrong sign; negate it. Tare in free",
+        ),
         (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
     ],
 )
@@ -253,10 +341,15 @@ def test_a_recording_that_cannot_be_tared_is_said_so(
 
     monkeypatch.chdir(tmp_path)
     table = signal_table(short_run())
-    signals = {name: table[name][:2001, :joints] for name in ("q_rad", "dq_rad_s", "tau_Nm")}
+    signals = {
+        name: table[name][:2001, :joints] for name in ("q_rad", "dq_rad_s", "tau_Nm")
+    }
     signals["tau_Nm"] = torque * signals["tau_Nm"]
     write_table("a.npz", {"t_s": table["t_s"][:2001], **signals})
-    assert main(["view", "a.npz", *options, "--export", "a.html", "--port", "8271"]) == code
+    assert (
+        main(["view", "a.npz", *options, "--export", "a.html", "--port", "8271"])
+        == code
+    )
     said, warned = capsys.readouterr()
     assert said == ("" if code else "a.html\n")
     assert re.search(why, warned)
@@ -271,12 +364,18 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     from needleforce.recordings.table import Labels
 
     model, order, table = load_lwr(), [3, 1, 0, 2, 6, 5, 4], signal_table(short_run())
-    signals = {name: table[name][:1001] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
+    signals = {
+        name: table[name][:1001] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    }
     turned = {name: v[:, order] if v.ndim == 2 else v for name, v in signals.items()}
     names = tuple(model.joint_names[k] for k in order)
-    write_table(tmp_path / "a.mcap", signals, labels=Labels(joint_names=model.joint_names))
+    write_table(
+        tmp_path / "a.mcap", signals, labels=Labels(joint_names=model.joint_names)
+    )
     write_table(tmp_path / "b.mcap", turned, labels=Labels(joint_names=names))
-    one, other = (replayed(tmp_path / name, model, ViewOptions()) for name in ("a.mcap", "b.mcap"))
+    one, other = (
+        replayed(tmp_path / name, model, ViewOptions()) for name in ("a.mcap", "b.mcap")
+    )
     assert len(one) > 90
     assert np.array_equal(one, other, equal_nan=True)
 
@@ -284,7 +383,18 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
 def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
     monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
     assert (
-        main(["live", "sim:gel-25-constant", "--view", "--port", "8261", "--seconds", "0.5"]) == 0
+        main(
+            [
+                "live",
+                "sim:gel-25-constant",
+                "--view",
+                "--port",
+                "8261",
+                "--seconds",
+                "0.5",
+            ]
+        )
+        == 0
     )
     said, warned = capsys.readouterr()
     assert "layer 0" in said
@@ -300,7 +410,9 @@ def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
 
 
 def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
-    page = Viewer(load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda")))
+    page = Viewer(
+        load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda"))
+    )
     page.append(insertion(2))
     page.show()
     shapes = page._arm._shapes
@@ -313,7 +425,10 @@ def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
     [
         (["--port", "70000"], "error: 127.0.0.1, port 70000: .*expected an address"),
         (["--port", "-1"], "port -1: .*a port of 0 to 65535"),
-        (["--host", "nosuchhost.invalid"], "nosuchhost.invalid, port 8080: .*expected an address"),
+        (
+            ["--host", "nosuchhost.invalid"],
+            "nosuchhost.invalid, port 8080: .*expected an address",
+        ),
         (["--host", "192.0." + "2.1"], "expected an address of this machine"),
         (["--host", "::1", "--port", "70000"], "::1, port 70000"),
     ],
@@ -343,7 +458,9 @@ def test_a_page_that_would_harm_the_log_or_has_no_place_is_refused_before_the_wo
     assert Path("log.csv").read_text() == "no log"
 
 
-def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(viewer, tmp_path, monkeypatch):
+def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(
+    viewer, tmp_path, monkeypatch
+):
     def full(_handle):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -389,7 +506,9 @@ client.stop()
 def tick(time_s, force_N=1.0, rupture=None):
     found = SimpleNamespace(tip_force_N=0.5, rupture=rupture)
     wrench = SimpleNamespace(axial=force_N, axial_std=0.1)
-    return SimpleNamespace(time_s=time_s, depth_m=0.02, wrench=wrench, identification=found)
+    return SimpleNamespace(
+        time_s=time_s, depth_m=0.02, wrench=wrench, identification=found
+    )
 
 
 def test_3d_slicer_is_not_left_alone_when_time_begins_anew(monkeypatch):
@@ -398,9 +517,19 @@ def test_3d_slicer_is_not_left_alone_when_time_begins_anew(monkeypatch):
     with SlicerOutput(18978) as output:
         monkeypatch.setattr(output, "_send", sent.append)
         times = (0.0, 0.01, 60.0, 60.01, 0.5, 0.51, 0.52)
-        assert [output.put(tick(time_s), np.eye(4)) for time_s in times] == [1, 0, 1, 0, 1, 0, 1]
+        assert [output.put(tick(time_s), np.eye(4)) for time_s in times] == [
+            1,
+            0,
+            1,
+            0,
+            1,
+            0,
+            1,
+        ]
         assert output.put(tick(1.0, np.float64(np.nan)), np.eye(4))
-        assert json.loads(sent[-1].string, parse_constant=pytest.fail)["force_N"] is None
+        assert (
+            json.loads(sent[-1].string, parse_constant=pytest.fail)["force_N"] is None
+        )
         for port in (18978, 70000):
             with pytest.raises(SceneError, match=f"port {port}: .*expected a free one"):
                 SlicerOutput(port)
@@ -411,7 +540,9 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
     port = 18977
     with SlicerOutput(port) as output:
         receiver = subprocess.Popen(
-            [sys.executable, "-c", RECEIVER, str(port)], stdout=subprocess.PIPE, text=True
+            [sys.executable, "-c", RECEIVER, str(port)],
+            stdout=subprocess.PIPE,
+            text=True,
         )
         try:
             assert receiver.stdout.readline().strip() == "ready"
@@ -421,7 +552,9 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
             assert output.is_connected
             pose = np.eye(4)
             pose[:3, 3] = 0.01, 0.02, 0.03
-            rupture = SimpleNamespace(layer=1, depth_m=0.02, probability=0.9, time_s=1.0)
+            rupture = SimpleNamespace(
+                layer=1, depth_m=0.02, probability=0.9, time_s=1.0
+            )
             sent = 0
             for k in range(1000):
                 found = rupture if k == 999 else None
@@ -434,4 +567,6 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
     assert found["poses"] > 5
     assert found["forces"] > 5
     assert found["ruptures"][0]["depth_mm"] == pytest.approx(20.0)
-    assert np.allclose(np.array(found["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3)
+    assert np.allclose(
+        np.array(found["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3
+    )

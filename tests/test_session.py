@@ -3,7 +3,15 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from insertion_run import insert, resumed_after, same, samples, short_run, tare_index, time_steps
+from insertion_run import (
+    insert,
+    resumed_after,
+    same,
+    samples,
+    short_run,
+    tare_index,
+    time_steps,
+)
 
 from benchmarks.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
@@ -51,20 +59,28 @@ def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocit
     if not with_velocity:
         found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
     dq = sent.dq_rad_s if with_velocity else None
-    signals = JointSignals(t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm)
+    signals = JointSignals(
+        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm
+    )
     offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
     part = slice(TARE, last + 1)
     depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in found[part]]).T
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
     tolerance_m = 2e-5 if with_velocity else 8e-5
     np.testing.assert_allclose(depth, offline_m[part], atol=tolerance_m)
-    np.testing.assert_allclose(speed, offline_m_s[part], atol=2e-6 if with_velocity else 1e-4)
+    np.testing.assert_allclose(
+        speed, offline_m_s[part], atol=2e-6 if with_velocity else 1e-4
+    )
     truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 
 
 def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
-    session, lost, estimate = InsertionSession(RUN.robot), range(TARE + 100, TARE + 500), None
+    session, lost, estimate = (
+        InsertionSession(RUN.robot),
+        range(TARE + 100, TARE + 500),
+        None,
+    )
     for k, (q, dq, tau, dt_s) in samples(RUN):
         if k == TARE:
             assert not session.tared
@@ -119,7 +135,9 @@ def test_the_robots_own_external_torque_gives_force_and_speed():
             if k == TARE:
                 session.tare()
             dq = sent.dq_rad_s[k] if with_velocity else None
-            estimate = session.update_external_torque(sent.q_rad[k], dq, torque[k], dt_s)
+            estimate = session.update_external_torque(
+                sent.q_rad[k], dq, torque[k], dt_s
+            )
             assert estimate.status is not Status.REJECTED
         assert estimate.wrench.axial == pytest.approx(truth.axial_N[last], abs=0.1)
         assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[last], abs=3e-4)
@@ -146,11 +164,17 @@ def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
         (("arm.urdf",), {}, r"robot is a str, expected a Robot; .*load_urdf"),
         ((RUN.robot, {"mode": "full"}), {}, r"sensor_config is a dict, .*SensorConfig"),
         ((RUN.robot,), {"speed_lag_s": -1.0}, "speed_lag_s is -1.0, expected a finite"),
-        ((RUN.robot,), {"speed_lag_s": np.inf}, "speed_lag_s is inf, expected a finite"),
+        (
+            (RUN.robot,),
+            {"speed_lag_s": np.inf},
+            "speed_lag_s is inf, expected a finite",
+        ),
         ((RUN.robot,), {"speed_lag_s": "x"}, "speed_lag_s is 'x', expected a finite"),
     ],
 )
-def test_settings_that_cannot_work_are_refused_with_a_sentence(arguments, options, match):
+def test_settings_that_cannot_work_are_refused_with_a_sentence(
+    arguments, options, match
+):
     with pytest.raises(InsertionError, match=match):
         InsertionSession(*arguments, **options)
 
@@ -219,10 +243,15 @@ def test_a_push_aside_is_told_apart_from_the_axial_force(first):
     alone = [still.update(*row) for row in rows]
     assert ruptures(found) == []
     assert all(e.used_for_identification for e in found)
-    error = [one.wrench.axial - other.wrench.axial for one, other in zip(found, alone, strict=True)]
+    error = [
+        one.wrench.axial - other.wrench.axial
+        for one, other in zip(found, alone, strict=True)
+    ]
     assert np.abs(error).max() < 0.05
     last = found[-1].wrench
-    sideways = np.linalg.norm(np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base))
+    sideways = np.linalg.norm(
+        np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
+    )
     assert last.lateral == pytest.approx(sideways, abs=0.1)
     assert last.lateral_std < 0.05
 
@@ -233,17 +262,24 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     rows = pushed(rows, (0.0, 2.0, 0.0), first, 400, joint=4)
     found = [session.update(*row) for row in rows]
     assert ruptures(found) == []
-    flagged = [k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings]
+    flagged = [
+        k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings
+    ]
     assert first < flagged[0] < first + 100
     assert "do not fit" in found[flagged[0]].wrench.message
     assert not any(found[k].used_for_identification for k in flagged)
     assert all(e.status is Status.OK for e in found)
 
 
-@pytest.mark.parametrize(("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.4, 2.7))])
+@pytest.mark.parametrize(
+    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.4, 2.7))]
+)
 def test_a_push_too_small_for_a_mismatch_shows_in_how_torques_change(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
-    found = [session.update(*row) for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)]
+    found = [
+        session.update(*row)
+        for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)
+    ]
     flagged = [k for k, e in enumerate(found) if SensorWarning.ARM_PUSHED in e.warnings]
     assert 500 < flagged[0] < 620
     assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
@@ -260,7 +296,9 @@ def test_what_a_push_did_before_it_was_known_is_taken_back():
         still.update(*row)
         history.append(still.snapshot().identifier.samples)
     rows = pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4)
-    found = (SensorWarning.MODEL_MISMATCH in session.update(*row).warnings for row in rows)
+    found = (
+        SensorWarning.MODEL_MISMATCH in session.update(*row).warnings for row in rows
+    )
     k = next(k for k, is_known in enumerate(found) if is_known)
     taken = session.snapshot().identifier.samples
     same = [n for n, samples in enumerate(history) if np.array_equal(samples, taken)]

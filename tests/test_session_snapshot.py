@@ -36,7 +36,20 @@ TARE = tare_index(short_run())
 IN_TISSUE = TARE + 4000
 BEYOND = 1500  # ticks for which the resumed session is compared
 NAN_7 = [[7], "C", np.full(7, np.nan).tobytes()]
-ODD = [None, True, -1, 1.0, 1e300, "x", [], {}, np.nan, np.inf, [[1], "C", bytes(8)], NAN_7]
+ODD = [
+    None,
+    True,
+    -1,
+    1.0,
+    1e300,
+    "x",
+    [],
+    {},
+    np.nan,
+    np.inf,
+    [[1], "C", bytes(8)],
+    NAN_7,
+]
 ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 
 
@@ -50,7 +63,9 @@ def run_through(session, last, folder, *, with_velocity):
             session.tare()
         found.append(session.update(*sample))
         machine = found[-1].identification.rupture_state
-        if k in cuts or (machine is RuptureState.FORCE_DROP_MEASURING and "rupture" not in files):
+        if k in cuts or (
+            machine is RuptureState.FORCE_DROP_MEASURING and "rupture" not in files
+        ):
             name = k if k in cuts else "rupture"
             files[name] = (k, folder / f"{name}.snapshot")
             write_snapshot(session.snapshot(), files[name][1])
@@ -63,7 +78,10 @@ def run_through(session, last, folder, *, with_velocity):
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     run = short_run()
-    session, last = InsertionSession(run.robot, identifier_config=CONFIGS[config]), TARE + 17_500
+    session, last = (
+        InsertionSession(run.robot, identifier_config=CONFIGS[config]),
+        TARE + 17_500,
+    )
     found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
     assert ("rupture" in files) or config == "published"
     feed = list(samples(run, with_velocity=with_velocity))
@@ -89,7 +107,9 @@ def test_external_torque_resumes_too(tmp_path):
     run = short_run()
     session, other = InsertionSession(run.robot), InsertionSession(run.robot)
     torques = np.random.default_rng(0).normal(size=(1500, 7))
-    for k, (q, torque) in enumerate(zip(run.signals.q_rad[:1500], torques, strict=True)):
+    for k, (q, torque) in enumerate(
+        zip(run.signals.q_rad[:1500], torques, strict=True)
+    ):
         estimate = session.update_external_torque(q, None, torque, 1e-3)
         if k == 900:
             write_snapshot(session.snapshot(), tmp_path / "s")
@@ -105,8 +125,16 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
     robot = short_run().robot
     for foreign, error, match in [
         (InsertionSession(heavier), SnapshotError, "another robot"),
-        (InsertionSession(robot, replace(DEFAULT, gain_per_s=50.0)), SnapshotError, "settings"),
-        (InsertionSession(robot, identifier_config=PUBLISHED), ValueError, "Snapshot taken"),
+        (
+            InsertionSession(robot, replace(DEFAULT, gain_per_s=50.0)),
+            SnapshotError,
+            "settings",
+        ),
+        (
+            InsertionSession(robot, identifier_config=PUBLISHED),
+            ValueError,
+            "Snapshot taken",
+        ),
         (InsertionSession(robot, speed_lag_s=0.02), InsertionError, "speed_lag_s"),
     ]:
         before = foreign.snapshot()
@@ -120,7 +148,9 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
 
 
 @pytest.mark.parametrize(
-    "fields", [{"travel": (0.0, 0.0)}, {"earlier": ()}, {"plan": None}, {"time_s": -1e300}], ids=str
+    "fields",
+    [{"travel": (0.0, 0.0)}, {"earlier": ()}, {"plan": None}, {"time_s": -1e300}],
+    ids=str,
 )
 def test_a_snapshot_edited_in_memory_is_refused(fields):
     session = InsertionSession(short_run().robot)
@@ -135,7 +165,9 @@ def test_a_shallow_copy_shares_nothing():
     twin, before = copy.copy(session), session.snapshot()
     found = [twin.update(*row) for row in rows]
     assert same(session.snapshot(), before)
-    assert all(same(session.update(*row), one) for row, one in zip(rows, found, strict=True))
+    assert all(
+        same(session.update(*row), one) for row, one in zip(rows, found, strict=True)
+    )
 
 
 def written(folder):
@@ -231,7 +263,9 @@ def with_change(plain, path, value):
 def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
     path, envelope, plain = written(tmp_path)
     place = data.draw(st.sampled_from(sorted(places(plain), key=str)))
-    path.write_bytes(sealed(envelope, with_change(plain, place, data.draw(st.sampled_from(ODD)))))
+    path.write_bytes(
+        sealed(envelope, with_change(plain, place, data.draw(st.sampled_from(ODD))))
+    )
     session = InsertionSession(short_run().robot)
     before = session.snapshot()
     try:
@@ -242,11 +276,18 @@ def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
     for row in following(IN_TISSUE, 200):
         estimate = session.update(*row)
         wrench = estimate.wrench
-        numbers = (wrench.axial, wrench.axial_std, wrench.model_mismatch, *estimate[1:3])
+        numbers = (
+            wrench.axial,
+            wrench.axial_std,
+            wrench.model_mismatch,
+            *estimate[1:3],
+        )
         assert np.isfinite(numbers).all()
 
 
 @pytest.mark.parametrize("value", [object(), 1 + 2j, np.zeros(2, dtype=np.int64)])
 def test_what_a_snapshot_cannot_hold_is_refused(value, tmp_path):
     with pytest.raises(SnapshotFileError, match="cannot hold"):
-        write_snapshot(stopped_after(IN_TISSUE)._replace(unused_s=value), tmp_path / "s")
+        write_snapshot(
+            stopped_after(IN_TISSUE)._replace(unused_s=value), tmp_path / "s"
+        )

@@ -55,7 +55,9 @@ def placement(robot, frame):
     return robot.model.frames[robot.frame_id(frame)].placement
 
 
-def test_the_last_link_is_the_default_tool_frame_and_shapes_are_not_looked_at(urdf_file):
+def test_the_last_link_is_the_default_tool_frame_and_shapes_are_not_looked_at(
+    urdf_file,
+):
     mesh = '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>'
     robot = load_urdf(urdf_file(*TWO_LINKS, f"<gazebo><a>{mesh}</a></gazebo>"))
     assert robot.nv == 2
@@ -63,11 +65,16 @@ def test_the_last_link_is_the_default_tool_frame_and_shapes_are_not_looked_at(ur
 
 
 @pytest.mark.parametrize("kind", ["continuous", "planar", "floating", "screw", "mimic"])
-def test_joints_of_several_numbers_or_none_of_their_own_are_refused_unless_locked(urdf_file, kind):
+def test_joints_of_several_numbers_or_none_of_their_own_are_refused_unless_locked(
+    urdf_file, kind
+):
     odd = joint("odd", "a", "b", kind=kind)
     message = f"'odd' is of type '{kind}'.*revolute"
     if kind == "mimic":
-        odd, message = joint("odd", "a", "b", extra='<mimic joint="j1"/>'), "'odd' mimics 'j1'"
+        odd, message = (
+            joint("odd", "a", "b", extra='<mimic joint="j1"/>'),
+            "'odd' mimics 'j1'",
+        )
     path = urdf_file(*TWO_LINKS[:3], odd)
     with pytest.raises(UnsupportedJointError, match=message):
         load_urdf(path)
@@ -96,7 +103,11 @@ def test_a_tool_is_placed_anywhere_on_a_link_and_a_needle_stands_there(urdf_file
     turned = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0.3, 0]))
     matrix = np.diag([-1.0, -1, 1, 1])
     moved = pin.SE3(np.eye(3), np.array([0.1, 0, 0.2])).homogeneous
-    for given, expected in ((turned, turned.homogeneous), (matrix, matrix), ([0.1, 0, 0.2], moved)):
+    for given, expected in (
+        (turned, turned.homogeneous),
+        (matrix, matrix),
+        ([0.1, 0, 0.2], moved),
+    ):
         robot = load_urdf(urdf_file(*ONE_LINK), tool_placement=given)
         assert robot.tool_frame == robot.flange_frame == "tool"
         assert placement(robot, "tool").homogeneous == pytest.approx(expected)
@@ -136,19 +147,33 @@ def test_inertia_no_body_can_have_is_refused(urdf_file, old, new, message):
         ),
         ('ixx="0.01"', 'ixx="0,01"', '<inertia ixx="0,01"> is not one number'),
         *(
-            (ORIGIN, f'<origin xyz="{text}"/>', f'<origin xyz="{text}"> is not 3 numbers')
+            (
+                ORIGIN,
+                f'<origin xyz="{text}"/>',
+                f'<origin xyz="{text}"> is not 3 numbers',
+            )
             for text in ("0, 0, 0.1", "0 0", "0 0 nan")
         ),
-        (ORIGIN, '<origin rpy="0 0 pi/2"/>', '<origin rpy="0 0 pi/2"> is not 3 numbers'),
+        (
+            ORIGIN,
+            '<origin rpy="0 0 pi/2"/>',
+            '<origin rpy="0 0 pi/2"> is not 3 numbers',
+        ),
         (MASS, "<mass/>", "needs <mass> with the number value"),
         (INERTIA, "<inertia/>", "needs <inertia> with the number ixx"),
     ],
 )
-def test_an_inertial_that_the_reader_would_drop_is_refused(urdf_file, old, new, message):
+def test_an_inertial_that_the_reader_would_drop_is_refused(
+    urdf_file, old, new, message
+):
     """urdfdom gives such a link no inertia at all and goes on; only stderr knows."""
-    path = urdf_file(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1])
+    path = urdf_file(
+        link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1]
+    )
     for check in (True, False):
-        with pytest.raises(UrdfFileError, match=f"toy.urdf: link 'a': <inertial> .*{message}"):
+        with pytest.raises(
+            UrdfFileError, match=f"toy.urdf: link 'a': <inertial> .*{message}"
+        ):
             load_urdf(path, check_inertias=check)
 
 
@@ -162,17 +187,23 @@ def test_numbers_that_the_reader_takes_are_taken_and_mass_it_loses_is_noticed(
         (ORIGIN, '<origin xyz=" 0  0\t.1 " rpy="0 0 0"/>'),
         (ORIGIN, "<!-- a note --><origin xyz='0 0 1e-1'/><origin xyz='9 9 9'/>"),
     ):
-        path = urdf_file(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1])
+        path = urdf_file(
+            link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1]
+        )
         inertia = load_urdf(path).model.inertias[1]
         assert inertia.mass == 1.0
         assert inertia.lever == pytest.approx([0, 0, 0.1])
     monkeypatch.setattr(description, "_NUMBER", description.re.compile(".*"))
     path = urdf_file(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE_LINK[1])
-    with pytest.raises(UrdfFileError, match=r"file add up to 1 kg, .* loaded model to 0 kg"):
+    with pytest.raises(
+        UrdfFileError, match=r"file add up to 1 kg, .* loaded model to 0 kg"
+    ):
         load_urdf(path)
 
 
-def test_a_robot_whose_joints_move_nothing_is_refused_and_a_point_mass_carried(urdf_file):
+def test_a_robot_whose_joints_move_nothing_is_refused_and_a_point_mass_carried(
+    urdf_file,
+):
     path = urdf_file(link("a"), joint("weld", "base", "a", kind="fixed"))
     with pytest.raises(UnsupportedJointError, match="no joint that moves"):
         load_urdf(path, tool_frame="a")
@@ -180,7 +211,9 @@ def test_a_robot_whose_joints_move_nothing_is_refused_and_a_point_mass_carried(u
     with pytest.raises(InertiaError, match="move no inertia: idle"):
         load_urdf(path)
     # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor refuses.
-    body = Payload(mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0]))
+    body = Payload(
+        mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0])
+    )
     robot = load_urdf(urdf_file(*ONE_LINK), payload=body)
     assert pin.computeTotalMass(robot.model) == pytest.approx(1.3)
 
@@ -222,10 +255,22 @@ ENTITIES = "".join(f'<!ENTITY e{k + 1} "{10 * f"&e{k};"}">' for k in range(9))
         ("", "not well-formed XML"),
         ("<robot name='toy'><link name='a'/>", "not well-formed XML"),
         ("<sdf/>", "root element is <sdf>"),
-        (f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>', "is a xacro file"),
-        (f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>', "well-formed XML"),
-        ("<robot name='toy'>" + 10_000 * "<a>" + 10_000 * "</a>" + "</robot>", "not a valid URDF"),
-        (f"<robot name='t'><link name='base'/>{link('a')}{SHIFTED}</robot>", "not a valid URDF"),
+        (
+            f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>',
+            "is a xacro file",
+        ),
+        (
+            f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>',
+            "well-formed XML",
+        ),
+        (
+            "<robot name='toy'>" + 10_000 * "<a>" + 10_000 * "</a>" + "</robot>",
+            "not a valid URDF",
+        ),
+        (
+            f"<robot name='t'><link name='base'/>{link('a')}{SHIFTED}</robot>",
+            "not a valid URDF",
+        ),
     ],
 )
 def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
@@ -241,15 +286,31 @@ def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
         ({"locked_joints": ["j9"]}, UnknownNameError, r"cannot lock 'j9'.*joints: j1"),
         ({"locked_joints": "j1"}, InputError, "expected a list of names"),
         ({"locked_joints": {"j1": np.nan}}, InputError, "position of 'j1' is nan"),
-        ({"without": ["hand"]}, UnknownNameError, "leave out 'hand'.*links: base, needle_tip"),
+        (
+            {"without": ["hand"]},
+            UnknownNameError,
+            "leave out 'hand'.*links: base, needle_tip",
+        ),
         ({"without": ["base"]}, InputError, "'base', it is the root"),
         ({"without": "base"}, InputError, "expected a list of link names"),
-        ({"tool_frame": "tool"}, UnknownNameError, r"no frame 'tool'.*base, j1, needle_tip"),
+        (
+            {"tool_frame": "tool"},
+            UnknownNameError,
+            r"no frame 'tool'.*base, j1, needle_tip",
+        ),
         ({"tool_placement": [1, 2]}, InputError, r"tool_placement has shape \(2,\)"),
-        ({"tool_placement": 2 * np.eye(4)}, InputError, "tool_placement is not a rigid motion"),
+        (
+            {"tool_placement": 2 * np.eye(4)},
+            InputError,
+            "tool_placement is not a rigid motion",
+        ),
         ({"gravity_m_s2": 9.81}, InputError, "gravity_m_s2"),
         ({"payload": 0.3}, InputError, "Payload, NeedleTool or None, got float"),
-        ({"payload": NeedleTool()}, UnknownNameError, "'needle_tip', but robot 'toy' has one"),
+        (
+            {"payload": NeedleTool()},
+            UnknownNameError,
+            "'needle_tip', but robot 'toy' has one",
+        ),
     ],
 )
 def test_arguments_that_do_not_fit_are_refused(urdf_file, arguments, error, message):

@@ -51,16 +51,24 @@ def test_parameters_are_pinocchio_s_and_describe_the_payload_fully(payload):
 def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
     moved = one.moved(rotation, shift)
     assert moved.com_m == pytest.approx(rotation @ one.com_m + shift, abs=1e-9)
-    assert (one + other).parameters == pytest.approx(one.parameters + other.parameters, abs=1e-12)
-    assert (one + other).parameters == pytest.approx((other + one).parameters, abs=1e-12)
+    assert (one + other).parameters == pytest.approx(
+        one.parameters + other.parameters, abs=1e-12
+    )
+    assert (one + other).parameters == pytest.approx(
+        (other + one).parameters, abs=1e-12
+    )
     both = (one + other).moved(rotation, shift).parameters
-    assert both == pytest.approx((moved + other.moved(rotation, shift)).parameters, abs=1e-9)
+    assert both == pytest.approx(
+        (moved + other.moved(rotation, shift)).parameters, abs=1e-9
+    )
     back = moved.moved(rotation.T, -rotation.T @ shift)
     assert back.parameters == pytest.approx(one.parameters, abs=1e-9)
 
 
 def test_a_point_mass_a_thin_rod_and_nothing_are_bodies_and_no_motion_deforms_them():
-    point = Payload(mass_kg=1.0, com_m=np.array([0.4, -0.3, 0.2]), inertia_kg_m2=np.zeros((3, 3)))
+    point = Payload(
+        mass_kg=1.0, com_m=np.array([0.4, -0.3, 0.2]), inertia_kg_m2=np.zeros((3, 3))
+    )
     assert Payload.from_parameters(point.parameters).com_m == pytest.approx(point.com_m)
     Payload(mass_kg=1.0, com_m=np.zeros(3), inertia_kg_m2=np.diag([0.01, 0.01, 0.0]))
     nothing = Payload.from_parameters(np.zeros(10))
@@ -76,7 +84,10 @@ def test_a_point_mass_a_thin_rod_and_nothing_are_bodies_and_no_motion_deforms_th
 
 def test_arrays_are_read_only_copies():
     com = np.array([0.0, 0.0, 0.1])
-    payload, tool = Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3)), NeedleTool()
+    payload, tool = (
+        Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3)),
+        NeedleTool(),
+    )
     com[2] = 9.0
     assert payload.com_m[2] == 0.1
     for array in (payload.com_m, payload.inertia_kg_m2, tool.tip_in_flange_m):
@@ -87,13 +98,33 @@ def test_arrays_are_read_only_copies():
     ("change", "error", "message"),
     [
         ({"mass_kg": -0.1}, InertiaError, "mass is -0.1 kg"),
-        ({"mass_kg": 1e308}, InertiaError, r"parameters \[1e\+308, .*above 1e\+09 in SI units"),
-        ({"inertia_kg_m2": np.diag([0.01, 0.01, -0.01])}, InertiaError, "not positive definite"),
-        ({"inertia_kg_m2": np.diag([0.01, 0.01, 0.03])}, InertiaError, "triangle inequality"),
+        (
+            {"mass_kg": 1e308},
+            InertiaError,
+            r"parameters \[1e\+308, .*above 1e\+09 in SI units",
+        ),
+        (
+            {"inertia_kg_m2": np.diag([0.01, 0.01, -0.01])},
+            InertiaError,
+            "not positive definite",
+        ),
+        (
+            {"inertia_kg_m2": np.diag([0.01, 0.01, 0.03])},
+            InertiaError,
+            "triangle inequality",
+        ),
         ({"mass_kg": np.nan}, InputError, "mass_kg has NaN"),
         ({"mass_kg": "heavy"}, InputError, "mass_kg is not an array of numbers"),
-        ({"com_m": np.zeros(2)}, InputError, r"com_m has shape \(2,\), expected \(3,\)"),
-        ({"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))}, InputError, "not symmetric"),
+        (
+            {"com_m": np.zeros(2)},
+            InputError,
+            r"com_m has shape \(2,\), expected \(3,\)",
+        ),
+        (
+            {"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))},
+            InputError,
+            "not symmetric",
+        ),
         ([0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "mass is 0 kg but"),
         ([1e-320, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InputError, "NaN or infinite"),
         (np.zeros(9), InputError, r"expected \(10,\)"),
@@ -102,7 +133,9 @@ def test_arrays_are_read_only_copies():
 def test_what_no_body_can_be(change, error, message):
     good = {"mass_kg": 1.0, "com_m": np.full(3, 0.2), "inertia_kg_m2": 0.01 * np.eye(3)}
     with pytest.raises(error, match=message):
-        Payload(**(good | change)) if isinstance(change, dict) else Payload.from_parameters(change)
+        Payload(**(good | change)) if isinstance(
+            change, dict
+        ) else Payload.from_parameters(change)
 
 
 def test_default_tool_is_the_published_one_and_a_bare_rod_the_textbook_s():
@@ -116,7 +149,9 @@ def test_default_tool_is_the_published_one_and_a_bare_rod_the_textbook_s():
     assert tool.payload.parameters[3] == pytest.approx(by_hand)
     assert tool.payload.com_m[:2] == pytest.approx([0, 0])
     # A solid 18-gauge steel shaft of 118 mm weighs rho pi/4 d^2 L.
-    assert tool.shaft_mass_kg == pytest.approx(7850 * np.pi / 4 * 0.00127**2 * 0.118, rel=1e-12)
+    assert tool.shaft_mass_kg == pytest.approx(
+        7850 * np.pi / 4 * 0.00127**2 * 0.118, rel=1e-12
+    )
     rod = {"needle_mass_kg": 0.1, "needle_length_m": 0.2 + 1e-9, "hub_length_m": 1e-9}
     density = 0.1 / (np.pi / 4 * 0.002**2 * 0.2)
     tool = NeedleTool(**rod, needle_diameter_m=0.002, shaft_density_kg_m3=density)
@@ -130,9 +165,13 @@ def test_no_sensor_leaves_the_needle_on_the_flange():
     assert NeedleTool(sensor_mass_kg=0.0).payload.mass_kg == pytest.approx(0.068)
     tool = NeedleTool(sensor_height_m=0)
     assert (tool.has_sensor, tool.sensor_mass_kg) == (False, 0.0)
-    assert tool.payload.parameters == pytest.approx(NeedleTool().beyond_sensor.parameters)
+    assert tool.payload.parameters == pytest.approx(
+        NeedleTool().beyond_sensor.parameters
+    )
     assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.153])
-    assert NeedleTool(sensor_height_m=0, sensor_mass_kg=0.1).payload.mass_kg == pytest.approx(0.168)
+    assert NeedleTool(
+        sensor_height_m=0, sensor_mass_kg=0.1
+    ).payload.mass_kg == pytest.approx(0.168)
 
 
 def test_tools_that_cannot_be_built():
@@ -141,7 +180,11 @@ def test_tools_that_cannot_be_built():
         ("sensor_mass_kg", -0.1, "sensor_mass_kg is -0.1"),
         ("hub_diameter_m", np.nan, "hub_diameter_m has NaN"),
         ("needle_length_m", 0.03, "hub_length_m 0.035 must be shorter"),
-        ("needle_diameter_m", 0.02, "more than needle_mass_kg 0.068; give a thinner shaft"),
+        (
+            "needle_diameter_m",
+            0.02,
+            "more than needle_mass_kg 0.068; give a thinner shaft",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             NeedleTool(**{name: value})
@@ -153,7 +196,9 @@ def posed(lwr):
     return q, gravity_of(lwr, q)
 
 
-def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(lwr, posed):
+def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(
+    lwr, posed
+):
     q, tau = posed
     other = Payload(mass_kg=5.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
     for robot in (lwr, lwr.with_payload(None), lwr.with_payload(other)):
@@ -162,7 +207,9 @@ def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(l
         assert estimate.parameters == pytest.approx(TRUE.parameters[:4], abs=1e-9)
         assert estimate.payload.mass_kg == pytest.approx(0.304)
         assert estimate.payload.com_m == pytest.approx(TRUE.com_m, abs=1e-9)
-        assert estimate.payload.inertia_kg_m2 == pytest.approx(np.zeros((3, 3)), abs=1e-15)
+        assert estimate.payload.inertia_kg_m2 == pytest.approx(
+            np.zeros((3, 3)), abs=1e-15
+        )
         assert np.all(estimate.residual_rms_Nm < 1e-9)
 
 
@@ -197,7 +244,9 @@ def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
 
 def test_a_negative_mass_is_no_payload_but_is_seen_in_the_parameters(lwr, posed):
     q, tau = posed
-    estimate = identify_payload_static(lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau)
+    estimate = identify_payload_static(
+        lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau
+    )
     assert estimate.payload.mass_kg == 0.0
     assert np.isinf(estimate.com_std_m).all()
     assert estimate.parameters[0] == pytest.approx(-0.304)
@@ -211,7 +260,9 @@ def test_the_flange_may_be_off_its_joint():
         for k, axis in enumerate([(0, 1, 0), (1, 0, 0), (0, 1, 0)])
     ]
     flange = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.5), np.array([0.05, 0.1, -0.2]))
-    tool = Payload(mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=np.diag([0.01, 0.02, 0.02]))
+    tool = Payload(
+        mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=np.diag([0.01, 0.02, 0.02])
+    )
     robot = build_serial_robot(joints, tool_placement=flange, payload=tool)
     q = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     estimate = identify_payload_static(robot, q, gravity_of(robot, q))

@@ -51,7 +51,12 @@ NOMINAL = {
 
 NAMES = ["panda", "ur3", "ur5", "ur10", "xarm7", "ur5e", "ur10e", "lwr4plus"]
 UR_TABLES = {
-    "ur5e": ([0.1625, 0.1333, 0.0997, 0.0996], [-0.425, -0.3922], 17.7, [150] * 3 + [28] * 3),
+    "ur5e": (
+        [0.1625, 0.1333, 0.0997, 0.0996],
+        [-0.425, -0.3922],
+        17.7,
+        [150] * 3 + [28] * 3,
+    ),
     "ur10e": (
         [0.1807, 0.17415, 0.11985, 0.11655],
         [-0.6127, -0.57155],
@@ -79,7 +84,9 @@ def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
     assert pose_of(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
     gravity = pin.computeGeneralizedGravity(arm.model, data, angles)
     assert gravity == pytest.approx(gravity_Nm, abs=1e-3)
-    assert np.diag(pin.crba(arm.model, data, angles)) == pytest.approx(inertia_kg_m2, abs=1e-4)
+    assert np.diag(pin.crba(arm.model, data, angles)) == pytest.approx(
+        inertia_kg_m2, abs=1e-4
+    )
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:yourdfpy")
@@ -96,7 +103,9 @@ def test_yourdfpy_finds_the_description_valid_and_the_arm_as_high_as_it_is(drawi
     assert sum(link.inertial.mass for link in moving) == pytest.approx(14.0503)
 
 
-def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspace(arm, drawing):
+def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspace(
+    arm, drawing
+):
     rng, data = np.random.default_rng(5), arm.create_data()
     for k in range(200):
         q = rng.uniform(arm.position_lower_rad, arm.position_upper_rad)
@@ -109,13 +118,17 @@ def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspa
 
 def test_limits_and_names_are_those_of_the_data_sheet(arm):
     assert arm.joint_names == tuple(f"lwr_joint_{i}" for i in range(1, 8))
-    assert np.degrees(arm.position_upper_rad) == pytest.approx([170, 120, 170, 120, 170, 120, 170])
+    assert np.degrees(arm.position_upper_rad) == pytest.approx(
+        [170, 120, 170, 120, 170, 120, 170]
+    )
     assert arm.position_lower_rad == pytest.approx(-arm.position_upper_rad)
     velocity_deg_s = [100, 110, 100, 128, 130, 180, 180]
     assert np.degrees(arm.velocity_limit_rad_s) == pytest.approx(velocity_deg_s)
     assert arm.effort_limit_Nm == pytest.approx([176, 176, 100, 100, 100, 38, 38])
     assert arm.gravity_m_s2 == pytest.approx([0, 0, -9.80665])
-    assert load_lwr(gravity_m_s2=[9.80665, 0, 0]).gravity_m_s2 == pytest.approx([9.80665, 0, 0])
+    assert load_lwr(gravity_m_s2=[9.80665, 0, 0]).gravity_m_s2 == pytest.approx(
+        [9.80665, 0, 0]
+    )
     assert arm.tool_frame == arm.flange_frame == "flange"
 
 
@@ -130,10 +143,17 @@ def example(name, **options):
 def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
     bare, robot, tool = example(name), example(name, payload=NeedleTool()), NeedleTool()
     assert robot.nv in (6, 7)
-    assert np.linalg.eigvalsh(pin.crba(robot.model, robot.create_data(), np.ones(robot.nv)))[0] > 0
+    assert (
+        np.linalg.eigvalsh(
+            pin.crba(robot.model, robot.create_data(), np.ones(robot.nv))
+        )[0]
+        > 0
+    )
     assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
     flange, rest = pose_of(bare, np.zeros(bare.nv)), np.zeros(bare.nv)
-    tip, sensor = (flange.actInv(pose_of(robot, rest, n)) for n in ("needle_tip", "ft_sensor"))
+    tip, sensor = (
+        flange.actInv(pose_of(robot, rest, n)) for n in ("needle_tip", "ft_sensor")
+    )
     assert tip.translation == pytest.approx(tool.tip_in_flange_m)
     assert sensor.translation == pytest.approx([0, 0, tool.sensor_height_m])
     assert tip.rotation == pytest.approx(np.eye(3))
@@ -143,10 +163,16 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
 
 def test_panda_has_its_hand_on_unless_it_is_left_out():
     full, bare = example("panda"), example("panda", without=["panda_hand"])
-    assert full.joint_names == bare.joint_names == tuple(f"panda_joint{i}" for i in range(1, 8))
+    assert (
+        full.joint_names
+        == bare.joint_names
+        == tuple(f"panda_joint{i}" for i in range(1, 8))
+    )
     assert (full.tool_frame, bare.tool_frame) == ("panda_hand_tcp", "panda_link8")
     with_fingers = pin.buildModelFromUrdf(str(example_robot_path("panda")))
-    masses = [pin.computeTotalMass(model) for model in (with_fingers, full.model, bare.model)]
+    masses = [
+        pin.computeTotalMass(model) for model in (with_fingers, full.model, bare.model)
+    ]
     assert masses[0] == pytest.approx(masses[1])
     assert masses[1] - masses[2] == pytest.approx(0.76, abs=0.01)
     with pytest.raises(UnknownNameError, match=r"give tool_frame.*ee_link, tool0"):
@@ -166,8 +192,14 @@ def test_the_ur_arms_are_the_maker_s_table(name):
     expected = pin.SE3.Identity()
     for angle, (d, a, alpha) in zip(q, rows, strict=True):
         turn = pin.SE3(pin.rpy.rpyToMatrix(0, 0, angle), np.array([0, 0, d]))
-        expected = expected * turn * pin.SE3(pin.rpy.rpyToMatrix(alpha, 0, 0), np.array([a, 0, 0]))
-    assert pose_of(robot, q).homogeneous == pytest.approx(expected.homogeneous, abs=1e-12)
+        expected = (
+            expected
+            * turn
+            * pin.SE3(pin.rpy.rpyToMatrix(alpha, 0, 0), np.array([a, 0, 0]))
+        )
+    assert pose_of(robot, q).homogeneous == pytest.approx(
+        expected.homogeneous, abs=1e-12
+    )
     assert pin.computeTotalMass(robot.model) == pytest.approx(mass)
     assert robot.effort_limit_Nm == pytest.approx(effort)
 
@@ -191,7 +223,9 @@ def test_an_unknown_name_is_answered_with_the_known_and_a_missing_package_named(
 
 def test_unknown_frame_lists_the_valid_ones(lwr):
     assert lwr.model.frames[lwr.tool_frame_id].name == lwr.tool_frame == "needle_tip"
-    with pytest.raises(UnknownNameError, match=r"no frame 'tip' .*flange, ft_sensor, needle_tip"):
+    with pytest.raises(
+        UnknownNameError, match=r"no frame 'tip' .*flange, ft_sensor, needle_tip"
+    ):
         lwr.frame_id("tip")
     for which in ("tool_frame", "flange_frame"):
         names = {"tool_frame": "flange", "flange_frame": "flange"} | {which: "nowhere"}
@@ -231,21 +265,38 @@ def test_armature_is_added_to_the_diagonal_of_the_mass_matrix_only(lwr):
     robots = (lwr, lwr.with_armature(ROTOR))
     matrices = [pin.crba(r.model, r.create_data(), q) for r in robots]
     assert matrices[1] - matrices[0] == pytest.approx(np.diag(ROTOR), abs=1e-12)
-    gravity = [pin.computeGeneralizedGravity(r.model, r.create_data(), q) for r in robots]
+    gravity = [
+        pin.computeGeneralizedGravity(r.model, r.create_data(), q) for r in robots
+    ]
     assert gravity[0] == pytest.approx(gravity[1])
-    assert lwr.with_armature(ROTOR).with_payload(None).model.armature == pytest.approx(ROTOR)
+    assert lwr.with_armature(ROTOR).with_payload(None).model.armature == pytest.approx(
+        ROTOR
+    )
     for rotor in ([1.0] * 6, [1.0] * 6 + [-1.0]):
         with pytest.raises(InputError, match="rotor_inertia_kg_m2"):
             lwr.with_armature(rotor)
 
 
 def a_joint(**change):
-    good = {"name": "j1", "placement": np.eye(4), "axis": np.array([0, 1.0, 0]), "inertia": POINT}
+    good = {
+        "name": "j1",
+        "placement": np.eye(4),
+        "axis": np.array([0, 1.0, 0]),
+        "inertia": POINT,
+    }
     return SerialJoint(**(good | change))
 
 
 def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
-    axes = [(0, 0, 1), (0, -1, 0), (0, 0, 1), (0, 1, 0), (0, 0, 1), (0, -1, 0), (0, 0, 2)]
+    axes = [
+        (0, 0, 1),
+        (0, -1, 0),
+        (0, 0, 1),
+        (0, 1, 0),
+        (0, 0, 1),
+        (0, -1, 0),
+        (0, 0, 2),
+    ]
     heights = [0.110, 0.200, 0.200, 0.200, 0.200, 0.190, 0.078]
     bodies = [body.toDynamicParameters() for body in load_lwr().model.inertias[1:]]
     joints = []
@@ -262,7 +313,9 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
     assert built.joint_names == tuple(f"j{i}" for i in range(7))
 
 
-def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(recordings_dir):
+def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(
+    recordings_dir,
+):
     offset = np.eye(4)
     offset[:3, 3] = [0.1, 0.2, 0.3]
     robot = build_serial_robot([a_joint()], tool_placement=offset).with_armature([0.7])
@@ -273,7 +326,9 @@ def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(r
     # The Panda's published table puts the flange where the arm's data sheet does.
     robot = read_panda(recordings_dir).robot
     height = 0.333 + 0.316 + 0.384 - 0.107
-    assert pose_of(robot, np.zeros(7), "tool").translation == pytest.approx([0.088, 0, height])
+    assert pose_of(robot, np.zeros(7), "tool").translation == pytest.approx(
+        [0.088, 0, height]
+    )
 
 
 def test_unphysical_or_massless_links_are_refused_unless_asked_for():

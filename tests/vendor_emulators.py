@@ -60,7 +60,9 @@ def _listen(port: int) -> socket.socket:
     return listener
 
 
-def _stream(settings: ArmSettings, put: Callable[[int], object], ends: Callable[[], bool]) -> int:
+def _stream(
+    settings: ArmSettings, put: Callable[[int], object], ends: Callable[[], bool]
+) -> int:
     """Call for each row in real time until it ends, or the other goes; how many were sent."""
     begin_s, number, sent = time.monotonic(), 0, 0
     while not (number % 50 == 0 and ends()):
@@ -89,7 +91,10 @@ def _read(link: socket.socket, size: int) -> bytes:
 
 def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
     """An arm that answers the connection and sends its state at 1 kHz."""
-    with _listen(FRANKA_PORT) as listener, socket.socket(type=socket.SOCK_DGRAM) as states:
+    with (
+        _listen(FRANKA_PORT) as listener,
+        socket.socket(type=socket.SOCK_DGRAM) as states,
+    ):
         pipe.send({"port": FRANKA_PORT})
         sent = 0
         while not pipe.poll():
@@ -99,7 +104,9 @@ def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                 continue
             with link:
                 _, number, size = FRANKA_HEADER.unpack(_read(link, FRANKA_HEADER.size))
-                version, port = struct.unpack_from("<2H", _read(link, size - FRANKA_HEADER.size))
+                version, port = struct.unpack_from(
+                    "<2H", _read(link, size - FRANKA_HEADER.size)
+                )
                 # Status 1: another version of the interface.
                 reply = struct.pack("<BH", version != FRANKA_VERSION, FRANKA_VERSION)
                 whole = FRANKA_HEADER.size + len(reply)
@@ -128,12 +135,21 @@ def franka_state(number: int, settings: ArmSettings) -> bytes:
     """The state of one millisecond: 2,373 bytes."""
     row = number % len(settings.q_rad)
     values = np.zeros(FRANKA_DOUBLES)
-    rows = {"q_rad": settings.q_rad, "dq_rad_s": settings.dq_rad_s, "tau_Nm": settings.effort}
+    rows = {
+        "q_rad": settings.q_rad,
+        "dq_rad_s": settings.dq_rad_s,
+        "tau_Nm": settings.effort,
+    }
     for name, array in rows.items():
         values[FRANKA_AT[name] :][:7] = array[row]
     values[:96] = np.tile(np.eye(4).ravel(), 6)  # six poses
     flags = bytes(2 + 2 * 41) + bytes([1])  # modes, errors, reasons of a reflex; idle
-    return struct.pack("<Q", number + 1) + values.tobytes() + flags + struct.pack("<d", 1.0)
+    return (
+        struct.pack("<Q", number + 1)
+        + values.tobytes()
+        + flags
+        + struct.pack("<d", 1.0)
+    )
 
 
 def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:

@@ -14,7 +14,12 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from urdf.errors import InputError, UnknownNameError, UnsupportedJointError, UrdfFileError
+from urdf.errors import (
+    InputError,
+    UnknownNameError,
+    UnsupportedJointError,
+    UrdfFileError,
+)
 from urdf.payload import require_physical
 
 MAX_LINKS = 1000
@@ -35,7 +40,9 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     they carry. The errors of this file are those of `urdf.load_urdf`.
     """
     if isinstance(without, str):
-        raise InputError(f"without is the string {without!r}, expected a list of link names")
+        raise InputError(
+            f"without is the string {without!r}, expected a list of link names"
+        )
     text = _read_text(path)
     try:
         root = ElementTree.fromstring(text)
@@ -54,7 +61,10 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     bare = Element(root.tag, root.attrib)
     for link in links:
         copy = Element(link.tag, link.attrib)
-        copy.extend(_without_grandchildren(inertial) for inertial in link.findall("inertial")[:1])
+        copy.extend(
+            _without_grandchildren(inertial)
+            for inertial in link.findall("inertial")[:1]
+        )
         bare.append(copy)
     bare.extend(_without_grandchildren(joint) for joint in root.findall("joint"))
     _remove_links(bare, without, str(path))
@@ -66,7 +76,11 @@ def check_description(
 ) -> None:
     """Check the joints that will not be locked, and the inertias (always that they parse)."""
     for joint in root.findall("joint"):
-        name, kind, mimic = joint.get("name", ""), joint.get("type"), joint.find("mimic")
+        name, kind, mimic = (
+            joint.get("name", ""),
+            joint.get("type"),
+            joint.find("mimic"),
+        )
         if name not in locked and kind not in _ONE_NUMBER_JOINTS:
             raise UnsupportedJointError(
                 f"{source}: joint {name!r} is of type {kind!r}, expected one of "
@@ -81,9 +95,14 @@ def check_description(
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is not None:
-            owner, origin = f"{source}: link {link.get('name')!r}", inertial.find("origin")
+            owner, origin = (
+                f"{source}: link {link.get('name')!r}",
+                inertial.find("origin"),
+            )
             # Only parsed: a body is physical wherever it is, in any axes.
-            for key in () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib):
+            for key in (
+                () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)
+            ):
                 _numbers(inertial, "origin", key, owner, count=3)
             mass = _numbers(inertial, "mass", "value", owner)
             inertia = [_numbers(inertial, "inertia", key, owner)[0] for key in _MOMENTS]
@@ -99,7 +118,9 @@ def build_model(root: Element, source: str) -> pin.Model:
         raise UrdfFileError(
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on stderr)"
         ) from error
-    written_kg = sum(float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]"))
+    written_kg = sum(
+        float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]")
+    )
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
     # A second line of defence: another build of urdfdom may take other texts for numbers.
     if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
@@ -114,7 +135,9 @@ def _read_text(path: Path) -> str:
     try:
         # Not a pipe, device or folder: reading those may never end.
         if not path.is_file():
-            raise UrdfFileError(f"{path}: there is no such file; expected the path of a URDF file")
+            raise UrdfFileError(
+                f"{path}: there is no such file; expected the path of a URDF file"
+            )
         if path.stat().st_size > MAX_LINKS * _BYTES_PER_LINK:
             raise UrdfFileError(
                 f"{path}: is larger than any robot description ({MAX_LINKS * _BYTES_PER_LINK} "
@@ -122,7 +145,9 @@ def _read_text(path: Path) -> str:
             )
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UrdfFileError(f"{path!s:.200}: cannot be read as text: {error}") from error
+        raise UrdfFileError(
+            f"{path!s:.200}: cannot be read as text: {error}"
+        ) from error
 
 
 def _without_grandchildren(element: Element) -> Element:
@@ -143,12 +168,18 @@ def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
             f"{source}: cannot leave out {name!r}, there is no such link; links: {known}"
         )
     for name in gone - children:
-        raise InputError(f"{source}: cannot leave out {name!r}, it is the root of the robot")
+        raise InputError(
+            f"{source}: cannot leave out {name!r}, it is the root of the robot"
+        )
     # A URDF may list its joints in any order: repeat until nothing more hangs on what has gone.
     behind: set[str | None] = set()
     while behind != gone:
         behind = set(gone)
-        gone |= {_link_of(joint, "child") for joint in joints if _link_of(joint, "parent") in gone}
+        gone |= {
+            _link_of(joint, "child")
+            for joint in joints
+            if _link_of(joint, "parent") in gone
+        }
     for joint in joints:
         if _link_of(joint, "child") in gone:
             root.remove(joint)
@@ -161,7 +192,9 @@ def _link_of(joint: Element, end: str) -> str | None:
     return None if element is None else element.get("link")
 
 
-def _numbers(inertial: Element, tag: str, key: str, owner: str, count: int = 1) -> list[float]:
+def _numbers(
+    inertial: Element, tag: str, key: str, owner: str, count: int = 1
+) -> list[float]:
     """Return the numbers of an attribute; urdfdom splits vectors at blanks only, not at tabs."""
     element = inertial.find(tag)
     text = None if element is None else element.get(key)
@@ -170,7 +203,9 @@ def _numbers(inertial: Element, tag: str, key: str, owner: str, count: int = 1) 
     words = [text] if count == 1 else [word for word in text.split(" ") if word]
     numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
     if len(numbers) != count or len(words) != count or not np.isfinite(numbers).all():
-        expected = "one number" if count == 1 else f"{count} numbers with blanks between them"
+        expected = (
+            "one number" if count == 1 else f"{count} numbers with blanks between them"
+        )
         raise UrdfFileError(
             f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}: write digits with a '
             "decimal point, without commas, formulas, units or a blank after a number. As it "

@@ -49,11 +49,16 @@ def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
             raise TypeError("complex numbers")
         array = read_only(value)
     except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(f"{name} is not an array of numbers of shape {wanted}: {error}") from error
+        raise InputError(
+            f"{name} is not an array of numbers of shape {wanted}: {error}"
+        ) from error
     if array.ndim != len(shape) or any(
-        have == 0 or want not in (-1, have) for have, want in zip(array.shape, shape, strict=True)
+        have == 0 or want not in (-1, have)
+        for have, want in zip(array.shape, shape, strict=True)
     ):
         raise InputError(f"{name} has shape {array.shape}, expected {wanted}")
     if not np.isfinite(array).all():
-        raise InputError(f"{name} has NaN or infinite entries; drop or repair those samples first")
+        raise InputError(
+            f"{name} has NaN or infinite entries; drop or repair those samples first"
+        )
     return array

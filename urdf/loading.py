@@ -14,9 +14,21 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from urdf.description import build_model, check_description, read_description
-from urdf.errors import Array, InputError, MissingPackageError, UnknownNameError, finite_array
+from urdf.errors import (
+    Array,
+    InputError,
+    MissingPackageError,
+    UnknownNameError,
+    finite_array,
+)
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
-from urdf.robot import STANDARD_GRAVITY_M_S2, TOOL_FRAME, Robot, assemble_robot, rigid_motion
+from urdf.robot import (
+    STANDARD_GRAVITY_M_S2,
+    TOOL_FRAME,
+    Robot,
+    assemble_robot,
+    rigid_motion,
+)
 
 LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
 """Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4); the torque
@@ -60,25 +72,36 @@ def load_urdf(
     """
     source = str(path)
     if isinstance(locked_joints, str):
-        raise InputError(f"locked_joints is the string {locked_joints!r}, expected a list of names")
+        raise InputError(
+            f"locked_joints is the string {locked_joints!r}, expected a list of names"
+        )
     if not isinstance(locked_joints, Mapping):
         locked_joints = dict.fromkeys(locked_joints, 0.0)
     locked = {str(name): float(value) for name, value in locked_joints.items()}
     for name, value in locked.items():
         if not np.isfinite(value):
-            raise InputError(f"locked_joints: position of {name!r} is {value}, expected a number")
+            raise InputError(
+                f"locked_joints: position of {name!r} is {value}, expected a number"
+            )
     root = read_description(Path(path), without)
     check_description(root, source, locked=locked, check_inertias=check_inertias)
     model = build_model(root, source)
     flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
     model = _lock(model, locked, source)
     return assemble_robot(
-        model, flange_frame, tool_placement, payload, gravity_m_s2, check_inertias=check_inertias
+        model,
+        flange_frame,
+        tool_placement,
+        payload,
+        gravity_m_s2,
+        check_inertias=check_inertias,
     )
 
 
 def load_lwr(
-    payload: Payload | NeedleTool | None = None, *, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
+    payload: Payload | NeedleTool | None = None,
+    *,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
 ) -> Robot:
     """Load the KUKA LWR 4+ that ships with the package.
 
@@ -103,7 +126,14 @@ _EXAMPLES = {
     "lwr4plus": "lwr4plus.urdf",
 }
 # Of these, the first that an arm has is its tool frame.
-_TOOL_FRAMES = ("panda_hand_tcp", "panda_hand", "panda_link8", "tool0", "link_eef", "flange")
+_TOOL_FRAMES = (
+    "panda_hand_tcp",
+    "panda_hand",
+    "panda_link8",
+    "tool0",
+    "link_eef",
+    "flange",
+)
 _FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
 _PACKAGE = "example-robot-data"
 
@@ -135,7 +165,8 @@ def load_example(
     left = {element.get("name") for element in read_description(path, without)}
     return load_urdf(
         path,
-        tool_frame=tool_frame or next((frame for frame in _TOOL_FRAMES if frame in left), None),
+        tool_frame=tool_frame
+        or next((frame for frame in _TOOL_FRAMES if frame in left), None),
         tool_placement=tool_placement,
         locked_joints=[joint for joint in _FINGERS if joint in left],
         without=without,
@@ -155,9 +186,13 @@ def example_robot_path(name: str) -> Path:
             f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
             "load_urdf(FILE) loads any other"
         )
-    prefixes = [Path(sys.prefix)]  # here conda puts shared data, and there pip (a cmeel wheel)
+    prefixes = [
+        Path(sys.prefix)
+    ]  # here conda puts shared data, and there pip (a cmeel wheel)
     with suppress(metadata.PackageNotFoundError):
-        prefixes.insert(0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix"))))
+        prefixes.insert(
+            0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
+        )
     folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
     for folder in (Path(str(files("urdf.data"))), *folders):
         if (folder / _EXAMPLES[name]).is_file():
@@ -216,7 +251,9 @@ class SerialJoint:
     name: str  # of the joint, and of the frame of the link behind it
     placement: pin.SE3 | Array
     axis: Array  # of rotation in the joint's frame, shape (3,); any length but zero
-    inertia: Array  # the link's ten parameters, see `urdf.payload`, in the joint's frame
+    inertia: (
+        Array  # the link's ten parameters, see `urdf.payload`, in the joint's frame
+    )
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"
@@ -226,8 +263,12 @@ class SerialJoint:
             raise InputError(f"{owner} axis is zero, expected a direction")
         inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
         require_mass(inertia, owner)
-        object.__setattr__(self, "placement", rigid_motion(self.placement, f"{owner} placement"))
-        object.__setattr__(self, "axis", finite_array(axis / length, (3,), f"{owner} axis"))
+        object.__setattr__(
+            self, "placement", rigid_motion(self.placement, f"{owner} placement")
+        )
+        object.__setattr__(
+            self, "axis", finite_array(axis / length, (3,), f"{owner} axis")
+        )
         object.__setattr__(self, "inertia", inertia)
 
 
@@ -268,11 +309,20 @@ def build_serial_robot(
         kind = aligned[along[0]]() if along.size else unaligned
         inf = np.array([np.inf])
         limits = (inf, inf, -inf, inf)  # effort, velocity, lowest and highest position
-        index = model.addJoint(model.njoints - 1, kind, joint.placement, joint.name, *limits)
+        index = model.addJoint(
+            model.njoints - 1, kind, joint.placement, joint.name, *limits
+        )
         model.addJointFrame(index, -1)
         if joint.inertia[0] != 0.0:
-            model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())
+            model.inertias[index] = pin.Inertia.FromDynamicParameters(
+                joint.inertia.copy()
+            )
     placement = pin.SE3.Identity() if tool_placement is None else tool_placement
     return assemble_robot(
-        model, names[-1], placement, payload, gravity_m_s2, check_inertias=check_inertias
+        model,
+        names[-1],
+        placement,
+        payload,
+        gravity_m_s2,
+        check_inertias=check_inertias,
     )

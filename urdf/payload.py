@@ -20,9 +20,15 @@ from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
 
-_ROUNDING = 1e-6  # A thin rod in a table of a few digits may miss the boundary by this fraction
-_CANCELLATION = 1e-12  # Of the inertia about the origin, lost in doubles when m c^2 is subtracted
-_LARGEST_PARAMETER = 1e9  # kg, kg m, kg m^2: beyond any link, and no product of them overflows
+_ROUNDING = (
+    1e-6  # A thin rod in a table of a few digits may miss the boundary by this fraction
+)
+_CANCELLATION = (
+    1e-12  # Of the inertia about the origin, lost in doubles when m c^2 is subtracted
+)
+_LARGEST_PARAMETER = (
+    1e9  # kg, kg m, kg m^2: beyond any link, and no product of them overflows
+)
 
 
 def require_mass(parameters: Array, owner: str) -> None:
@@ -34,7 +40,9 @@ def require_mass(parameters: Array, owner: str) -> None:
             "their units"
         )
     if parameters[0] == 0.0 and np.any(parameters):
-        raise InertiaError(f"{owner}: mass is 0 kg but its moments are not; give it a mass")
+        raise InertiaError(
+            f"{owner}: mass is 0 kg but its moments are not; give it a mass"
+        )
 
 
 def require_physical(parameters: Array, owner: str) -> None:
@@ -79,10 +87,16 @@ class Payload:
         mass = float(finite_array(self.mass_kg, (), "payload mass_kg"))
         inertia = finite_array(self.inertia_kg_m2, (3, 3), "payload inertia_kg_m2")
         if not np.allclose(inertia, inertia.T, rtol=1e-9, atol=1e-12):
-            raise InputError(f"payload inertia_kg_m2 is not symmetric: {inertia.tolist()}")
+            raise InputError(
+                f"payload inertia_kg_m2 is not symmetric: {inertia.tolist()}"
+            )
         object.__setattr__(self, "mass_kg", mass)
-        object.__setattr__(self, "com_m", finite_array(self.com_m, (3,), "payload com_m"))
-        object.__setattr__(self, "inertia_kg_m2", read_only(0.5 * (inertia + inertia.T)))
+        object.__setattr__(
+            self, "com_m", finite_array(self.com_m, (3,), "payload com_m")
+        )
+        object.__setattr__(
+            self, "inertia_kg_m2", read_only(0.5 * (inertia + inertia.T))
+        )
         require_physical(self.parameters, "payload")
 
     @classmethod
@@ -115,7 +129,10 @@ class Payload:
         """
         turn = finite_array(rotation, (3, 3), "rotation")
         shift = finite_array(translation_m, (3,), "translation_m")
-        if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9) or np.linalg.det(turn) < 0.0:
+        if (
+            not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+            or np.linalg.det(turn) < 0.0
+        ):
             raise InputError(f"rotation is not a rotation matrix: {turn.tolist()}")
         body = pin.SE3(turn.copy(), shift.copy()).act(self.spatial_inertia)
         return Payload.from_parameters(body.toDynamicParameters())
@@ -128,7 +145,12 @@ class Payload:
 
 _SENSOR_MASS_KG = 0.236
 _LARGEST = 1e6  # kg, m or kg/m^3: beyond any tool, and no product of them overflows
-_MAY_BE_ZERO = ("sensor_mass_kg", "sensor_height_m", "needle_mass_kg", "shaft_density_kg_m3")
+_MAY_BE_ZERO = (
+    "sensor_mass_kg",
+    "sensor_height_m",
+    "needle_mass_kg",
+    "shaft_density_kg_m3",
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,7 +175,9 @@ class NeedleTool:
             may be zero), or a shaft heavier or a hub longer than the needle.
     """
 
-    sensor_mass_kg: float = _SENSOR_MASS_KG  # on the flange's side of the measuring plane
+    sensor_mass_kg: float = (
+        _SENSOR_MASS_KG  # on the flange's side of the measuring plane
+    )
     sensor_height_m: float = 0.040  # from the flange face to the measuring plane
     sensor_diameter_m: float = 0.045
     needle_mass_kg: float = 0.068  # beyond the measuring plane, hub and shaft
@@ -165,8 +189,12 @@ class NeedleTool:
 
     def __post_init__(self) -> None:
         for item in fields(self):
-            value = float(finite_array(getattr(self, item.name), (), f"NeedleTool {item.name}"))
-            if not 0.0 <= value <= _LARGEST or (value == 0.0 and item.name not in _MAY_BE_ZERO):
+            value = float(
+                finite_array(getattr(self, item.name), (), f"NeedleTool {item.name}")
+            )
+            if not 0.0 <= value <= _LARGEST or (
+                value == 0.0 and item.name not in _MAY_BE_ZERO
+            ):
                 raise InputError(
                     f"NeedleTool {item.name} is {value:g}, expected a positive number in SI units"
                 )
@@ -193,26 +221,35 @@ class NeedleTool:
     def shaft_mass_kg(self) -> float:
         """Mass of the bare shaft between hub and tip, kg."""
         length = self.needle_length_m - self.hub_length_m
-        return self.shaft_density_kg_m3 * np.pi / 4.0 * self.needle_diameter_m**2 * length
+        return (
+            self.shaft_density_kg_m3 * np.pi / 4.0 * self.needle_diameter_m**2 * length
+        )
 
     @property
     def sensor(self) -> Payload:
         """The part on the flange's side of the measuring plane, in the flange frame."""
-        return _cylinder(self.sensor_mass_kg, 0.0, self.sensor_height_m, self.sensor_diameter_m)
+        return _cylinder(
+            self.sensor_mass_kg, 0.0, self.sensor_height_m, self.sensor_diameter_m
+        )
 
     @property
     def beyond_sensor(self) -> Payload:
         """Hub and shaft, whose weight and inertia the sensor reads, in the sensor frame."""
         hub_mass = self.needle_mass_kg - self.shaft_mass_kg
         shaft = _cylinder(
-            self.shaft_mass_kg, self.hub_length_m, self.needle_length_m, self.needle_diameter_m
+            self.shaft_mass_kg,
+            self.hub_length_m,
+            self.needle_length_m,
+            self.needle_diameter_m,
         )
         return _cylinder(hub_mass, 0.0, self.hub_length_m, self.hub_diameter_m) + shaft
 
     @property
     def payload(self) -> Payload:
         """The whole tool in the flange frame."""
-        return self.sensor + self.beyond_sensor.moved(np.eye(3), [0.0, 0.0, self.sensor_height_m])
+        return self.sensor + self.beyond_sensor.moved(
+            np.eye(3), [0.0, 0.0, self.sensor_height_m]
+        )
 
     @property
     def tip_in_flange_m(self) -> Array:
@@ -220,7 +257,9 @@ class NeedleTool:
         return read_only([0.0, 0.0, self.sensor_height_m + self.needle_length_m])
 
 
-def _cylinder(mass_kg: float, start_m: float, end_m: float, diameter_m: float) -> Payload:
+def _cylinder(
+    mass_kg: float, start_m: float, end_m: float, diameter_m: float
+) -> Payload:
     """Return a homogeneous cylinder on the z axis between two heights."""
     length, radius = end_m - start_m, 0.5 * diameter_m
     across = mass_kg * (3.0 * radius**2 + length**2) / 12.0

@@ -19,10 +19,16 @@ from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.payload import Payload
 from urdf.robot import Robot
 
-_LENGTH_M = 0.1  # The size of payloads: in units of it the parameters are of comparable size
+_LENGTH_M = (
+    0.1  # The size of payloads: in units of it the parameters are of comparable size
+)
 _UNITS = np.array([1.0, *[_LENGTH_M] * 3])
-_NO_MASS_KG = 1e-6  # Below this a payload is none: its centre of mass would be noise over noise
-_RANK_TOLERANCE = 1e-8  # Singular values below this part of the largest are not determined
+_NO_MASS_KG = (
+    1e-6  # Below this a payload is none: its centre of mass would be noise over noise
+)
+_RANK_TOLERANCE = (
+    1e-8  # Singular values below this part of the largest are not determined
+)
 _REWEIGHTINGS = 3  # Rounds, when the noise of the joints is not given
 
 
@@ -36,7 +42,9 @@ class PayloadEstimate:
 
     payload: Payload  # a point mass in the flange frame; none where the mass came out negative
     parameters: Array  # the least-squares answer, shape (4,)
-    covariance: Array  # shape (4, 4); infinite variance for what the data do not determine
+    covariance: (
+        Array  # shape (4, 4); infinite variance for what the data do not determine
+    )
     rank: int  # number of parameter combinations that the data determine
     residual_rms_Nm: Array  # torque left unexplained, per joint, shape (nv,)
 
@@ -89,8 +97,12 @@ def identify_payload_static(
     scaled, values, axes, rank = _solve(regressor, unexplained, std)
     remaining = unexplained - regressor @ scaled
     freedom = tau.size - rank
-    variance = float(np.sum((remaining / std) ** 2)) / freedom if freedom > 0 else np.inf
-    covariance = (axes[:rank].T * values[:rank] ** -2.0) @ axes[:rank] * max(variance, 1e-300)
+    variance = (
+        float(np.sum((remaining / std) ** 2)) / freedom if freedom > 0 else np.inf
+    )
+    covariance = (
+        (axes[:rank].T * values[:rank] ** -2.0) @ axes[:rank] * max(variance, 1e-300)
+    )
     unknown = np.linalg.norm(axes[rank:], axis=0) > 1e-6
     covariance[unknown, :] = covariance[:, unknown] = 0.0
     covariance[unknown, unknown] = np.inf
@@ -131,7 +143,9 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
     if given is not None:
         std = finite_array(given, std.shape, "torque_noise_std_Nm")
         if np.any(std <= 0.0):
-            raise InputError(f"torque_noise_std_Nm must be positive at every joint: {std.tolist()}")
+            raise InputError(
+                f"torque_noise_std_Nm must be positive at every joint: {std.tolist()}"
+            )
         return std
     for _ in range(_REWEIGHTINGS):
         solution = _solve(regressor, target, std)[0]
@@ -141,11 +155,15 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
     return std
 
 
-def _solve(regressor: Array, target: Array, std: Array) -> tuple[Array, Array, Array, int]:
+def _solve(
+    regressor: Array, target: Array, std: Array
+) -> tuple[Array, Array, Array, int]:
     """Return the shortest solution, singular values, right singular vectors and rank."""
     matrix = (regressor / std[:, None]).reshape(target.size, -1)
     # The axes are complete also where there are fewer equations than unknowns.
-    left, values, axes = np.linalg.svd(matrix, full_matrices=target.size < matrix.shape[1])
+    left, values, axes = np.linalg.svd(
+        matrix, full_matrices=target.size < matrix.shape[1]
+    )
     rank = int(np.sum(values > _RANK_TOLERANCE * max(values[0], 1e-300)))
     solution = axes[:rank].T @ (((target / std).ravel() @ left)[:rank] / values[:rank])
     return solution, values, axes, rank

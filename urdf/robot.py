@@ -18,7 +18,11 @@ from urdf.errors import (
 )
 from urdf.payload import NeedleTool, Payload
 
-STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)  # straight down along the base's z axis, m/s^2
+STANDARD_GRAVITY_M_S2 = (
+    0.0,
+    0.0,
+    -9.80665,
+)  # straight down along the base's z axis, m/s^2
 
 SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
 """Frames that a needle tool adds (the first two) and a tool placement."""
@@ -55,9 +59,15 @@ class Robot:
         object.__setattr__(self, "bare_model", bare)
         object.__setattr__(self, "model", pin.Model(bare))
         object.__setattr__(self, "tool_frame_id", self.frame_id(self.tool_frame))
-        object.__setattr__(self, "position_lower_rad", read_only(bare.lowerPositionLimit))
-        object.__setattr__(self, "position_upper_rad", read_only(bare.upperPositionLimit))
-        object.__setattr__(self, "velocity_limit_rad_s", read_only(bare.upperVelocityLimit))
+        object.__setattr__(
+            self, "position_lower_rad", read_only(bare.lowerPositionLimit)
+        )
+        object.__setattr__(
+            self, "position_upper_rad", read_only(bare.upperPositionLimit)
+        )
+        object.__setattr__(
+            self, "velocity_limit_rad_s", read_only(bare.upperVelocityLimit)
+        )
         object.__setattr__(self, "effort_limit_Nm", read_only(bare.upperEffortLimit))
         flange = bare.frames[self.frame_id(self.flange_frame)]
         if self.payload is not None and self.payload.mass_kg > 0.0:
@@ -120,7 +130,9 @@ class Robot:
         """
         rotor = finite_array(rotor_inertia_kg_m2, (self.nv,), "rotor_inertia_kg_m2")
         if np.any(rotor < 0.0):
-            raise InputError(f"rotor_inertia_kg_m2 must not be negative: {rotor.tolist()}")
+            raise InputError(
+                f"rotor_inertia_kg_m2 must not be negative: {rotor.tolist()}"
+            )
         bare = pin.Model(self.bare_model)
         bare.armature = rotor.copy()
         return replace(self, bare_model=bare)
@@ -147,7 +159,11 @@ def rigid_motion(placement: Any, name: str) -> pin.SE3:
     matrix = finite_array(placement, (4, 4), name)
     rotation = matrix[:3, :3]
     is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-    if not is_rotation or np.linalg.det(rotation) < 0.0 or np.any(matrix[3] != [0, 0, 0, 1]):
+    if (
+        not is_rotation
+        or np.linalg.det(rotation) < 0.0
+        or np.any(matrix[3] != [0, 0, 0, 1])
+    ):
         raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
     return pin.SE3(rotation.copy(), matrix[:3, 3].copy())
 
@@ -167,7 +183,9 @@ def assemble_robot(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
         )
     _check_joints(model)
-    model.gravity = pin.Motion(finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3))
+    model.gravity = pin.Motion(
+        finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3)
+    )
     # Refuses an unknown flange with a list of the frames there are.
     Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
     if tool_placement is not None:
@@ -182,10 +200,14 @@ def assemble_robot(
             along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
         tool_frame, body = TIP_FRAME, body.payload
-    robot = Robot(bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body)
+    robot = Robot(
+        bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body
+    )
     mass_matrix = pin.crba(robot.model, robot.create_data(), pin.neutral(robot.model))
     if check_inertias and np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        idle = [robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)]
+        idle = [
+            robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)
+        ]
         raise InertiaError(
             f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
             f"move no inertia: {', '.join(idle) or 'none alone'}. "
@@ -194,7 +216,9 @@ def assemble_robot(
     return robot
 
 
-def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, adder: str) -> None:
+def _add_frame(
+    model: pin.Model, name: str, parent: str, placement: pin.SE3, adder: str
+) -> None:
     names = [frame.name for frame in model.frames]
     if name in names:
         raise UnknownNameError(
@@ -204,4 +228,6 @@ def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3, add
     index = names.index(parent)
     frame = model.frames[index]
     where = frame.placement * placement
-    model.addFrame(pin.Frame(name, frame.parentJoint, index, where, pin.FrameType.OP_FRAME))
+    model.addFrame(
+        pin.Frame(name, frame.parentJoint, index, where, pin.FrameType.OP_FRAME)
+    )

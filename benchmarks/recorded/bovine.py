@@ -34,7 +34,9 @@ RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
 
-def read_bovine(data: Path, rng: np.random.Generator | None) -> tuple[Array, Array, Array]:
+def read_bovine(
+    data: Path, rng: np.random.Generator | None
+) -> tuple[Array, Array, Array]:
     """Time, depth and axial force, shape (n,) each, from the points of the figure.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file go over parts
@@ -54,7 +56,9 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> tuple[Array, Arr
     except (OSError, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
     if table.shape[1] != 2 or not np.isfinite(table).all():
-        raise DataError(f"{path} should have two columns, depth_m and force_N, and finite values")
+        raise DataError(
+            f"{path} should have two columns, depth_m and force_N, and finite values"
+        )
     lifts = np.flatnonzero(np.diff(table[:, 0]) < -PEN_UP_m)
     stroke = table[: lifts[0] + 1] if len(lifts) else table
     depth, force = np.maximum.accumulate(stroke[:, 0]), stroke[:, 1]
@@ -89,9 +93,15 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
         estimated_mm = [1e3 * event.depth_m for event in events]
-        values = depth_metrics([1e3 * alarm for alarm in alarms_m], estimated_mm, RUPTURES_mm)
-        values["ruptures_without_drop"] = float(len(events) - at_drops(alarms_m, drops)[0])
-        found += [Measurement("ft", method, name, value) for name, value in values.items()]
+        values = depth_metrics(
+            [1e3 * alarm for alarm in alarms_m], estimated_mm, RUPTURES_mm
+        )
+        values["ruptures_without_drop"] = float(
+            len(events) - at_drops(alarms_m, drops)[0]
+        )
+        found += [
+            Measurement("ft", method, name, value) for name, value in values.items()
+        ]
     return Findings(found)
 
 
@@ -107,7 +117,10 @@ def depth_metrics(
         "ruptures_missed": float(len(true_mm) - len(alarm_of)),
         "ruptures_false": float(len(alarms_mm) - len(alarm_of)),
     }
-    named = {"rupture_depth_error_mm": alarms_mm, "estimated_depth_error_mm": estimated_mm}
+    named = {
+        "rupture_depth_error_mm": alarms_mm,
+        "estimated_depth_error_mm": estimated_mm,
+    }
     for name, depths_mm in named.items() if alarm_of else ():
         values[name] = max(abs(depths_mm[j] - true_mm[i]) for i, j in alarm_of.items())
     return values

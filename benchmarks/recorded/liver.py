@@ -56,14 +56,20 @@ def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
     try:
         with np.load(path, allow_pickle=False) as content:
             has = ", ".join(content)
-            found = {n: np.asarray(content[n], dtype=np.float64) for n in names if n in content}
+            found = {
+                n: np.asarray(content[n], dtype=np.float64)
+                for n in names
+                if n in content
+            }
     except (OSError, EOFError, BadZipFile, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
     if missing := [name for name in names if name not in found]:
         raise DataError(f"{path} lacks {', '.join(missing)}; it has {has}")
     for name, array in found.items():
         if array.size == 0 or not np.isfinite(array).all():
-            raise DataError(f"{name} of {path} is empty or has values that are not finite")
+            raise DataError(
+                f"{name} of {path} is empty or has values that are not finite"
+            )
     return [found[name] for name in names]
 
 
@@ -106,7 +112,9 @@ class LiverInsertion(NamedTuple):
     @property
     def before_withdrawal(self) -> slice:
         """Insertion and hold: the needle does not move back yet."""
-        return slice(0, int(np.flatnonzero(self.depth_m >= self.depth_m.max() - HAIR_m)[-1]) + 1)
+        return slice(
+            0, int(np.flatnonzero(self.depth_m >= self.depth_m.max() - HAIR_m)[-1]) + 1
+        )
 
     @property
     def pullout_N(self) -> tuple[float, ...]:
@@ -156,7 +164,9 @@ NEAR_m = 0.5e-3
 """An alarm belongs to a drop when it lies between its top and its foot, or so close to either."""
 
 
-def force_drops(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> list[ForceDrop]:
+def force_drops(
+    depth_m: Array, force_N: Array, least_N: float = LEAST_N
+) -> list[ForceDrop]:
     """Every drop by at least `least_N` within `LONGEST_m` of travel.
 
     Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows down. The
@@ -169,7 +179,9 @@ def force_drops(depth_m: Array, force_N: Array, least_N: float = LEAST_N) -> lis
     found: list[ForceDrop] = []
     for k in inside.tolist():
         top = int(begin[k]) + int(np.argmax(force[begin[k] : k + 1]))
-        drop = ForceDrop(float(depth[top]), float(depth[k]), float(force[top] - force[k]))
+        drop = ForceDrop(
+            float(depth[top]), float(depth[k]), float(force[top] - force[k])
+        )
         if drop.drop_N < least_N:
             continue
         if not found or drop.from_m > found[-1].to_m:
@@ -193,7 +205,9 @@ class LiverReference(NamedTuple):
 
     pullout_N: tuple[float, ...]  # at each of `DEPTHS_mm`
     drops: list[ForceDrop]  # as large as an internal rupture
-    small_drops: list[ForceDrop]  # by more than five times the noise, the former among them
+    small_drops: list[
+        ForceDrop
+    ]  # by more than five times the noise, the former among them
 
 
 class LiverEstimates(NamedTuple):
@@ -203,25 +217,44 @@ class LiverEstimates(NamedTuple):
     friction_N: tuple[float, ...]  # at each depth
     alarms_m: Sequence[float] = ()  # depths of the ruptures reported
     enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
-    friction_std_N: tuple[float, ...] = ()  # at each depth; empty or nan where none is stated
-    above_at_rest: float = np.nan  # fraction at rest with friction two deviations above the force
-    below_zero: float = np.nan  # fraction in contact with the tip force two deviations below zero
+    friction_std_N: tuple[
+        float, ...
+    ] = ()  # at each depth; empty or nan where none is stated
+    above_at_rest: float = (
+        np.nan
+    )  # fraction at rest with friction two deviations above the force
+    below_zero: float = (
+        np.nan
+    )  # fraction in contact with the tip force two deviations below zero
 
 
-def liver_reference(insertion: LiverInsertion, depth_m: Array, force_N: Array) -> LiverReference:
+def liver_reference(
+    insertion: LiverInsertion, depth_m: Array, force_N: Array
+) -> LiverReference:
     """Find the drops of a force over depth, as recorded or as put on an arm, shape (n,) each."""
     small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
     return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
 
 
 def liver_estimates(
-    t_s: Array, depth_m: Array, force_N: Array, method: Method, reference: LiverReference
+    t_s: Array,
+    depth_m: Array,
+    force_N: Array,
+    method: Method,
+    reference: LiverReference,
 ) -> LiverEstimates:
     """Shaft friction at each depth as estimated when the needle was there, ruptures, and rest."""
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
-    names = ("shaft_friction_N", "shaft_friction_std_N", "tip_force_N", "tip_force_std_N")
+    names = (
+        "shaft_friction_N",
+        "shaft_friction_std_N",
+        "tip_force_N",
+        "tip_force_std_N",
+    )
     rows = [[getattr(estimate, name) for name in names] for estimate in estimates]
-    friction, friction_std, tip, tip_std = np.array(rows, dtype=float).T  # None becomes nan
+    friction, friction_std, tip, tip_std = np.array(
+        rows, dtype=float
+    ).T  # None becomes nan
     rests = depth_m >= depth_m.max() - HAIR_m
     rests[: int(np.argmax(rests)) + 1] = False
     in_contact = np.array([estimate.in_contact for estimate in estimates])
@@ -231,7 +264,9 @@ def liver_estimates(
         [row.rupture.alarm_depth_m for row in estimates if row.rupture is not None],
         np.array([estimate.enhanced_force_N for estimate in estimates]),
         tuple(mean_at_depth(depth_m, friction_std, 1e-3 * mm) for mm in DEPTHS_mm),
-        float(np.mean((friction - 2.0 * friction_std > force_N)[rests])) if rests.any() else 0.0,
+        float(np.mean((friction - 2.0 * friction_std > force_N)[rests]))
+        if rests.any()
+        else 0.0,
         float(np.mean((tip + 2.0 * tip_std < 0.0)[in_contact])),
     )
 
@@ -241,12 +276,18 @@ def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, floa
     true = np.array([each.reference.pullout_N for each in found])
     off = np.abs(np.array([each.friction_N for each in found]) - true)
     for name, percent in (("median", 50.0), ("p90", 90.0)):
-        yield f"pullout_error_{name}_pct", float(np.percentile(100.0 * off / true, percent))
+        yield (
+            f"pullout_error_{name}_pct",
+            float(np.percentile(100.0 * off / true, percent)),
+        )
     stds = np.array([each.friction_std_N for each in found])
     if stds.size and np.isfinite(stds).all():
         for mm, covers in zip(DEPTHS_mm, (off <= 2.0 * stds).T, strict=True):
             yield f"pullout_coverage_{mm}mm", float(np.mean(covers))
-        yield "friction_above_force_at_rest", float(np.mean([e.above_at_rest for e in found]))
+        yield (
+            "friction_above_force_at_rest",
+            float(np.mean([e.above_at_rest for e in found])),
+        )
         yield "tip_force_below_zero", float(np.mean([e.below_zero for e in found]))
 
 
@@ -257,9 +298,14 @@ def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float
     yield "ruptures_per_insertion", ruptures / len(found)
     yield "drops_per_insertion", drops / len(found)
     if drops:
-        yield "drop_recall", sum(at_drops(e.alarms_m, e.reference.drops)[1] for e in found) / drops
+        yield (
+            "drop_recall",
+            sum(at_drops(e.alarms_m, e.reference.drops)[1] for e in found) / drops,
+        )
     if ruptures:
-        at = sum(at_drops(each.alarms_m, each.reference.small_drops)[0] for each in found)
+        at = sum(
+            at_drops(each.alarms_m, each.reference.small_drops)[0] for each in found
+        )
         yield "ruptures_at_drops", at / ruptures
 
 
@@ -274,7 +320,11 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
     shaft friction was there during insertion. Methods see the insertion and the hold only.
     """
     data = job.recordings
-    by_method: dict[Method, list[LiverEstimates]] = {"guess": [], "published": [], "ours": []}
+    by_method: dict[Method, list[LiverEstimates]] = {
+        "guess": [],
+        "published": [],
+        "ours": [],
+    }
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
         whole = read_liver(data, index)
@@ -282,12 +332,17 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
         depth, force = whole.depth_m[inside], whole.force_N[inside]
         course = whole.t_s[before], whole.depth_m[before], whole.force_N[before]
         reference = liver_reference(whole, depth, force)
-        guess = tuple(GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        guess = tuple(
+            GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm
+        )
         by_method["guess"].append(LiverEstimates(reference, guess))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
     found: list[Measurement] = []
     for method, each in by_method.items():
-        values = [*friction_values(each), *(rupture_values(each) if method != "guess" else ())]
+        values = [
+            *friction_values(each),
+            *(rupture_values(each) if method != "guess" else ()),
+        ]
         found += [Measurement("ft", method, name, value) for name, value in values]
     return Findings(found)

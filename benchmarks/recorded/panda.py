@@ -70,8 +70,12 @@ def read_panda(data: Path) -> Panda:
         amplitude, slope, shift = (np.array(numbers[key]) for key in keys)
     except KeyError as error:
         raise DataError(f"{folder / 'model.json'} lacks {error}") from error
-    friction = SigmoidFriction(amplitude_Nm=amplitude, slope_s_rad=slope, shift_rad_s=shift)
-    return Panda(robot, friction, JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau))
+    friction = SigmoidFriction(
+        amplitude_Nm=amplitude, slope_s_rad=slope, shift_rad_s=shift
+    )
+    return Panda(
+        robot, friction, JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau)
+    )
 
 
 def _robot(table: dict[str, Any]) -> Robot:
@@ -94,7 +98,9 @@ def _robot(table: dict[str, Any]) -> Robot:
         )
     flange = pin.SE3(np.eye(3), np.array([0.0, 0.0, FLANGE_m]))
     # Identified parameters predict torque; not every link is a possible body.
-    robot = build_serial_robot(joints, name="panda", tool_placement=flange, check_inertias=False)
+    robot = build_serial_robot(
+        joints, name="panda", tool_placement=flange, check_inertias=False
+    )
     limited = pin.Model(robot.bare_model)
     limited.upperEffortLimit = np.array(EFFORT_LIMIT_Nm)
     return replace(robot, bare_model=limited)
@@ -114,7 +120,9 @@ def run_panda_real(job: Job, progress: Progress) -> Findings:
     settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s
     rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
     progress(1.0)
-    values = {f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)}
+    values = {
+        f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)
+    }
     return Findings([Measurement("virtual", "ours", *item) for item in values.items()])
 
 
@@ -183,7 +191,9 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
     found: list[Measurement] = []
     for reading in readings:
-        found += [item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED]
+        found += [
+            item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED
+        ]
     found += identification_values(insertion, truth, forces_N)
     return Findings(found, drawings)
 

@@ -32,7 +32,9 @@ class Ur10e(NamedTuple):
     robot: Robot  # the arm with its rotors, tool frame at the end link
     # friction of its joints: torque comes from currents, so all of it is in there
     friction: JointFriction
-    unloaded: JointSignals  # signals without payload; torque is torque constant times current
+    unloaded: (
+        JointSignals  # signals without payload; torque is torque constant times current
+    )
     loaded: JointSignals  # signals of the same motion with the payload
 
 
@@ -52,7 +54,9 @@ def read_ur10e(data: Path) -> Ur10e:
         raise DataError(f"{folder / 'model.json'} lacks {error}") from error
     friction = JointFriction(viscous_Nms=viscous, coulomb_Nm=coulomb, offset_Nm=offset)
     names = ("unloaded.npz", "payload_2805g.npz")
-    return Ur10e(robot, friction, *(_signals(folder / name, constant) for name in names))
+    return Ur10e(
+        robot, friction, *(_signals(folder / name, constant) for name in names)
+    )
 
 
 def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
@@ -74,7 +78,9 @@ def _robot(table: dict[str, Any]) -> Robot:
     ]
     # Identified parameters predict torque; not every link is a possible body.
     tool = _placement(table["joints"][JOINTS])
-    arm = build_serial_robot(joints, name="ur10e", tool_placement=tool, check_inertias=False)
+    arm = build_serial_robot(
+        joints, name="ur10e", tool_placement=tool, check_inertias=False
+    )
     return arm.with_armature(table["rotor_inertia_kg_m2"])
 
 
@@ -128,7 +134,9 @@ def _settled(signals: JointSignals) -> NDArray[np.bool_]:
     return signals.t_s - signals.t_s[0] >= SETTLING_s
 
 
-def _force_up(robot: Robot, signals: JointSignals, residual: Array, name: str) -> dict[str, float]:
+def _force_up(
+    robot: Robot, signals: JointSignals, residual: Array, name: str
+) -> dict[str, float]:
     """Mean and scatter of the vertical force in base axes, by equation (13), torque scale 1."""
     wrench = WrenchEstimator(robot, PUBLISHED)
     jacobians = tool_jacobians(robot, signals.q_rad)
@@ -145,7 +153,9 @@ def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) ->
     The residual is what an arm at rest would feel more than its own gravity, with opposite sign.
     """
     data = robot.create_data()
-    gravity = np.array([pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad])
+    gravity = np.array(
+        [pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad]
+    )
     torque = gravity - residual
     found = identify_payload_static(robot, q_rad, torque, torque_noise_std_Nm=noise_Nm)
     return float(found.parameters[0])

@@ -11,7 +11,12 @@ Stands alone: no robots, no forces. Not a medical device.
 Reading order: `volume`, `reading`, `surface`, `registration`, `plan_match`, `errors`.
 """
 
-from needleforce.anatomy.errors import AnatomyError, PlanError, RegistrationError, VolumeError
+from needleforce.anatomy.errors import (
+    AnatomyError,
+    PlanError,
+    RegistrationError,
+    VolumeError,
+)
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.reading import read_labels, read_volume
 from needleforce.anatomy.registration import Registration, fit_landmarks, fit_surface

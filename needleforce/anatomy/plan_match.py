@@ -50,15 +50,21 @@ NOTHING = Layer("", *[np.nan] * 4, is_obstacle=False)  # Behind the last boundar
 class PlanState(NamedTuple):
     """What plan and ruptures say together; depths are those of the ruptures."""
 
-    layer: int  # index of the layer that the tip is in most likely; -1: before the first
+    layer: (
+        int  # index of the layer that the tip is in most likely; -1: before the first
+    )
     name: str  # of that layer, or `OUTSIDE` before the first tissue
     probability: float  # that the tip is in it
-    offset_m: float  # how much deeper everything lies than planned: the posterior's median
+    offset_m: (
+        float  # how much deeper everything lies than planned: the posterior's median
+    )
     offset_std_m: float
     next_name: str  # of the layer behind the next boundary; empty behind the last
     next_m: float  # depth at which it will be met; nan behind the last
     next_std_m: float
-    matched: int  # index of the layer into which the last rupture most likely led; -1: none
+    matched: (
+        int  # index of the layer into which the last rupture most likely led; -1: none
+    )
     matched_name: str  # of that layer; `FALSE_ALARM`; empty without ruptures
     matched_probability: float  # of that
     is_obstacle_next: bool  # whether bone or cartilage comes next
@@ -108,7 +114,10 @@ class PlanMatch:
         self._bound_m, bound_std_m = bound_m[self._first :], bound_std_m[self._first :]
         self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
         missed, late = _chances([layer.name.lower() for layer in tissue])
-        self._missed, self._kind = missed[:, None], np.array([1.0 - late, late])[:, :, None]
+        self._missed, self._kind = (
+            missed[:, None],
+            np.array([1.0 - late, late])[:, :, None],
+        )
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
         at_once_m = self._bound_m[:, None] + self._offset_m
@@ -116,7 +125,9 @@ class PlanMatch:
         std_m[0] = np.hypot(std_m[0], offset_std_m)  # the surface, see `TOGETHER`
         first = np.zeros((len(tissue) + 1, len(self._offset_m)))
         first[0] = _student(self._offset_m / offset_std_m)
-        self._untouched = _Expected(first / first.sum(), *_at_once_and_late(at_once_m, std_m))
+        self._untouched = _Expected(
+            first / first.sum(), *_at_once_and_late(at_once_m, std_m)
+        )
 
     def state(
         self,
@@ -142,15 +153,29 @@ class PlanMatch:
             PlanError: A depth that is not finite, or of a rupture more than 1 mm above the one
                 before.
         """
-        if not np.isfinite([depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]).all():
+        if not np.isfinite(
+            [depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]
+        ).all():
             given = f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m"
-            raise PlanError(f"{given}, entry at {entry_depth_m!r} m: expected finite depths")
-        ruptures, first = [float(one_m) - entry_depth_m for one_m in ruptures_m], self._first
+            raise PlanError(
+                f"{given}, entry at {entry_depth_m!r} m: expected finite depths"
+            )
+        ruptures, first = (
+            [float(one_m) - entry_depth_m for one_m in ruptures_m],
+            self._first,
+        )
         depth = float(depth_m) - entry_depth_m
         names = [OUTSIDE] * first + [one.name for one in self.layers[first:]]
-        deepest = depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
-        expected = self._expected(None if contact_m is None else contact_m - entry_depth_m)
-        ahead, (weight, false) = self._ahead(expected, deepest), self._after(expected, ruptures)
+        deepest = (
+            depth if deepest_m is None else max(float(deepest_m) - entry_depth_m, depth)
+        )
+        expected = self._expected(
+            None if contact_m is None else contact_m - entry_depth_m
+        )
+        ahead, (weight, false) = (
+            self._ahead(expected, deepest),
+            self._after(expected, ruptures),
+        )
         joint, is_back = _joint(ahead, weight), depth < deepest - BACK_m
         by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
         layer = int(np.argmax(by_layer)) + first - 1
@@ -189,9 +214,13 @@ class PlanMatch:
         """
         if not np.isfinite([depth_m, contact_m or 0.0]).all() or not 0.0 < level < 1.0:
             given = f"tip at {depth_m!r} m, contact at {contact_m!r} m, level {level!r}"
-            raise PlanError(f"{given}: expected finite depths, and a level between 0 and 1")
+            raise PlanError(
+                f"{given}: expected finite depths, and a level between 0 and 1"
+            )
         expected, beyond = self._expected(contact_m), 0.5 - 0.5 * level
-        joint = _joint(self._ahead(expected, depth_m), self._after(expected, ruptures_m)[0])
+        joint = _joint(
+            self._ahead(expected, depth_m), self._after(expected, ruptures_m)[0]
+        )
         return self._quantile_m(joint, beyond), self._quantile_m(joint, 1.0 - beyond)
 
     def _quantile_m(self, joint: Array, part: float) -> float:
@@ -203,7 +232,9 @@ class PlanMatch:
         """How likely so many boundaries lie above a tip that comes back from further below."""
         passed = np.arange(len(joint))[:, None]
         above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
-        counts = np.bincount(np.minimum(passed, above).ravel(), joint.ravel(), len(joint))
+        counts = np.bincount(
+            np.minimum(passed, above).ravel(), joint.ravel(), len(joint)
+        )
         return counts.astype(float, copy=False)
 
     def _expected(self, contact_m: float | None) -> "_Expected":
@@ -212,7 +243,11 @@ class PlanMatch:
         if contact_m is None:
             return self._untouched
         off_m, std = contact_m - self._bound_m[0], self._contact_std_m
-        together = np.exp(-0.5 * ((off_m - self._offset_m) / std) ** 2) / std / np.sqrt(2.0 * np.pi)
+        together = (
+            np.exp(-0.5 * ((off_m - self._offset_m) / std) ** 2)
+            / std
+            / np.sqrt(2.0 * np.pi)
+        )
         alone_m = np.hypot(std, self._offset_std_m)
         alone = _student(off_m / alone_m) / alone_m
         weight = weight * (TOGETHER * together + (1.0 - TOGETHER) * alone)
@@ -222,7 +257,9 @@ class PlanMatch:
         rupture_m[:, 0], std_m[:, 0] = met_m[:, None], met_std_m
         return _Expected(weight / weight.sum(), rupture_m, std_m)
 
-    def _after(self, expected: "_Expected", ruptures_m: Sequence[float]) -> tuple[Array, Array]:
+    def _after(
+        self, expected: "_Expected", ruptures_m: Sequence[float]
+    ) -> tuple[Array, Array]:
         """Weights after ruptures, and the part of them in which the last one was a false alarm."""
         weight, rupture_m, std_m = expected
         false, last_m = weight, -np.inf
@@ -231,7 +268,9 @@ class PlanMatch:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
             last_m, false = max(last_m, depth_m), FALSE_PER_m * weight
             here = -0.5 * ((depth_m - rupture_m) / std_m) ** 2
-            density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * std_m)).sum(axis=0)
+            density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * std_m)).sum(
+                axis=0
+            )
             came = _arriving(weight, self._missed)[:-1] * (1.0 - self._missed) * density
             weight = false + np.vstack((np.zeros_like(came[:1]), came))
             total = weight.sum()
@@ -250,7 +289,9 @@ class _Expected(NamedTuple):
     """What is known before the first rupture, for each offset (columns)."""
 
     weight: Array  # rows: the last boundary matched, the first for none
-    rupture_m: Array  # where a boundary ruptures at once, and late (2, boundaries, offsets)
+    rupture_m: (
+        Array  # where a boundary ruptures at once, and late (2, boundaries, offsets)
+    )
     std_m: Array  # of those (2, boundaries, 1)
 
 
@@ -293,12 +334,16 @@ def _matched(
     """Into which layer the last rupture led, -1 for a false alarm, and how likely."""
     # Whichever it was: what lies behind it was passed without another rupture.
     unfelt = np.ones_like(weight)
-    for boundary, (stands, slips) in reversed(list(enumerate(zip(*ahead, strict=True)))):
+    for boundary, (stands, slips) in reversed(
+        list(enumerate(zip(*ahead, strict=True)))
+    ):
         unfelt[boundary] = stands + slips * unfelt[boundary + 1]
     likely = ((weight - false) * unfelt).sum(axis=1)
     likely[0] = (false * unfelt).sum()
     best = int(np.argmax(likely))
-    return best - 1 + first * (best > 0), float(likely[best] / max(likely.sum(), 1e-300))
+    return best - 1 + first * (best > 0), float(
+        likely[best] / max(likely.sum(), 1e-300)
+    )
 
 
 def _arriving(weight: Array, slips: Array) -> Array:

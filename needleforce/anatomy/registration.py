@@ -34,19 +34,29 @@ SURFACE_STD_m, SURFACE_EDGES, SURFACE_REACH_m = 0.24e-3, 5.0, 3.7e-3
 """Least error of a flat segmented surface, its growth towards edges, 1 + 5 (1 - flatness), and the
 reach of its correlation exp(-(distance / reach)^2 / 2): measured on liver, kidneys, gallbladder,
 bladder, femur and two muscles against what segmenting them at 3 mm leaves."""
-HOLD_REACH_m = 2.0 * SURFACE_REACH_m  # Normals averaged so far around hold hardly any of that error
+HOLD_REACH_m = (
+    2.0 * SURFACE_REACH_m
+)  # Normals averaged so far around hold hardly any of that error
 COARSE_STD_m = 0.6e-3  # More than such a surface is off as a whole
 LEAST_TOUCHES = 15
-LARGEST = 5.0  # Metres of touches or surface, and ratio of lengths, beyond which units differ
+LARGEST = (
+    5.0  # Metres of touches or surface, and ratio of lengths, beyond which units differ
+)
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
 ROUNDS, LAST_STEP_m = 60, 1e-7
-WIDE_ROUNDS = 12  # So long the touches' own distances say which of them slipped, then their noise
-FULL_STEPS = 8.0  # Later ones are shorter: from facet to facet they would go back and forth
+WIDE_ROUNDS = (
+    12  # So long the touches' own distances say which of them slipped, then their noise
+)
+FULL_STEPS = (
+    8.0  # Later ones are shorter: from facet to facet they would go back and forth
+)
 PUSH_m = 6e-3  # How far a solution is pushed along its weakest directions, measured at the touches
 BACK = 0.5  # Part of the push that may be left at the touches after fitting again
 FAR_m = 4e-3  # Another solution is another if it lies so far away at the touches
-TRIES = np.diag([0.2] * 3 + [12e-3] * 3)  # Other starts: turned [rad], shifted [m], either way
+TRIES = np.diag(
+    [0.2] * 3 + [12e-3] * 3
+)  # Other starts: turned [rad], shifted [m], either way
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +96,9 @@ class Registration:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         return float(np.sqrt(unit @ self.covariance_at(point_m) @ unit))
 
-    def region_contains(self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95) -> bool:
+    def region_contains(
+        self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95
+    ) -> bool:
         """Whether a place in the robot's base lies in the region of that level about a point."""
         error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
         least = 1e-18 * np.eye(3)  # a nanometre, of a fit without any error
@@ -108,7 +120,10 @@ def _rms(vectors: Array) -> float:
 
 def _widths_m(points_m: Array) -> Array:
     """Root mean square extents of points (n, 3) about their mean, the largest first, (3,)."""
-    return np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False) / len(points_m) ** 0.5
+    return (
+        np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False)
+        / len(points_m) ** 0.5
+    )
 
 
 def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
@@ -120,7 +135,11 @@ def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
 
 
 def fit_landmarks(
-    model_m: ArrayLike, robot_m: ArrayLike, *, std_m: float = 1e-3, is_std_known: bool = False
+    model_m: ArrayLike,
+    robot_m: ArrayLike,
+    *,
+    std_m: float = 1e-3,
+    is_std_known: bool = False,
 ) -> Registration:
     """Register by landmarks.
 
@@ -152,7 +171,9 @@ def fit_landmarks(
     moved = model @ rotation.T + translation
     pivot = moved.mean(axis=0)
     lever = _jacobian(moved - pivot).reshape(-1, 6)
-    variance = std_m**2 if is_std_known else squares / degrees if len(model) > 3 else np.nan
+    variance = (
+        std_m**2 if is_std_known else squares / degrees if len(model) > 3 else np.nan
+    )
     return Registration(
         rotation=rotation,
         translation_m=translation,
@@ -206,7 +227,9 @@ def _explanations(model: Array, robot: Array) -> Iterator[tuple[str, Array, Arra
         robot,
     )
     scale = _rms(robot - robot.mean(axis=0)) / _rms(model - model.mean(axis=0))
-    why = f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
+    why = (
+        f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?"
+    )
     yield why, scale * model, robot
     for k in range(count if count > 4 else 0):
         why = f"landmark {k + 1} lies elsewhere than in the model; touch it again"
@@ -253,7 +276,10 @@ def fit_surface(
     points = start.to_model(touches)
     found = _fitted(surface, points, noise_m)
     if found.middle_m > noise_m:
-        others = (_fitted(surface, _moved(points, step), noise_m) for step in (*TRIES, *-TRIES))
+        others = (
+            _fitted(surface, _moved(points, step), noise_m)
+            for step in (*TRIES, *-TRIES)
+        )
         found = min(others, key=lambda fit: fit.middle_m)
     outliers = float(np.mean(found.weights == 0.0))
     if outliers > MOST_OUTLIERS:
@@ -277,10 +303,17 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     require_deviation("touch_std_m", std_m, RegistrationError)
     touches = np.asarray(touches_m, dtype=float)
     if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
-        raise RegistrationError(f"touches of shape {touches.shape}: expected finite (n, 3)")
+        raise RegistrationError(
+            f"touches of shape {touches.shape}: expected finite (n, 3)"
+        )
     if len(touches) < LEAST_TOUCHES:
-        raise RegistrationError(f"too few touches: {len(touches)}; touch {LEAST_TOUCHES} or more")
-    size_m, extent_m = float(np.linalg.norm(np.ptp(touches, axis=0))), float(surface.mesh.scale)
+        raise RegistrationError(
+            f"too few touches: {len(touches)}; touch {LEAST_TOUCHES} or more"
+        )
+    size_m, extent_m = (
+        float(np.linalg.norm(np.ptp(touches, axis=0))),
+        float(surface.mesh.scale),
+    )
     if max(size_m, extent_m, size_m / extent_m) > LARGEST:
         raise RegistrationError(
             f"the touches spread over {size_m:.3g} m, the surface over {extent_m:.3g} m: "
@@ -313,11 +346,15 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
         levers = _jacobian(points - points.mean(axis=0))
         rows = np.einsum("ni,nij->nj", normals / flatness[:, None], levers)
         normal = rows.T @ (weights[:, None] * rows)
-        found = _Fit(points, levers, rows, flatness, distances, weights, normal, middle_m)
+        found = _Fit(
+            points, levers, rows, flatness, distances, weights, normal, middle_m
+        )
         # What the touches do not hold is held a little, so that a sphere has a solution too.
         spins, slides = np.split(np.diag(normal), 2)
         held = normal + 1e-6 * np.diag(np.repeat([spins.sum(), slides.sum()], 3))
-        step = -np.linalg.lstsq(held, rows.T @ (weights * distances))[0]  # 0 where all slipped
+        step = -np.linalg.lstsq(held, rows.T @ (weights * distances))[
+            0
+        ]  # 0 where all slipped
         count += 1
         points = _moved(points, step * min(1.0, FULL_STEPS / count))
         is_still = count > WIDE_ROUNDS + 1 and _rms(points - found.points) < LAST_STEP_m
@@ -338,7 +375,9 @@ def _require_no_other(surface: Surface, found: _Fit, noise_m: float) -> None:
     for direction in eigh(found.normal, motion)[1][:, :3].T:
         again = _fitted(surface, _moved(found.points, PUSH_m * direction), noise_m)
         left_m = _rms(again.points - found.points)
-        if left_m > BACK * PUSH_m and again.middle_m < 1.3 * max(found.middle_m, 0.35 * noise_m):
+        if left_m > BACK * PUSH_m and again.middle_m < 1.3 * max(
+            found.middle_m, 0.35 * noise_m
+        ):
             raise RegistrationError(
                 f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm along its "
                 f"weakest direction, the solution stays {1e3 * left_m:.1f} mm away and fits as "
@@ -358,7 +397,10 @@ def _registration(
     surface: Surface, touches: Array, found: _Fit, touch_std_m: float
 ) -> Registration:
     """The fit from model to robot, with a covariance of touches and correlated surface errors."""
-    weights, kept = found.weights, found.weights > 0.0  # the others, which slipped, gain nothing
+    weights, kept = (
+        found.weights,
+        found.weights > 0.0,
+    )  # the others, which slipped, gain nothing
     degrees = max(float(kept.sum()) - 6.0, 1.0)
     observed = np.average(found.distances**2, weights=weights) * kept.sum() / degrees
     edges = 1.0 + SURFACE_EDGES * (1.0 - found.flatness)

@@ -57,7 +57,11 @@ class Surface:
     def _faces(self) -> tuple[Array, Array, Array]:
         """Corners [mm], normals and areas of the triangles; the mesh would be checked each time."""
         mesh = self.mesh
-        return 1e3 * mesh.triangles, np.array(mesh.face_normals), np.array(mesh.area_faces)
+        return (
+            1e3 * mesh.triangles,
+            np.array(mesh.face_normals),
+            np.array(mesh.area_faces),
+        )
 
     @cached_property
     def _pieces(self) -> tuple[KDTree, NDArray[np.intp], float]:
@@ -70,7 +74,11 @@ class Surface:
         _, kept = self._middles
         edge_m = max(np.sqrt(self.mesh.area / PIECES), self.mesh.scale / FINEST)
         corners_m, faces, *of = subdivide_to_size(
-            self.vertices_m, self.triangles[kept], edge_m, max_iter=30, return_index=True
+            self.vertices_m,
+            self.triangles[kept],
+            edge_m,
+            max_iter=30,
+            return_index=True,
         )
         pieces_m = corners_m[faces]
         middles_m = pieces_m.mean(axis=1)
@@ -87,7 +95,9 @@ class Surface:
         reach_m = np.linalg.norm(places_m - points_m, axis=1) + size_m
         near = tree.query_ball_point(points_m, reach_m * (1.0 + 1e-9))
         rows = np.repeat(every, [len(one) for one in near])
-        pairs = np.unique(rows * len(self.triangles) + of[np.concatenate(near).astype(int)])
+        pairs = np.unique(
+            rows * len(self.triangles) + of[np.concatenate(near).astype(int)]
+        )
         rows, faces = np.divmod(pairs, len(self.triangles))
         places_m = self._places(faces, points_m[rows])
         apart_m = np.linalg.norm(places_m - points_m[rows], axis=1)
@@ -108,14 +118,20 @@ class Surface:
         means = normals.copy()
         for k, near in enumerate(tree.query_ball_point(places_m, reach_m)):
             around, areas = every[kept[near]], area[kept[near]]
-            areas = areas * (around @ normals[k] > 0.0)  # not the other side of a thin part
+            areas = areas * (
+                around @ normals[k] > 0.0
+            )  # not the other side of a thin part
             if areas.any():
                 means[k] = areas @ around / areas.sum()
         return means
 
 
 def closed_surface(
-    name: str, mask: NDArray[np.bool_], corner_m: Array, axes_m: Array, colour: tuple[float, ...]
+    name: str,
+    mask: NDArray[np.bool_],
+    corner_m: Array,
+    axes_m: Array,
+    colour: tuple[float, ...],
 ) -> Surface:
     """Return the closed surface of a mask (i, j, k), whose volume is that of its voxels.
 
@@ -138,7 +154,9 @@ def closed_surface(
     weights = 1.0 / np.bincount(one).astype(np.float32)[one]
     filter_taubin(mesh, *SMOOTHING, sparse.csr_array((weights, (one, other))))
     if mesh.volume > 0.5 * of_cubes:
-        rough = manifold3d.Mesh(mesh.vertices.astype(np.float32), triangles.astype(np.uint32))
+        rough = manifold3d.Mesh(
+            mesh.vertices.astype(np.float32), triangles.astype(np.uint32)
+        )
         simple = manifold3d.Manifold(rough).simplify(TOLERANCE_VOXELS).to_mesh()
         mesh = Trimesh(simple.vert_properties[:, :3], simple.tri_verts, process=False)
     else:  # smoothing has folded a structure of a few voxels: its cubes' surface stays as it is

@@ -81,12 +81,16 @@ class Grid:
 
     def indices(self, points_m: ArrayLike) -> Array:
         """Indices (..., 3), with fractions, of points (..., 3) in LPS."""
-        return (np.asarray(points_m, float) - self.origin_m) @ np.linalg.inv(self.axes_m).T
+        return (np.asarray(points_m, float) - self.origin_m) @ np.linalg.inv(
+            self.axes_m
+        ).T
 
     def corners_m(self, box: Sequence[slice] = ()) -> Array:
         """Centres of the eight voxels in the corners, of the grid or of a box in it, (8, 3)."""
         whole = [slice(0, size) for size in self.shape]
-        return self.points_m(list(product(*((part.start, part.stop - 1) for part in box or whole))))
+        return self.points_m(
+            list(product(*((part.start, part.stop - 1) for part in box or whole)))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +118,17 @@ class Structure:
         """Return a structure whose colour, and whether it stops a needle, its name implies."""
         stated = words(name)
         stated -= set(OBSTACLES.split()) if stated & SOFT else set()
-        fitting = [colour for key, colour in _COLOURS.items() if stated & set(key.split())]
-        shade = (0.618 * value) % 1.0  # golden ratio: no two numbers close by look alike
-        colour = fitting[0] if fitting else (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
+        fitting = [
+            colour for key, colour in _COLOURS.items() if stated & set(key.split())
+        ]
+        shade = (
+            0.618 * value
+        ) % 1.0  # golden ratio: no two numbers close by look alike
+        colour = (
+            fitting[0]
+            if fitting
+            else (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
+        )
         stops = bool(stated & set(OBSTACLES.split()))
         return cls(name, value, tuple(part / 255.0 for part in colour), stops, volume)
 
@@ -143,7 +155,10 @@ class Labels:
 
     @classmethod
     def of(
-        cls, volumes: Sequence[NDArray[Any]], grid: Grid, structures: Iterable[Structure]
+        cls,
+        volumes: Sequence[NDArray[Any]],
+        grid: Grid,
+        structures: Iterable[Structure],
     ) -> "Labels":
         """Count the voxels of each structure; those without any are left out.
 
@@ -166,7 +181,9 @@ class Labels:
         named = {item.name: item for item in self.structures}
         if name not in named:
             there = ", ".join(named)
-            raise VolumeError(f"no structure with voxels is named {name!r}; there are {there}")
+            raise VolumeError(
+                f"no structure with voxels is named {name!r}; there are {there}"
+            )
         return named[name]
 
     def mask(self, name: str) -> NDArray[np.bool_]:
@@ -190,14 +207,18 @@ class Labels:
         require_agreement(self, scan)
         parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
         count = ndimage.label(scan.values > BODY_HU, output=parts)
-        inside = (parts == np.bincount(parts[parts > 0], minlength=1).argmax()) & (parts > 0)
+        inside = (parts == np.bincount(parts[parts > 0], minlength=1).argmax()) & (
+            parts > 0
+        )
         inner = inside[1:-1, 1:-1, 1:-1]
         if not count or inside.sum() - inner.sum() == inside.size - inner.size:
             raise VolumeError(
                 f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: expected a "
                 f"CT in Hounsfield units with air, below {BODY_HU:g}, around the patient"
             )
-        head = int(np.abs(scan.grid.axes_m[2]).argmax())  # lungs are open at the top of a scan
+        head = int(
+            np.abs(scan.grid.axes_m[2]).argmax()
+        )  # lungs are open at the top of a scan
         for section in np.moveaxis(inside, head, 0):
             section[:] = ndimage.binary_fill_holes(section)
         kinds = inside.astype(np.uint8)
@@ -210,11 +231,16 @@ class Labels:
             kinds, steps, first, self.grid.shape, order=0, mode="grid-constant"
         )
         names = ("lean", "fat") if fat else ("body",)
-        extra = [Structure.named(name, k, len(self.volumes)) for k, name in enumerate(names, 1)]
+        extra = [
+            Structure.named(name, k, len(self.volumes))
+            for k, name in enumerate(names, 1)
+        ]
         return Labels.of([*self.volumes, body], self.grid, (*self.structures, *extra))
 
     def surfaces(
-        self, names: Iterable[str] | None = None, progress: Callable[[float], None] | None = None
+        self,
+        names: Iterable[str] | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> dict[str, Surface]:
         """Closed surfaces by name, of all structures or those named; see `closed_surface`.
 
@@ -223,12 +249,16 @@ class Labels:
         Raises:
             VolumeError: No structure with voxels has one of the names.
         """
-        wanted = [item.name for item in self.structures] if names is None else list(names)
+        wanted = (
+            [item.name for item in self.structures] if names is None else list(names)
+        )
         found = {}
         for name in wanted:
             item, mask = self[name], self.mask(name)
             corner_m = self.grid.points_m([part.start for part in item.box])
-            found[name] = closed_surface(name, mask, corner_m, self.grid.axes_m, item.colour)
+            found[name] = closed_surface(
+                name, mask, corner_m, self.grid.axes_m, item.colour
+            )
             if progress is not None:
                 progress(len(found) / len(wanted))
         return found
@@ -254,7 +284,11 @@ class Labels:
         if boundary_std_m != 0.0:
             require_deviation("boundary_std_m", boundary_std_m, VolumeError)
         entry, target = np.asarray(entry_m, float), np.asarray(target_m, float)
-        if entry.shape != (3,) or target.shape != (3,) or not np.all(np.isfinite([entry, target])):
+        if (
+            entry.shape != (3,)
+            or target.shape != (3,)
+            or not np.all(np.isfinite([entry, target]))
+        ):
             given = f"entry {entry_m} and target {target_m}"
             raise VolumeError(f"{given}: expected two points of 3 numbers")
         first, last = self.grid.indices(np.array([entry, target]))
@@ -266,7 +300,10 @@ class Labels:
                 f"the entry {entry.tolist()} lies {beyond_m.max():.3g} m outside the volume: "
                 "expected metres, not millimetres"
             )
-        length_m, steps = float(np.linalg.norm(target - entry)), np.linalg.norm(last - first)
+        length_m, steps = (
+            float(np.linalg.norm(target - entry)),
+            np.linalg.norm(last - first),
+        )
         if steps == 0.0:
             raise VolumeError(f"entry and target are the same point {entry.tolist()}")
         at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
@@ -276,17 +313,24 @@ class Labels:
         left, right = winners[i], winners[i + 1]
         # The winner leads before a boundary and trails behind it.
         lead_m = np.diff(at)[i] * length_m
-        lead, trail = votes[i, left] - votes[i, right], votes[i + 1, right] - votes[i + 1, left]
+        lead, trail = (
+            votes[i, left] - votes[i, right],
+            votes[i + 1, right] - votes[i + 1, left],
+        )
         fall = np.maximum(lead + trail, 1e-9)
         cuts_m = at[i] * length_m + lead_m * lead / fall
         cuts = first + (cuts_m / length_m)[:, None] * (last - first)
-        steepest_1_m = _steepest_1_m(self, cuts, left, right) if boundary_std_m and len(i) else 0.0
+        steepest_1_m = (
+            _steepest_1_m(self, cuts, left, right) if boundary_std_m and len(i) else 0.0
+        )
         std_m = np.hypot(VOTE_STD, boundary_std_m * steepest_1_m) * lead_m / fall
         depths = pairwise([0.0, *cuts_m.tolist(), length_m])
         deviations = pairwise([0.0, *np.minimum(std_m, length_m).tolist(), 0.0])
         return [
             Layer(kinds[rank][0], *depth, *std, kinds[rank][1])
-            for rank, depth, std in zip(winners[[0, *(i + 1)]], depths, deviations, strict=True)
+            for rank, depth, std in zip(
+                winners[[0, *(i + 1)]], depths, deviations, strict=True
+            )
         ]
 
 
@@ -300,9 +344,13 @@ def require_agreement(labels: Labels, scan: Volume) -> None:
     last = np.array(scan.grid.shape) - 1.0
     corners = scan.grid.indices(labels.grid.corners_m())
     off = float(np.minimum(np.abs(corners), np.abs(corners - last)).max())
-    extents = (np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid))
+    extents = (
+        np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid)
+    )
     is_as_large = np.allclose(*extents, atol=0.1 * scan.grid.spacing_m.min())
-    if (is_as_large or sorted(labels.grid.shape) == sorted(scan.grid.shape)) and off > 0.1:
+    if (
+        is_as_large or sorted(labels.grid.shape) == sorted(scan.grid.shape)
+    ) and off > 0.1:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {off:.1f} voxels beside it: "
             "origin, spacing or directions of one of the files are wrong"
@@ -326,7 +374,9 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
     offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
     voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
     squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
-    weights = _outer(np.multiply, np.exp(-0.5 * squares)) * (2.5 - 0.5 * _outer(np.add, squares))
+    weights = _outer(np.multiply, np.exp(-0.5 * squares)) * (
+        2.5 - 0.5 * _outer(np.add, squares)
+    )
     weights /= weights.sum(axis=(1, 2, 3), keepdims=True)
     inside = (voxels >= 0) & (voxels < np.array(labels.grid.shape)[:, None])
     i, j, k = np.moveaxis(np.where(inside, voxels, 0), 1, 0)
@@ -334,7 +384,11 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
     ranked = sorted(labels.structures, key=lambda item: -item.voxels)
     found = np.zeros(weights.shape, np.intp)
     for number, volume in enumerate(labels.volumes):
-        values = {item.value: rank for rank, item in enumerate(ranked, 1) if item.volume == number}
+        values = {
+            item.value: rank
+            for rank, item in enumerate(ranked, 1)
+            if item.volume == number
+        }
         table = np.zeros(max(values, default=0) + 2, np.intp)  # from label to rank
         table[list(values)] = list(values.values())
         np.maximum(found, table[np.clip(volume[places], 0, len(table) - 1)], out=found)
@@ -361,11 +415,15 @@ def _steepest_1_m(
     lead = each[rows, :, left] - each[rows, :, right]
     fall = lead[:, :3] - lead[:, 3:]
     per_voxel = np.maximum(np.linalg.norm(fall, axis=1), 1e-9)
-    voxels_1_m = np.linalg.norm(fall @ np.linalg.inv(labels.grid.axes_m), axis=1) / per_voxel
+    voxels_1_m = (
+        np.linalg.norm(fall @ np.linalg.inv(labels.grid.axes_m), axis=1) / per_voxel
+    )
     return 3.0 / (np.sqrt(2.0 * np.pi) * WIDTH_VOXELS) * voxels_1_m
 
 
 def _outer(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:
     """Combine what belongs to three axes, (n, 3, m), for each voxel of a cube, (n, m, m, m)."""
     x, y, z = np.moveaxis(parts, 1, 0)
-    return combine(combine(x[:, :, None, None], y[:, None, :, None]), z[:, None, None, :])
+    return combine(
+        combine(x[:, :, None, None], y[:, None, :, None]), z[:, None, None, :]
+    )

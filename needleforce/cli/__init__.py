@@ -37,7 +37,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "(a variable of the shell may not be set)"
             )
         try:
-            command, bound, _ = app.parse_args(tokens, exit_on_error=False, print_error=False)
+            command, bound, _ = app.parse_args(
+                tokens, exit_on_error=False, print_error=False
+            )
         except UnusedCliTokensError as error:
             unused = " ".join(map(repr, error.unused_tokens or ()))
             raise CommandError(
@@ -52,7 +54,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def simulate_command(
     scenario: Annotated[
         str | None,
-        Parameter(name="SCENARIO", group=cli.OUTPUT, help="What is simulated; see --list."),
+        Parameter(
+            name="SCENARIO", group=cli.OUTPUT, help="What is simulated; see --list."
+        ),
     ] = None,
     /,
     *,
@@ -118,7 +122,9 @@ def identify_command(
 @app.command(name="report")
 def report_command(
     log: cli.Source,
-    folder: Annotated[Path, Parameter(name="DIR", group=cli.LOG, help="Created if missing.")],
+    folder: Annotated[
+        Path, Parameter(name="DIR", group=cli.LOG, help="Created if missing.")
+    ],
     /,
     *,
     robot: cli.RobotOptions = cli.RobotOptions(),
@@ -138,6 +144,8 @@ def report_command(
     from needleforce.cli.log import has_channels
 
     output = cli.Output(report=folder)
-    if has_channels(log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")):
+    if has_channels(
+        log, columns, ("q", "tau_ext" if sensor.external_torque else "tau")
+    ):
         return force.run(log, output, robot, sensor, columns, options)
     return identify.run(log, output, options, columns)

@@ -19,7 +19,15 @@ from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, Teleinsertion
 from needleforce.cli.live_options import DemoOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture
-from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel, Shading, palette
+from needleforce.plots import (
+    Chart,
+    Curve,
+    LineStyle,
+    PageFigure,
+    Panel,
+    Shading,
+    palette,
+)
 from residual import SensorConfig, Status, VirtualForceSensor
 
 Progress = Callable[[float], None]
@@ -32,9 +40,13 @@ class Shown(NamedTuple):
 
     title: str
     rows: tuple[tuple[str, str], ...]
-    charts: tuple[tuple[str, Chart, str], ...]  # name of the file, the chart, its caption
+    charts: tuple[
+        tuple[str, Chart, str], ...
+    ]  # name of the file, the chart, its caption
 
-    def write(self, kind: str, folder: Path | None, first: Drawn = lambda _: []) -> None:
+    def write(
+        self, kind: str, folder: Path | None, first: Drawn = lambda _: []
+    ) -> None:
         """Print the table, and write it with the figures as a page, if there is a folder for it."""
         write_out(f"{self.title}\n{aligned(self.rows)}{NEVER}\n")
         if folder is None:
@@ -43,11 +55,17 @@ class Shown(NamedTuple):
         figures = first(folder)
         for name, chart, caption in self.charts:
             place = folder / f"{name}.svg"
-            figures.append(plots.save_page_figure(chart, place, alt=caption, caption=caption))
-        table = plots.PageTable(caption="Result", head=("what", "value"), rows=self.rows)
+            figures.append(
+                plots.save_page_figure(chart, place, alt=caption, caption=caption)
+            )
+        table = plots.PageTable(
+            caption="Result", head=("what", "value"), rows=self.rows
+        )
         content = {"figures": tuple(figures), "tables": (table,)}
         section = plots.Section(heading=self.title, anchor=kind, **content)
-        page = plots.Page(title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,))
+        page = plots.Page(
+            title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,)
+        )
         write_out(f"{plots.write_page(folder / plots.PAGE, page)}\n")
 
 
@@ -65,7 +83,9 @@ def run(kind: str, options: DemoOptions) -> int:
     return 0
 
 
-def _panels(t_s: np.ndarray, *rows: tuple[str, LineStyle, np.ndarray]) -> tuple[Panel, ...]:
+def _panels(
+    t_s: np.ndarray, *rows: tuple[str, LineStyle, np.ndarray]
+) -> tuple[Panel, ...]:
     """One panel for each label of the y axis, style and values over time."""
     curves = ((label, Curve(style=style, x=t_s, y=y)) for label, style, y in rows)
     return tuple(Panel(y_label=label, curves=(curve,)) for label, curve in curves)
@@ -114,18 +134,27 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
         panels=(Panel(y_label="force [N]", curves=forces),),
         shadings=marks,
     )
-    motion = Curve(style=palette.OURS, x=t_s[::step], y=depth_mm[::step], label="needle")
+    motion = Curve(
+        style=palette.OURS, x=t_s[::step], y=depth_mm[::step], label="needle"
+    )
     energy = Chart(
         title="Energy that the hand has put in, and depth\nnever below zero: passive",
         x_label=palette.TIME,
         panels=(
-            Panel(y_label="energy [mJ]", curves=(curve("energy_J", "", palette.OURS, 1e3),)),
+            Panel(
+                y_label="energy [mJ]",
+                curves=(curve("energy_J", "", palette.OURS, 1e3),),
+            ),
             Panel(y_label="travel [mm]", curves=(motion,)),
         ),
         shadings=marks,
     )
     return (
-        ("contrast", contrast, "Force before and after each rupture, with friction and without."),
+        (
+            "contrast",
+            contrast,
+            "Force before and after each rupture, with friction and without.",
+        ),
         ("energy", energy, "Energy through the hand's port and travel of the needle."),
     )
 
@@ -145,7 +174,9 @@ def _rcm(progress: Progress) -> Shown:
     rows = []
     for sample in arm:
         part = min(arm.time_s / CIRCLE_S, 1.0)
-        angle = 2.0 * math.pi * (part - math.sin(2.0 * math.pi * part) / (2.0 * math.pi))
+        angle = (
+            2.0 * math.pi * (part - math.sin(2.0 * math.pi * part) / (2.0 * math.pi))
+        )
         offset = CIRCLE_M * (1.0 - math.cos(angle)), CIRCLE_M * math.sin(angle), 0.0
         rate = 2.0 * math.pi / CIRCLE_S * (1.0 - math.cos(2.0 * math.pi * part))
         along = np.array((math.sin(angle), math.cos(angle), 0.0))
@@ -155,7 +186,10 @@ def _rcm(progress: Progress) -> Shown:
         rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))
         progress(arm.time_s / (CIRCLE_S + 0.5))
     t_s, entry, error = np.array(rows)[::10].T
-    errors = ("entry [µm]", palette.OURS, 1e6 * entry), ("tip [mm]", palette.TIP, 1e3 * error)
+    errors = (
+        ("entry [µm]", palette.OURS, 1e6 * entry),
+        ("tip [mm]", palette.TIP, 1e3 * error),
+    )
     chart = Chart(
         title="Remote centre of motion\nerror at the entry and of the tip, circle of 40 mm in 8 s",
         x_label=palette.TIME,
@@ -164,16 +198,25 @@ def _rcm(progress: Progress) -> Shown:
     table = (
         ("entry, largest error", f"{1e3 * entry.max():.4f} mm"),
         ("tip, largest error", f"{1e3 * error.max():.2f} mm"),
-        ("kinematics", "shared by arm and controller; a real arm's are off by some 0.1 mm"),
+        (
+            "kinematics",
+            "shared by arm and controller; a real arm's are off by some 0.1 mm",
+        ),
     )
-    return Shown("Remote centre of motion", table, (("rcm", chart, "Errors over the circle."),))
+    return Shown(
+        "Remote centre of motion", table, (("rcm", chart, "Errors over the circle."),)
+    )
 
 
 def _autonomous(progress: Progress) -> Shown:
     """The needle goes in by itself until it has left the first layer."""
     arm = SimulatedArm("stack-glove-constant", standoff_m=5e-3, duration_s=40.0)
-    manager = control.Manager(InsertionSession(arm.robot), control.SafetyLimits(axial_N=20.0))
-    profile = control.InsertionProfile(control.InsertionPlan(speed_m_s=5e-3, depth_m=0.12, layer=1))
+    manager = control.Manager(
+        InsertionSession(arm.robot), control.SafetyLimits(axial_N=20.0)
+    )
+    profile = control.InsertionProfile(
+        control.InsertionPlan(speed_m_s=5e-3, depth_m=0.12, layer=1)
+    )
     controller = Controller(arm.robot, Limits(arm.robot))
     controller.tool.update(arm.home_rad)
     line, posture, rows = Fixture.here(controller.tool, 20.0), Posture(arm.home_rad), []
@@ -184,7 +227,11 @@ def _autonomous(progress: Progress) -> Shown:
         step = profile.update(now)
         if step.event:
             manager.request(step.event)
-        arm.send(controller.update(sample, [line, AxialSpeed(step.speed_m_s), posture]).dq_rad_s)
+        arm.send(
+            controller.update(
+                sample, [line, AxialSpeed(step.speed_m_s), posture]
+            ).dq_rad_s
+        )
         rows.append((arm.time_s, 1e3 * arm.truth.depth_m, now.estimate.wrench.axial))
         if now.state == "insertion":
             inserted_s = min(inserted_s, arm.time_s)
@@ -195,14 +242,18 @@ def _autonomous(progress: Progress) -> Shown:
             break
     drawn = np.array(rows)[::10].T
     ruptures = [item for item in arm.tissue_truth().ruptures if item.layer]
-    past_mm = float(drawn[1].max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
+    past_mm = (
+        float(drawn[1].max() - 1e3 * ruptures[0].onset_m) if ruptures else math.nan
+    )
     begin_s = inserted_s if math.isfinite(inserted_s) else 0.0
     chart = _stop_chart(drawn, ruptures, begin_s)
     table = (
         ("ruptures passed", f"{len(ruptures)} (asked: 1)"),
         ("overshoot past the rupture", f"{past_mm:.2f} mm"),
     )
-    return Shown("Autonomous insertion", table, (("stop", chart, "Depth and measured force."),))
+    return Shown(
+        "Autonomous insertion", table, (("stop", chart, "Depth and measured force."),)
+    )
 
 
 def _stop_chart(rows: np.ndarray, ruptures: list[Rupture], begin_s: float) -> Chart:
@@ -226,24 +277,40 @@ def _guidance(progress: Progress) -> Shown:
 
     def push_N(t_s: float) -> tuple[float, float, float]:
         inside = PUSH_S <= t_s < PUSH_END_S
-        return (PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S) if inside else 0.0, 0.0, 0.0)
+        return (
+            PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S) if inside else 0.0,
+            0.0,
+            0.0,
+        )
 
-    arm = SimulatedArm(contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S)
+    arm = SimulatedArm(
+        contacts=[HandOnArm(at="hub", force_N=push_N)], duration_s=GUIDED_S
+    )
     sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
     controller = Controller(arm.robot, Limits(arm.robot))
     controller.tool.update(arm.home_rad)
-    guidance, shaft, rows = control.Guidance(arm.robot), Fixture.here(controller.tool, 20.0), []
+    guidance, shaft, rows = (
+        control.Guidance(arm.robot),
+        Fixture.here(controller.tool, 20.0),
+        [],
+    )
     for sample in arm:
-        wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+        wrench = sensor.update(
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+        )
         if not sensor.tared:
-            speed_m_s = 0.02 * math.sin(math.pi * arm.time_s / 2.0)  # a stroke there and back
+            speed_m_s = 0.02 * math.sin(
+                math.pi * arm.time_s / 2.0
+            )  # a stroke there and back
             stack = [shaft, AxialSpeed(speed_m_s)]
             if arm.time_s > 4.0:
                 sensor.tare()
         else:
             valid = wrench.status is Status.OK
             sigma_Nm = sensor.residual_std_Nm
-            stack = [guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)]
+            stack = [
+                guidance.update(wrench.residual, sigma_Nm, sample.dt_s, is_valid=valid)
+            ]
         arm.send(controller.update(sample, stack).dq_rad_s)
         rows.append((arm.time_s, push_N(arm.time_s)[0], *arm.truth.tip_m))
         progress(arm.time_s / GUIDED_S)
@@ -251,14 +318,19 @@ def _guidance(progress: Progress) -> Shown:
     moved = 1e3 * np.linalg.norm(np.array(tip_m).T - np.array(tip_m).T[0], axis=1)
     yielded = int(np.argmax(moved > 0.5))
     rest = t_s > PUSH_END_S + 1.0
-    drawn = ("push [N]", palette.READING, force), ("tip moved [mm]", palette.OURS, moved)
+    drawn = (
+        ("push [N]", palette.READING, force),
+        ("tip moved [mm]", palette.OURS, moved),
+    )
     title = "Manual guidance\na push at the hub grows by 1 N/s, then lets go"
     chart = Chart(title=title, x_label=palette.TIME, panels=_panels(t_s, *drawn))
     table = (
         ("force at which the arm has yielded by 0.5 mm", f"{force[yielded]:.2f} N"),
         ("creep, from 1 s after it was let go", f"{np.ptp(moved[rest]):.4f} mm in 2 s"),
     )
-    return Shown("Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),))
+    return Shown(
+        "Manual guidance", table, (("guidance", chart, "Push and motion of the tip."),)
+    )
 
 
 DEMOS: dict[str, Callable[[Progress], Shown]] = {

@@ -21,7 +21,15 @@ from groundtruth.materials import ABDOMEN
 from groundtruth.motion import constant_motion
 from groundtruth.torso import analytic_torso
 from needleforce import anatomy
-from needleforce.anatomy import Grid, Labels, Layer, PlanMatch, PlanState, Registration, Structure
+from needleforce.anatomy import (
+    Grid,
+    Labels,
+    Layer,
+    PlanMatch,
+    PlanState,
+    Registration,
+    Structure,
+)
 from needleforce.anatomy.volume import UNLABELLED
 from needleforce.cli.terminal import CommandError
 from needleforce.scene.state_ring import FIELDS, view_row
@@ -42,7 +50,9 @@ LENGTHS_m = (0.05, 0.1)
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
 """What a needle may cross on its way into an organ: neither lung nor bowel nor large vessel."""
 CLEARANCE_m = 6e-3
-LEAST_LAYER_m = 6.5e-3  # Thinner layers are no tissue of the simulation's: they join the one before
+LEAST_LAYER_m = (
+    6.5e-3  # Thinner layers are no tissue of the simulation's: they join the one before
+)
 
 
 class Insertion(NamedTuple):
@@ -59,7 +69,9 @@ class Insertion(NamedTuple):
     depth_m: Array  # of the tip below the planned entry, per row
     force_N: Array
     tip_N: Array
-    states: list[tuple[float, PlanState]]  # after each rupture: its depth, what is known
+    states: list[
+        tuple[float, PlanState]
+    ]  # after each rupture: its depth, what is known
     stop_m: float  # depth at which the plan, corrected, has the target
     robot: Robot
     rows: Array  # as the scene takes them
@@ -82,7 +94,9 @@ class Insertion(NamedTuple):
         wrong = self.fine.to_robot(self.target_m) - truth
         across = float(np.linalg.norm(wrong - (wrong @ axis) * axis))
         true = self.length_m + self.shift_m
-        by_plan, corrected = np.hypot([self.length_m - true, self.stop_m - true], across).tolist()
+        by_plan, corrected = np.hypot(
+            [self.length_m - true, self.stop_m - true], across
+        ).tolist()
         return by_plan, corrected
 
 
@@ -94,15 +108,21 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
         half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4
         shape, corner_m = tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half
         grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
-        structures = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
-        return Labels.of([torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures)
+        structures = [
+            Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)
+        ]
+        return Labels.of(
+            [torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures
+        )
     scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
     beside = scans[0].parent if scans else folder
     files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
     if not files or not scans:
         what = "expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, there or one folder down"
         raise CommandError(f"{folder}: {what}")
-    return anatomy.read_labels(files[0]).with_body(anatomy.read_volume(scans[0]), fat=True)
+    return anatomy.read_labels(files[0]).with_body(
+        anatomy.read_volume(scans[0]), fat=True
+    )
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:
@@ -110,7 +130,9 @@ def inside_body(labels: Labels) -> NDArray[np.bool_]:
     return np.any([volume != 0 for volume in labels.volumes], axis=0)
 
 
-def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Array, Array]:
+def plan_path(
+    labels: Labels, organ: str, rng: np.random.Generator
+) -> tuple[Array, Array]:
     """Entry on the skin and a target inside an organ: the way through the most tissues.
 
     Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`, and of
@@ -118,7 +140,9 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
     """
     organ_mask, corner = labels.mask(organ), [part.start for part in labels[organ].box]
     core = ndimage.binary_erosion(organ_mask, iterations=3)
-    places = labels.grid.points_m(np.argwhere(core if core.any() else organ_mask) + corner)
+    places = labels.grid.points_m(
+        np.argwhere(core if core.any() else organ_mask) + corner
+    )
     body = inside_body(labels)
     best: tuple[tuple[int, float], Array, Array] | None = None
     for _ in range(DRAWS):
@@ -136,7 +160,9 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> tuple[Arr
         if ends_inside and is_better and _is_clear(labels, entry, target, organ):
             best = rank, entry, target
     if best is None:
-        raise CommandError(f"no straight way from the front into {organ!r} through soft tissue")
+        raise CommandError(
+            f"no straight way from the front into {organ!r} through soft tissue"
+        )
     return best[1], best[2]
 
 
@@ -154,7 +180,9 @@ def _is_clear(labels: Labels, entry: Array, target: Array, organ: str) -> bool:
     )
 
 
-def _skin_along(grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array) -> float | None:
+def _skin_along(
+    grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array
+) -> float | None:
     """Distance at which a ray from inside leaves the body; None where the volume ends first."""
     step = 0.5 * float(grid.spacing_m.min())
     distance = step * np.arange(1, int(0.3 / step))
@@ -174,12 +202,16 @@ def register(
     """
     body = [inside_body(labels).astype(np.uint8)]
     skin = Labels.of(body, labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
-    front = skin.vertices_m[skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)]
+    front = skin.vertices_m[
+        skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)
+    ]
     marks = front[_spread(front, LANDMARKS, rng)]
     robot = marks @ truth[0].T + truth[1] + 1e-3 * rng.normal(size=marks.shape)
     rough = anatomy.fit_landmarks(marks, robot, std_m=1.5e-3, is_std_known=True)
     near = front[np.linalg.norm(front - entry_m, axis=1) < 0.25]
-    touched = near[rng.choice(len(near), TOUCHES)] + TOUCH_STD_m * rng.normal(size=(TOUCHES, 3))
+    touched = near[rng.choice(len(near), TOUCHES)] + TOUCH_STD_m * rng.normal(
+        size=(TOUCHES, 3)
+    )
     slipped = rng.random(TOUCHES) < 0.1
     touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
     try:
@@ -204,7 +236,9 @@ def thick_layers(layers: list[Layer]) -> list[Layer]:
     for layer in layers:
         is_thin = layer.exit_m - layer.entry_m < LEAST_LAYER_m
         if found and (is_thin or layer.name == found[-1].name):
-            found[-1] = replace(found[-1], exit_m=layer.exit_m, exit_std_m=layer.exit_std_m)
+            found[-1] = replace(
+                found[-1], exit_m=layer.exit_m, exit_std_m=layer.exit_std_m
+            )
         elif not is_thin:
             start = {"entry_m": 0.0, "entry_std_m": 0.0} if not found else {}
             found.append(replace(layer, **start))
@@ -223,7 +257,9 @@ def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
     )
 
 
-def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction: None) -> Insertion:
+def insert(
+    folder: Path | None, seed: int, progress: Progress = lambda fraction: None
+) -> Insertion:
     """Plan, register, insert, and let ruptures correct the plan."""
     rng = np.random.default_rng(seed)
     labels = read_torso(folder, rng)
@@ -238,18 +274,26 @@ def insert(folder: Path | None, seed: int, progress: Progress = lambda fraction:
     progress(0.2)
     layers = tissue(plan)
     length = float(np.linalg.norm(target - entry))
-    motion = constant_motion(speed_m_s=SPEED_m_s, depth_m=length + BEYOND_m, standoff_m=STANDOFF_m)
-    scenario = Scenario(id="abdomen", title="the plan's tissues", layers=layers, motion=motion)
+    motion = constant_motion(
+        speed_m_s=SPEED_m_s, depth_m=length + BEYOND_m, standoff_m=STANDOFF_m
+    )
+    scenario = Scenario(
+        id="abdomen", title="the plan's tissues", layers=layers, motion=motion
+    )
     run = simulate(scenario, "clean", seed, lambda part: progress(0.2 + 0.6 * part))
     std = float(np.hypot(fine.std_along_m(axis, target), SHIFT_STD_m))
     followed = _followed(run, PlanMatch(plan, std), shift, length)
     return Insertion(labels, entry, target, plan, rough, fine, truth, shift, **followed)
 
 
-def _followed(run: Run, match: PlanMatch, shift_m: float, length_m: float) -> dict[str, Any]:
+def _followed(
+    run: Run, match: PlanMatch, shift_m: float, length_m: float
+) -> dict[str, Any]:
     """The session over the run's signals, its ruptures matched with the plan: the other fields."""
     signals, true, session = run.signals, run.truth, InsertionSession(run.robot)
-    velocity = signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
+    velocity = (
+        signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
+    )
     rows, states, last_s, stop = [], [], signals.t_s[0], None
     entry_m, start_m, axis = 0.0, np.zeros(3), np.zeros(3)
     for k, (t_s, q, dq, tau) in enumerate(

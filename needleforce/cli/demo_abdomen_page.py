@@ -14,7 +14,15 @@ from needleforce.cli.live_options import DemoOptions
 from needleforce.cli.live_view import LEAST_VOXELS, description
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
-from needleforce.plots import Chart, Curve, Instants, PageFigure, Panel, palette, require_matplotlib
+from needleforce.plots import (
+    Chart,
+    Curve,
+    Instants,
+    PageFigure,
+    Panel,
+    palette,
+    require_matplotlib,
+)
 
 NEEDED = {"SimpleITK": "SimpleITK", "skimage": "scikit-image"}
 NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
@@ -52,11 +60,15 @@ def write_scene(made: Insertion, path: Path) -> Path:
     way = made.target_m - made.entry_m
     up = [0.0, 0.0, 1.0]
     turn = Rotation.align_vectors([made.axis, up], [way, up], weights=[np.inf, 1.0])[0]
-    large = [item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS]
+    large = [
+        item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS
+    ]
     names = [name for name in large if name != "lean"]  # it would hide what lies in it
     surfaces = tuple(made.labels.surfaces(names).values())
     shift = made.entry_in_base_m - turn.apply(made.entry_m)
-    scene = PlanScene(surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift)
+    scene = PlanScene(
+        surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift
+    )
     viewer = Viewer(made.robot, scene, urdf_path=description(RobotOptions()))
     viewer.append(made.rows)
     try:
@@ -76,17 +88,24 @@ SLICE = (
 def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
     by_plan, corrected = (f"{1e3 * error:.1f} mm" for error in made.errors_m)
     true = made.truth[0] @ made.target_m + made.truth[1]
-    path = ", ".join(f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan)
+    path = ", ".join(
+        f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan
+    )
     ways = []
     for each in (made.rough, made.fine):
-        error, std = np.linalg.norm(each.to_robot(made.target_m) - true), each.tre_m(made.target_m)
+        error, std = (
+            np.linalg.norm(each.to_robot(made.target_m) - true),
+            each.tre_m(made.target_m),
+        )
         ways.append(f"{1e3 * error:.1f} mm at the target, {1e3 * std:.1f} stated")
     if made.fine is made.rough:
         ways[1] = "refused: the skin slides or spins on itself"
     rows = {"planned path": path, f"registration by {LANDMARKS} landmarks": ways[0]}
     rows[f"and {TOUCHES} touches of the skin"] = ways[1]
     for k, (depth, state) in enumerate(made.states, 1):
-        where = f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
+        where = (
+            f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
+        )
         rows[f"rupture {k} at {1e3 * depth:.1f} mm"] = (
             f"{where} ({100 * state.matched_probability:.0f} %); all lies "
             f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper"
@@ -106,7 +125,9 @@ def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
         Instants(label="detected rupture", style=palette.RUPTURE, places=found),
     )
     forces = (
-        Curve(style=palette.READING, x=x, y=made.force_N, label="force, virtual sensor"),
+        Curve(
+            style=palette.READING, x=x, y=made.force_N, label="force, virtual sensor"
+        ),
         Curve(style=palette.TIP, x=x, y=made.tip_N, label="tip force"),
     )
     chart = Chart(
@@ -124,8 +145,13 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     import matplotlib.pyplot as plt
     from matplotlib.patheffects import withStroke
 
-    outline = [withStroke(linewidth=3.0, foreground="0.15")]  # legible on any structure's colour
-    along, across = np.arange(-0.03, made.length_m + 0.06, 5e-4), np.arange(-0.09, 0.09, 5e-4)
+    outline = [
+        withStroke(linewidth=3.0, foreground="0.15")
+    ]  # legible on any structure's colour
+    along, across = (
+        np.arange(-0.03, made.length_m + 0.06, 5e-4),
+        np.arange(-0.09, 0.09, 5e-4),
+    )
     colors, names = _section(made, along, across)
     figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
     extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
@@ -136,16 +162,23 @@ def draw_slice(made: Insertion, path: Path) -> Path:
         plane.text(*place, name.replace("_", " "), ha="center", va="center", **style)
     tip = made.stop_m - made.shift_m
     plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
-    plane.plot(0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target")
+    plane.plot(
+        0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target"
+    )
     plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
     planned_mm = [1e3 * layer.exit_m for layer in made.plan[:-1]]
     found_mm = [1e3 * (depth - made.shift_m) for depth, _ in made.states]
-    lines = ((planned_mm, 8.0, "white", "planned boundary"), (found_mm, 5.0, "cyan", "rupture"))
+    lines = (
+        (planned_mm, 8.0, "white", "planned boundary"),
+        (found_mm, 5.0, "cyan", "rupture"),
+    )
     for places_mm, half_mm, color, label in lines:
         style = {"color": color, "lw": 2.0, "label": label, "path_effects": outline}
         plane.hlines(places_mm, -half_mm, half_mm, **style)
     plane.set(
-        xlabel="across the needle [mm]", ylabel="along the needle [mm]", title="Plan and insertion"
+        xlabel="across the needle [mm]",
+        ylabel="along the needle [mm]",
+        title="Plan and insertion",
     )
     legend = {"facecolor": "0.3", "labelcolor": "white", "fontsize": 8, "ncols": 4}
     figure.legend(loc="outside lower center", **legend)
@@ -154,7 +187,9 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     return path
 
 
-def _section(made: Insertion, along: Any, across: Any) -> tuple[Any, list[tuple[str, int, int]]]:
+def _section(
+    made: Insertion, along: Any, across: Any
+) -> tuple[Any, list[tuple[str, int, int]]]:
     """Colours in the needle's plane, and each large structure's name where it is widest."""
     axis = (made.target_m - made.entry_m) / made.length_m
     side = np.cross(axis, [0.0, 0.0, 1.0])
@@ -166,7 +201,9 @@ def _section(made: Insertion, along: Any, across: Any) -> tuple[Any, list[tuple[
     ordered = sorted(made.labels.structures, key=lambda item: -item.voxels)
     owner, colors, names = np.full(valid.shape, -1), np.zeros((*valid.shape, 3)), []
     for k, structure in enumerate(ordered):
-        owner[valid & (made.labels.volumes[structure.volume][at] == structure.value)] = k
+        owner[
+            valid & (made.labels.volumes[structure.volume][at] == structure.value)
+        ] = k
     for k, structure in enumerate(ordered):
         inside = owner == k
         colors[inside] = structure.colour

@@ -15,7 +15,14 @@ from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
-from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Posture, Teleoperation
+from needleforce.control import (
+    AxialSpeed,
+    Controller,
+    Fixture,
+    Limits,
+    Posture,
+    Teleoperation,
+)
 from needleforce.control.teleoperation import Shown
 from residual import DEFAULT, SensorConfig
 
@@ -40,7 +47,9 @@ class HandPlan(NamedTuple):
     @property
     def duration_s(self) -> float:
         """Of all strokes and the ways back between them."""
-        return self.needle_travel_m / self.needle_speed_m_s + (self.strokes - 1) * BACK_S
+        return (
+            self.needle_travel_m / self.needle_speed_m_s + (self.strokes - 1) * BACK_S
+        )
 
     def at(self, t_s: float) -> tuple[float, bool]:
         """Place of the wish [m] and the pedal, after a time."""
@@ -61,7 +70,9 @@ class Teleinsertion:
     t_s: list[float] = field(default_factory=list)
     depth_m: list[float] = field(default_factory=list)
     tip_N: list[float] = field(default_factory=list)  # true
-    raw_N: list[float] = field(default_factory=list)  # as the virtual sensor measures it
+    raw_N: list[float] = field(
+        default_factory=list
+    )  # as the virtual sensor measures it
     shown_N: list[float] = field(default_factory=list)  # what is sent to be felt
     energy_J: list[float] = field(default_factory=list)  # true, at the hand's port
     is_open: list[bool] = field(default_factory=list)  # the clutch: the hand goes back
@@ -75,7 +86,11 @@ class Teleinsertion:
         return np.array(getattr(self, name))
 
     def note(
-        self, truth: ArmTruth, estimate: SessionEstimate, shown_N: float, master: HapticMaster
+        self,
+        truth: ArmTruth,
+        estimate: SessionEstimate,
+        shown_N: float,
+        master: HapticMaster,
     ) -> None:
         """Take a row."""
         self.t_s.append(truth.t_s)
@@ -85,7 +100,10 @@ class Teleinsertion:
         self.shown_N.append(shown_N)
         self.energy_J.append(master.port_energy_J)
         self.is_open.append(not master.clutch)
-        if estimate.used_for_identification and estimate.identification.rupture is not None:
+        if (
+            estimate.used_for_identification
+            and estimate.identification.rupture is not None
+        ):
             self.alarms_s.append(truth.t_s)
 
 
@@ -118,18 +136,27 @@ def teleoperate(
     progress: Callable[[float], None] = lambda _: None,
 ) -> Teleinsertion:
     """Tare over a stroke, then let a hand drive the needle; the arm starts `STANDOFF_M` above."""
-    session, control = InsertionSession(arm.robot, sensor), Controller(arm.robot, Limits(arm.robot))
+    session, control = (
+        InsertionSession(arm.robot, sensor),
+        Controller(arm.robot, Limits(arm.robot)),
+    )
     control.tool.update(arm.home_rad)
     shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
     jitter_s, lag_s = min(JITTER_s, delay_s), 1.0 / sensor.slowest_gain_per_s
     lines = DelayLine(delay_s, jitter_s, rng), DelayLine(delay_s, jitter_s, rng)
-    tele = Teleoperation(motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=lines)
+    tele = Teleoperation(
+        motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=lines
+    )
     master = HapticMaster(operator(lambda t: (0.0, 0.0, hand.at(t)[0])))
     approach, found, wanted_m, end_s = _Approach(session), Teleinsertion(), 0.0, np.inf
     for sample in arm:
-        estimate = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-        speed_m_s = approach.speed_m_s(estimate, arm.time_s) if not session.tared else None
+        estimate = session.update(
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+        )
+        speed_m_s = (
+            approach.speed_m_s(estimate, arm.time_s) if not session.tared else None
+        )
         if session.tared and speed_m_s is None:
             end_s = min(end_s, arm.time_s + hand.duration_s + SETTLE_S)
             master.clutch, before_m = hand.at(master.time_s)[1], master.position_m[2]
@@ -139,7 +166,11 @@ def teleoperate(
             speed_m_s = move.speed_m_s
             found.note(arm.truth, estimate, tele.shown_N, master)
             progress(1.0 - (end_s - arm.time_s) / (hand.duration_s + SETTLE_S))
-        arm.send(control.update(sample, [shaft, AxialSpeed(speed_m_s or 0.0), posture]).dq_rad_s)
+        arm.send(
+            control.update(
+                sample, [shaft, AxialSpeed(speed_m_s or 0.0), posture]
+            ).dq_rad_s
+        )
         if arm.time_s > end_s:
             break
     found.least_energy_J = master.least_energy_J
@@ -172,10 +203,18 @@ def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
         drops = []
         for name in ("shown_N", "raw_N"):
             force = run.rows(name)
-            smooth = np.convolve(force[after], np.full(MEAN_TICKS, 1.0 / MEAN_TICKS), "valid")
-            drops.append(float(1.0 - max(smooth.min(), 0.0) / max(force[before].mean(), 0.05)))
-        error_N = float(np.mean(run.rows("shown_N")[before] - run.rows("tip_N")[before]))
-        late = alarms[(alarms >= rupture.onset_s) & (alarms < rupture.onset_s + LATEST_ALARM_s)]
+            smooth = np.convolve(
+                force[after], np.full(MEAN_TICKS, 1.0 / MEAN_TICKS), "valid"
+            )
+            drops.append(
+                float(1.0 - max(smooth.min(), 0.0) / max(force[before].mean(), 0.05))
+            )
+        error_N = float(
+            np.mean(run.rows("shown_N")[before] - run.rows("tip_N")[before])
+        )
+        late = alarms[
+            (alarms >= rupture.onset_s) & (alarms < rupture.onset_s + LATEST_ALARM_s)
+        ]
         delay_s = float(late[0] - rupture.onset_s) if len(late) else float("nan")
         felt.append(RuptureFelt(drops[0], drops[1], error_N, delay_s))
     return felt

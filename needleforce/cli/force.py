@@ -13,7 +13,13 @@ from needleforce import plots
 from needleforce.cli import log as logs
 from needleforce.cli import options as cli
 from needleforce.cli import robot as robots
-from needleforce.cli.force_replay import Replay, Rows, has_status, rejections, tare_window
+from needleforce.cli.force_replay import (
+    Replay,
+    Rows,
+    has_status,
+    rejections,
+    tare_window,
+)
 from needleforce.cli.identify import IdentificationResult, identify_layers
 from needleforce.cli.terminal import CommandError, aligned, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
@@ -37,18 +43,28 @@ def run(
     known = logs.mapping_from_options(columns)
     torque, joints = "tau_ext" if sensor.external_torque else "tau", robot.joint_names
     if columns.print_config:
-        payload = robots.payload_lines(robots.payload_from_options(robot_options, columns.mapping))
+        payload = robots.payload_lines(
+            robots.payload_from_options(robot_options, columns.mapping)
+        )
         channels = ("q", torque, "dq")
-        write_out(suggest_mapping(source, channels, mapping=known, joints=joints, payload=payload))
+        write_out(
+            suggest_mapping(
+                source, channels, mapping=known, joints=joints, payload=payload
+            )
+        )
         return 0
     if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
         given = "--tare" if sensor.tare is not None else "--force-tare"
-        raise CommandError(f"{given} and --no-tare contradict each other; give one of them")
+        raise CommandError(
+            f"{given} and --no-tare contradict each other; give one of them"
+        )
     if sensor.tare is not None:
         tare_window(sensor.tare, 0.0)  # before a log is waited for
     robot, friction = robots.with_friction(robot, sensor.friction)
     config = robots.sensor_config(sensor, friction)
-    request = ChannelRequest(mapping=known, required=("q", torque), optional=("dq",), joints=joints)
+    request = ChannelRequest(
+        mapping=known, required=("q", torque), optional=("dq",), joints=joints
+    )
 
     def estimate(log: logs.LogSession) -> ForceResult:
         return estimate_forces(log, Replay(robot, config, sensor), output, layers)
@@ -58,7 +74,11 @@ def run(
 
 # From a log to its result.
 
-_CHANNELS = {"depth_m": "travel_m", "force_N": "axial_unsmoothed_N", "force_std_N": "axial_std_N"}
+_CHANNELS = {
+    "depth_m": "travel_m",
+    "force_N": "axial_unsmoothed_N",
+    "force_std_N": "axial_std_N",
+}
 _CHANNELS |= {name: name for name in ("force_status", "force_warnings")}
 
 
@@ -73,7 +93,11 @@ def estimate_forces(
     tracked = ["axial_N", "axial_std_N", "force_status", "after_gap"]
     tracked += ["force_N", "std"] if config.mode != "axial" else []
     tracked += ["torque_Nm"] if config.mode == "full" else []
-    result, overview, forces = ForceResult(log.name, replay), logs.RowOverview(tracked), []
+    result, overview, forces = (
+        ForceResult(log.name, replay),
+        logs.RowOverview(tracked),
+        [],
+    )
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     with logs.open_output(output, log, Labels(frame=frame)) as table:
@@ -100,7 +124,9 @@ def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
     for name, unit, values, std in _vectors(rows, config):
         for column, numbers in ((name, values), (f"{name}_std", std)):
             columns = zip("xyz", () if numbers is None else numbers.T, strict=False)
-            table |= {f"{column}_{xyz}_in_{config.axes}_{unit}": each for xyz, each in columns}
+            table |= {
+                f"{column}_{xyz}_in_{config.axes}_{unit}": each for xyz, each in columns
+            }
     last = ("axial_unsmoothed_N", "model_mismatch", "force_warnings", "force_status")
     return table | {name: rows[name] for name in last}
 
@@ -108,7 +134,9 @@ def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
 def _vectors(rows: Rows, config: SensorConfig) -> list[tuple[str, str, NDArray, Any]]:
     """Return name, unit, components and their standard deviations, None where none are known."""
     std = None if config.mode == "axial" else rows["std"][:, :3]
-    vectors: list[tuple[str, str, NDArray, Any]] = [("force", "N", rows["force_N"], std)]
+    vectors: list[tuple[str, str, NDArray, Any]] = [
+        ("force", "N", rows["force_N"], std)
+    ]
     if config.mode == "full":
         vectors.append(("torque", "Nm", rows["torque_Nm"], rows["std"][:, 3:]))
     return vectors
@@ -120,7 +148,9 @@ class ForceResult:
     def __init__(self, log: str, replay: Replay) -> None:
         self.log, self.replay = log, replay
         self.rows: Rows = {}  # for a figure
-        self.layers: IdentificationResult | None = None  # what the forces show, if asked for
+        self.layers: IdentificationResult | None = (
+            None  # what the forces show, if asked for
+        )
         self.counts: Counter[Status] = Counter()
         self.warnings: Counter[SensorWarning] = Counter()
         self._rate_hz = np.nan
@@ -133,12 +163,17 @@ class ForceResult:
         if not self.counts and (steps := np.diff(t_s))[steps > 0.0].size:
             self._rate_hz = 1.0 / float(np.median(steps[steps > 0.0]))
         for warning in SensorWarning:
-            self.warnings[warning] += int(np.count_nonzero(rows["force_warnings"] & warning))
+            self.warnings[warning] += int(
+                np.count_nonzero(rows["force_warnings"] & warning)
+            )
         for status, (low_N, high_N, total_N) in self._axial_N.items():
             chosen = has_status(rows, status)
             axial_N, std_N = rows["axial_N"][chosen], rows["axial_std_N"][chosen]
             self.counts[status] += len(axial_N)
-            low_N, high_N = np.min(axial_N, initial=low_N), np.max(axial_N, initial=high_N)
+            low_N, high_N = (
+                np.min(axial_N, initial=low_N),
+                np.max(axial_N, initial=high_N),
+            )
             self._axial_N[status] = (low_N, high_N, total_N + float(std_N.sum()))
 
     def text(self) -> str:
@@ -154,16 +189,28 @@ class ForceResult:
         yield "robot", f"{name}, {joints} joints, payload {mass_kg:.3g} kg"
         yield "sensor", replay.description
         span = f"{self.counts.total()} in {replay.duration_s:.4g} s"
-        counts = [f"{count} {status.value}" for status in Status if (count := self.counts[status])]
+        counts = [
+            f"{count} {status.value}"
+            for status in Status
+            if (count := self.counts[status])
+        ]
         yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
         yield "rejected", rejections(replay.rejected) or "none"
         gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
         text = f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after each"
         if 2 * self.counts[Status.INITIALIZING] > self.counts.total():
-            text += "; too few samples, or the unit of time is wrong: --time COLUMN:UNIT"
+            text += (
+                "; too few samples, or the unit of time is wrong: --time COLUMN:UNIT"
+            )
         yield "gaps", text if gaps else f"none {limit}"
-        most = [(str(warning.name), count) for warning, count in self.warnings.most_common()]
-        found = [f"{count} x {name.lower().replace('_', ' ')}" for name, count in most if count]
+        most = [
+            (str(warning.name), count) for warning, count in self.warnings.most_common()
+        ]
+        found = [
+            f"{count} x {name.lower().replace('_', ' ')}"
+            for name, count in most
+            if count
+        ]
         yield "warnings", ", ".join(found) or "none"
         if replay.velocity_fault:
             yield "velocity", replay.velocity_fault
@@ -172,15 +219,22 @@ class ForceResult:
         yield "tare", self._tare()
         yield "axial force", self._force()
         lag = "that of the robot's own estimate"
-        yield "lag", lag if replay.is_external else f"{1e3 * replay.sensor.lag_s:.1f} ms"
+        yield (
+            "lag",
+            lag if replay.is_external else f"{1e3 * replay.sensor.lag_s:.1f} ms",
+        )
 
     def _tare(self) -> str:
         window = self.replay.tare
         if window is None or window.tare is None:
-            return "none: forces carry the errors of the model and of the torque sensors"
+            return (
+                "none: forces carry the errors of the model and of the torque sensors"
+            )
         tare = window.tare
         offset_Nm = float(np.abs(tare.mean[: len(tare.noise_Nm2)]).max())
-        return f"{window} of the log, kind {tare.kind!r}, offsets up to {offset_Nm:.2g} Nm"
+        return (
+            f"{window} of the log, kind {tare.kind!r}, offsets up to {offset_Nm:.2g} Nm"
+        )
 
     def _force(self) -> str:
         status = Status.OK if self.counts[Status.OK] else Status.NOT_TARED
@@ -205,7 +259,9 @@ class ForceResult:
                     for i, xyz in enumerate("xyz")
                 ]
         rejected = tuple(x[has_status(rows, Status.REJECTED)].tolist())
-        spans = () if tare is None else ((tare.start_s - start_s, tare.end_s - start_s),)
+        spans = (
+            () if tare is None else ((tare.start_s - start_s, tare.end_s - start_s),)
+        )
         marks = {
             "shadings": (plots.Shading(label="tare", color=palette.TARE, spans=spans),),
             "instants": (plots.Instants("rejected", palette.REJECTED, rejected),),
@@ -216,7 +272,9 @@ class ForceResult:
         return Chart(
             title=f"Force on the needle\n{self.log}: {self.replay.description}",
             x_label=x_label,
-            panels=tuple(panel_of(label, rows, x, parts) for label, parts in groups.items()),
+            panels=tuple(
+                panel_of(label, rows, x, parts) for label, parts in groups.items()
+            ),
             height_in=0.8 + _PANEL_IN * len(groups),
             x_limits=logs.span(x),
             **marks,
@@ -229,17 +287,28 @@ class ForceResult:
         figures: tuple[plots.PageFigure, ...] = ()
         for over, caption in _CAPTIONS.items():
             if over == "time" or is_moving:
-                words = {"alt": f"Estimated forces of {self.log} over {over}", "caption": caption}
+                words = {
+                    "alt": f"Estimated forces of {self.log} over {over}",
+                    "caption": caption,
+                }
                 chart, place = self.chart(over), folder / f"forces-over-{over}.svg"
-                figures += (plots.save_page_figure(chart, place, is_alone=True, **words),)
+                figures += (
+                    plots.save_page_figure(chart, place, is_alone=True, **words),
+                )
         made = f"Made by `needleforce force`: {self.replay.description}."
         caption, lines = "What was used, done and found", tuple(self.summary())
         summary = plots.PageTable(caption=caption, head=("", ""), rows=lines)
-        settings = plots.settings_table(self.replay.config, "As in a file for --config, SI units")
+        settings = plots.settings_table(
+            self.replay.config, "As in a file for --config, SI units"
+        )
         return (
-            plots.Section(heading="Forces", anchor="forces", paragraphs=(made,), figures=figures),
+            plots.Section(
+                heading="Forces", anchor="forces", paragraphs=(made,), figures=figures
+            ),
             plots.Section(heading="Summary", anchor="summary", tables=(summary,)),
-            plots.Section(heading="Settings of the sensor", anchor="sensor", tables=(settings,)),
+            plots.Section(
+                heading="Settings of the sensor", anchor="sensor", tables=(settings,)
+            ),
             *(() if self.layers is None else self.layers.sections(folder)),
         )
 
@@ -251,13 +320,17 @@ _CAPTIONS: dict[cli.Over, str] = {
     "depth": "The same over the travel of the tool along the needle since the first sample: in "
     "tissue the upper branch is the insertion, the lower the withdrawal.",
 }
-_LEAST_TRAVEL_M = 1e-3  # a chart over travel has nothing to show where the tool hardly moves
+_LEAST_TRAVEL_M = (
+    1e-3  # a chart over travel has nothing to show where the tool hardly moves
+)
 
 _PANEL_IN = 2.2
 _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 
 
-def panel_of(label: str, rows: Rows, x: NDArray, components: Sequence[_Component]) -> Panel:
+def panel_of(
+    label: str, rows: Rows, x: NDArray, components: Sequence[_Component]
+) -> Panel:
     """Return of each component the tared part with its band, below it what was not tared in grey.
 
     The scale is that of the tared rows, if there are any. A rejected row leaves no hole, a gap in
@@ -273,9 +346,14 @@ def panel_of(label: str, rows: Rows, x: NDArray, components: Sequence[_Component
             grey, what = palette.UNTARED, "not tared"
             if not tared.any():
                 grey, what = replace(grey, color=style.color), f"{name}, not tared"
-            curves.append(Curve(style=grey, x=x, y=np.where(tared, np.nan, y), label=what))
+            curves.append(
+                Curve(style=grey, x=x, y=np.where(tared, np.nan, y), label=what)
+            )
         if tared.any():
-            band = {"std": np.where(tared, std[kept], np.nan), "band_label": f"{name}, ± 2 std"}
+            band = {
+                "std": np.where(tared, std[kept], np.nan),
+                "band_label": f"{name}, ± 2 std",
+            }
             y = np.where(tared, y, np.nan)
             curves.append(Curve(style=style, x=x, y=y, label=name, **band))
     scaled = [curve for curve in curves if curve.std is not None]

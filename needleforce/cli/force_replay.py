@@ -25,9 +25,13 @@ AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free motion [s]:
 whoever records an insertion starts before contact, but not long before."""
 
-_WINDOW = "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
+_WINDOW = (
+    "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
+)
 _CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
-_UNITS = "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
+_UNITS = (
+    "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
+)
 _AS_OPTIONS = {
     "ignore_contact=True": "--force-tare",
     "set torque_is_gravity_compensated=True": "give --gravity-compensated",
@@ -84,7 +88,9 @@ def rejections(rejected: Counter[str]) -> str:
 class Taring:
     """Starts the tare recording and takes the tare when their times come."""
 
-    def __init__(self, replay: "Replay", options: SensorOptions, first_s: float) -> None:
+    def __init__(
+        self, replay: "Replay", options: SensorOptions, first_s: float
+    ) -> None:
         self._sensor, self._options, self._first_s = replay.sensor, options, first_s
         self._rejected, self._rejected_before = replay.rejected, Counter[str]()
         self._window: TareWindow | None = None
@@ -140,7 +146,11 @@ class Taring:
         if is_inside and window.start_s < window.end_s:
             return
         first, last = f"{self._first_s:.12g} s", f"{last_s:.12g} s"
-        log = f"starts at {first}" if math.isinf(last_s) else f"runs from {first} to {last}"
+        log = (
+            f"starts at {first}"
+            if math.isinf(last_s)
+            else f"runs from {first} to {last}"
+        )
         what = f"lies outside the log, which {log}"
         if not window.start_s < window.end_s:
             what = f"START must come before END in a log whose first stamp is {first}; "
@@ -165,7 +175,9 @@ class Taring:
 
 # The sensor over the rows of a log, of which any number may come at a time.
 
-STATUS_CODES = {status: code for code, status in enumerate(Status)}  # As files of numbers have it
+STATUS_CODES = {
+    status: code for code, status in enumerate(Status)
+}  # As files of numbers have it
 _MOST_REASONS = 50
 
 
@@ -199,9 +211,15 @@ def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -
 class Replay:
     """Runs the sensor over a log."""
 
-    def __init__(self, robot: Robot, config: SensorConfig, options: SensorOptions) -> None:
+    def __init__(
+        self, robot: Robot, config: SensorConfig, options: SensorOptions
+    ) -> None:
         self.sensor = VirtualForceSensor(robot, config)
-        self.robot, self.config, self.is_external = robot, config, options.external_torque
+        self.robot, self.config, self.is_external = (
+            robot,
+            config,
+            options.external_torque,
+        )
         self.frame = config.frame if config.frame is not None else robot.tool_frame
         self._options, self._has_velocity = options, False
         self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
@@ -213,8 +231,13 @@ class Replay:
         self._first_s, self._latest_s, self._shift_s = 0.0, -math.inf, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
-        self.question = ""  # the last one about signals that may be missing or in degrees
-        self.gaps, self.longest_gap_s = 0, 0.0  # in time, after which the filters restarted
+        self.question = (
+            ""  # the last one about signals that may be missing or in degrees
+        )
+        self.gaps, self.longest_gap_s = (
+            0,
+            0.0,
+        )  # in time, after which the filters restarted
 
     @property
     def description(self) -> str:
@@ -224,7 +247,9 @@ class Replay:
         what = f"{what} at {self.frame}"
         if self.is_external:
             return f"{what}, from the robot's own external torque"
-        velocity = "velocity from the log" if self._has_velocity else "velocity estimated"
+        velocity = (
+            "velocity from the log" if self._has_velocity else "velocity estimated"
+        )
         return f"{what}, K = {config.slowest_gain_per_s:g} 1/s, {velocity}"
 
     def run(self, chunk: LogChunk) -> Rows:
@@ -233,7 +258,9 @@ class Replay:
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
         self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
         if self._taring is None:
-            require_joints(q_rad, self.robot, ", or choose columns with --q, --tau and so on")
+            require_joints(
+                q_rad, self.robot, ", or choose columns with --q, --tau and so on"
+            )
             self._first_s = t_s[0]
             self._taring = Taring(self, self._options, t_s[0])
         sensor, taring, estimates, elapsed_s = self.sensor, self._taring, [], []
@@ -250,7 +277,9 @@ class Replay:
             is_rejected = found.status is Status.REJECTED
             elapsed_s.append(0.0 if is_rejected else sensor.elapsed_s)
             if is_rejected:
-                reason = found.message.split(";")[0] if advances else "time does not advance"
+                reason = (
+                    found.message.split(";")[0] if advances else "time does not advance"
+                )
                 is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
                 self.rejected[reason if is_known else "other reasons"] += 1
             else:
@@ -263,7 +292,11 @@ class Replay:
         after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
         self.gaps += np.count_nonzero(after_gap)
         self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
-        rows = {"t_s": chunk.t_s, "travel_m": self._travel_m(q_rad), **_columns(estimates)}
+        rows = {
+            "t_s": chunk.t_s,
+            "travel_m": self._travel_m(q_rad),
+            **_columns(estimates),
+        }
         return {**rows, "after_gap": after_gap}
 
     @property
@@ -304,7 +337,10 @@ class Replay:
 
 
 def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
-    fields = {f"{field}_N": field for field in ("axial", "axial_std", "axial_unsmoothed", "force")}
+    fields = {
+        f"{field}_N": field
+        for field in ("axial", "axial_std", "axial_unsmoothed", "force")
+    }
     fields |= {"torque_Nm": "torque", "model_mismatch": "model_mismatch"}
     numbers = {
         name: np.array([getattr(found, field) for found in estimates])

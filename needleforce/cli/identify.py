@@ -25,26 +25,37 @@ from needleforce.recordings.table import Labels
 
 REQUIRED = ("depth", "force")
 OPTIONAL = ("speed", "force_std", "force_status", "force_warnings")  # Read beside time
-METHODS = {"multilayer": MULTILAYER, "published": PUBLISHED, "published-kv": PUBLISHED_KV}
+METHODS = {
+    "multilayer": MULTILAYER,
+    "published": PUBLISHED,
+    "published-kv": PUBLISHED_KV,
+}
 """What ``--method`` may be."""
 
 
 def run(
-    source: str, output: cli.Output, options: cli.IdentificationOptions, columns: cli.DepthColumns
+    source: str,
+    output: cli.Output,
+    options: cli.IdentificationOptions,
+    columns: cli.DepthColumns,
 ) -> int:
     """Run the command and return its exit code; what it raises is reported in one line."""
     known = logs.mapping_from_options(columns)
     force, optional = known.channels.get("force"), OPTIONAL
     if force is not None and "axial" not in force.patterns[0].lower():
         # What `needleforce force` states of the axial force holds for no other.
-        optional = tuple(name for name in OPTIONAL if name == "speed" or name in known.channels)
+        optional = tuple(
+            name for name in OPTIONAL if name == "speed" or name in known.channels
+        )
     if columns.print_config:
         write_out(suggest_mapping(source, (*REQUIRED, *optional), mapping=known))
         return 0
     request = ChannelRequest(mapping=known, required=REQUIRED, optional=optional)
 
     def estimate(log: logs.LogSession) -> IdentificationResult:
-        with logs.open_output(output, log, Labels(prefix="/needleforce/identification")) as table:
+        with logs.open_output(
+            output, log, Labels(prefix="/needleforce/identification")
+        ) as table:
             return identify_layers(log, log.name, options, table)
 
     return logs.run_log(source, output, request, estimate)
@@ -80,10 +91,17 @@ def identify_layers(
     drawn = (*(force for force, _, _ in _FORCES), *_PARAMETERS, "identified_layer")
     overview = logs.RowOverview(drawn)
     for chunk in chunks:
-        t_s, depth_m, force_N = chunk.t_s, chunk.channels["depth_m"], chunk.channels["force_N"]
+        t_s, depth_m, force_N = (
+            chunk.t_s,
+            chunk.channels["depth_m"],
+            chunk.channels["force_N"],
+        )
         if not options.ignore_status:
             force_N = usable_force(chunk, left_out)
-        speed_m_s, std_N = chunk.channels.get("speed_m_s"), chunk.channels.get("force_std_N")
+        speed_m_s, std_N = (
+            chunk.channels.get("speed_m_s"),
+            chunk.channels.get("force_std_N"),
+        )
         estimates = stream.run(t_s, chunk.dt_s, depth_m, force_N, speed_m_s, std_N)
         columns = estimate_table(t_s, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
@@ -96,10 +114,16 @@ def identify_layers(
     warnings, layers = (*counted, *map(_with_option, stream.hints)), stream.layers
     for warning in warnings:
         say(f"warning: {warning}")
-    return IdentificationResult(name, options.method, layers, warnings, overview.columns())
+    return IdentificationResult(
+        name, options.method, layers, warnings, overview.columns()
+    )
 
 
-_FLIPPED = {"the force": "--force fz:N:-1", "depth": "--depth z:m:-1", "speed": "--speed v:m/s:-1"}
+_FLIPPED = {
+    "the force": "--force fz:N:-1",
+    "depth": "--depth z:m:-1",
+    "speed": "--speed v:m/s:-1",
+}
 
 
 def _with_option(hint: str) -> str:
@@ -131,10 +155,16 @@ def estimate_table(t_s: NDArray[np.float64], estimates: list[Estimate]) -> Rows:
     *numbers, ruptures, layers, retracted = zip(*map(_read, estimates), strict=True)
     table = {"t_s": t_s}
     cells = zip((*_NUMBERS, "used"), numbers, strict=True)
-    table |= {name: np.array(v, dtype=np.float64) for name, v in cells}  # None becomes nan
+    table |= {
+        name: np.array(v, dtype=np.float64) for name, v in cells
+    }  # None becomes nan
     for name, found in zip(_EVENTS, (ruptures, layers, retracted), strict=True):
-        table[name] = np.array([0.0 if event is None else float(event.layer) for event in found])
-    table["is_final"] = np.array([float(one is not None and one.is_final) for one in layers])
+        table[name] = np.array(
+            [0.0 if event is None else float(event.layer) for event in found]
+        )
+    table["is_final"] = np.array(
+        [float(one is not None and one.is_final) for one in layers]
+    )
     return table
 
 
@@ -162,19 +192,27 @@ class IdentificationResult:
         start_s, x_label = logs.time_axis(self.rows["t_s"])
         # Nothing is estimated before the first row that was used.
         is_unknown = np.cumsum(self.rows["used"]) == 0
-        rows = {name: np.where(is_unknown, np.nan, each) for name, each in self.rows.items()}
+        rows = {
+            name: np.where(is_unknown, np.nan, each) for name, each in self.rows.items()
+        }
         rows |= {name: self.rows[name] for name in ("t_s", "depth_m", "force_N")}
         x = rows["t_s"] - start_s
         if over == "depth":
             x, x_label = 1e3 * rows["depth_m"], "depth [mm]"
-        forces = [Curve(style=style, x=x, y=rows[n], label=text) for n, text, style in _FORCES]
+        forces = [
+            Curve(style=style, x=x, y=rows[n], label=text) for n, text, style in _FORCES
+        ]
         panels = [Panel(y_label=palette.FORCE, curves=tuple(forces), height=2.0)]
         for name, label in _PARAMETERS.items():
             std = rows[name.replace("_N", "_std_N", 1)]
-            band = {"std": std, "band_label": "± 2 std"} if np.isfinite(std).any() else {}
+            band = (
+                {"std": std, "band_label": "± 2 std"} if np.isfinite(std).any() else {}
+            )
             curve = Curve(style=palette.OURS, x=x, y=rows[name], **band)
             is_kv = name == "friction_Ns_per_m2" and self.method.endswith("kv")
-            panels.append(Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,)))
+            panels.append(
+                Panel(y_label=_OF_KELVIN_VOIGT if is_kv else label, curves=(curve,))
+            )
         ruptures = tuple(layer.rupture.time_s - start_s for layer in self.layers)
         identified = tuple(rows["t_s"][self.rows["identified_layer"] > 0] - start_s)
         events = (
@@ -213,9 +251,13 @@ class IdentificationResult:
             figures=(figure,),
             tables=(table,),
         )
-        settings = plots.settings_table(METHODS[self.method], f"Method {self.method}, SI units")
+        settings = plots.settings_table(
+            METHODS[self.method], f"Method {self.method}, SI units"
+        )
         heading = "Settings of the identification"
-        return layers, plots.Section(heading=heading, anchor="identification", tables=(settings,))
+        return layers, plots.Section(
+            heading=heading, anchor="identification", tables=(settings,)
+        )
 
 
 HEADER = (

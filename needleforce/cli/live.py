@@ -17,15 +17,33 @@ from needleforce.cli.live_recorder import Recorder
 from needleforce.cli.live_view import SessionTare, description, read_plan
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
-from needleforce.devices import ArmSample, FrankaArm, FriArm, NetFT, ReplayArm, UrArm, paced
+from needleforce.cli.terminal import (
+    CommandError,
+    progress_bar,
+    say,
+    stop_request,
+    write_out,
+)
+from needleforce.devices import (
+    ArmSample,
+    FrankaArm,
+    FriArm,
+    NetFT,
+    ReplayArm,
+    UrArm,
+    paced,
+)
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
 PANEL_s, LINE_s = 0.1, 1.0
 """Between two pictures on a terminal, and two lines elsewhere."""
-ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}  # Of a kind of arm, unless described
+ROBOTS = {
+    "fri": "lwr",
+    "franka": "panda",
+    "ur": "ur10e",
+}  # Of a kind of arm, unless described
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
     "docs/panda.md has those of one arm, and its friction"
@@ -49,7 +67,10 @@ def arm_named(
             run = simulate(rest or "stack-glove-constant", plant="clean")
         signals = run.signals
         dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
-        yield ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm), run.robot
+        yield (
+            ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm),
+            run.robot,
+        )
         return
     is_port = rest.isdecimal() or not rest
     if kind not in ROBOTS or (not is_port if kind == "fri" else not rest):
@@ -58,13 +79,19 @@ def arm_named(
         )
     if options.robot is None and options.urdf is None:
         options = replace(options, robot=ROBOTS[kind])
-        say(f"{text} is taken for the arm {options.robot!r}; --robot or --urdf names another")
+        say(
+            f"{text} is taken for the arm {options.robot!r}; --robot or --urdf names another"
+        )
     robot = robot_from_options(options, None)
     if kind == "fri":
         arm: Any = FriArm(port=int(rest)) if rest else FriArm()
     else:
         is_ur = kind == "ur"
-        arm = UrArm(rest, torque_constant_Nm_A=constants_Nm_A) if is_ur else FrankaArm(rest)
+        arm = (
+            UrArm(rest, torque_constant_Nm_A=constants_Nm_A)
+            if is_ur
+            else FrankaArm(rest)
+        )
     with arm:
         if arm.joints != robot.nv:
             raise CommandError(
@@ -79,7 +106,11 @@ def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
     # What nohup has the process ignore does not end it; else a signal does while nothing comes.
-    others = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) != signal.SIG_IGN]
+    others = [
+        n
+        for n in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(n) != signal.SIG_IGN
+    ]
     passed_s = 0.0
     with stop_request(*others, then=arm.end) as is_asked:
         for sample in paced(arm) if isinstance(arm, ReplayArm) else arm:
@@ -97,7 +128,9 @@ def _require_samples(arm_name: str, arm: Any) -> None:
         )
 
 
-def record(arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions) -> int:
+def record(
+    arm_name: str, output: Path, options: LiveOptions, robot: RobotOptions
+) -> int:
     """Write the joint signals of an arm as they come; return the exit code."""
     has_torque = True
     with (
@@ -138,7 +171,9 @@ class _Watch:
     def _lines(self, now: SessionEstimate) -> list[str]:
         wrench, found = now.wrench, now.identification
         depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {found.layer}"
-        beside = "" if self._reference is None else f" ({_reference_words(self._reference)})"
+        beside = (
+            "" if self._reference is None else f" ({_reference_words(self._reference)})"
+        )
         return [
             f"{now.time_s:8.1f} s  {now.status}",
             f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N{beside}",
@@ -158,7 +193,9 @@ def _events(now: SessionEstimate) -> Iterator[str]:
         chance = f"{100.0 * rupture.probability:.0f} %"
         text = f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
         if plan is not None:
-            where = f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
+            where = (
+                f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
+            )
             text += f", by the plan {where} ({100.0 * plan.matched_probability:.0f} %)"
         yield text
     if found.retracted is not None:
@@ -166,14 +203,18 @@ def _events(now: SessionEstimate) -> Iterator[str]:
 
 
 def _reference_words(reference: ReferenceForce) -> str:
-    return f"reference {reference.axial_N:.2f} N, rms difference {reference.rms_N:.3f} N"
+    return (
+        f"reference {reference.axial_N:.2f} N, rms difference {reference.rms_N:.3f} N"
+    )
 
 
 def _plan_words(plan: Any) -> str:
     text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
     if plan.next_name:
         text += f", {plan.next_name} at {1e3 * plan.next_m:.1f} ± {1e3 * plan.next_std_m:.1f} mm"
-    return f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
+    return (
+        f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
+    )
 
 
 @contextmanager
@@ -196,7 +237,9 @@ def _page(
         robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
     try:
-        view = open_viewer(model, scene, urdf_path=description(robot), port=watched.port)
+        view = open_viewer(
+            model, scene, urdf_path=description(robot), port=watched.port
+        )
     except SceneError as error:
         raise CommandError(str(error)) from error
     with view:
@@ -208,12 +251,20 @@ def watch_arm(
     arm_name: str, options: LiveOptions, watched: WatchOptions, robot: RobotOptions
 ) -> int:
     """Watch force and layers of an arm; return the exit code."""
-    tare, kind, address = SessionTare(watched.tare), arm_name.partition(":")[0], watched.reference
+    tare, kind, address = (
+        SessionTare(watched.tare),
+        arm_name.partition(":")[0],
+        watched.reference,
+    )
     plan = None if watched.plan is None else read_plan(watched.plan)
     with (
         arm_named(arm_name, robot, options.motor_constants) as (arm, model),
-        _reference(address, watched) if address is not None else nullcontext() as reference,
-        _page(kind, watched, model, plan, robot) if watched.view else nullcontext() as page,
+        _reference(address, watched)
+        if address is not None
+        else nullcontext() as reference,
+        _page(kind, watched, model, plan, robot)
+        if watched.view
+        else nullcontext() as page,
     ):
         session = InsertionSession(model)
         if plan is not None:
@@ -223,11 +274,19 @@ def watch_arm(
             for sample in _until(arm, options):
                 if sample.tau_Nm is None:
                     raise CommandError(f"{arm_name}: {NO_TORQUES}")
-                now = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+                now = session.update(
+                    sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+                )
                 if reference is not None:
                     reference.update(now.wrench)
-                if tare.after(session, now) and reference is not None and not reference.zero():
-                    say(f"{watched.reference} had sent nothing at the tare: no reference")
+                if (
+                    tare.after(session, now)
+                    and reference is not None
+                    and not reference.zero()
+                ):
+                    say(
+                        f"{watched.reference} had sent nothing at the tare: no reference"
+                    )
                 view.show(now, panel)
                 if page is not None:
                     page.put(now, sample.q_rad)

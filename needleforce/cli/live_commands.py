@@ -5,7 +5,13 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.live_options import OUTPUT, DemoOptions, LiveOptions, ViewOptions, WatchOptions
+from needleforce.cli.live_options import (
+    OUTPUT,
+    DemoOptions,
+    LiveOptions,
+    ViewOptions,
+    WatchOptions,
+)
 from needleforce.cli.options import LOG, RobotOptions, app
 
 LWR = RobotOptions()  # The arm unless another is named
@@ -46,7 +52,10 @@ def record_command(
     /,
     *,
     output: Annotated[
-        Path, Parameter(name=("--output", "-o"), metavar="FILE", group=OUTPUT, help="Recording.")
+        Path,
+        Parameter(
+            name=("--output", "-o"), metavar="FILE", group=OUTPUT, help="Recording."
+        ),
     ],
     options: LiveOptions = LiveOptions(),
     robot: RobotOptions = LWR,

@@ -36,7 +36,11 @@ class WatchOptions:
     reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
     """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
     are shown next to the estimate."""
-    reference_axis: Annotated[Vector, Parameter(metavar="X Y Z", group=LOG)] = (0.0, 0.0, 1.0)
+    reference_axis: Annotated[Vector, Parameter(metavar="X Y Z", group=LOG)] = (
+        0.0,
+        0.0,
+        1.0,
+    )
     """Direction of insertion in that sensor's axes (default: 0 0 1)."""
     view: Annotated[bool, Parameter(negative="")] = False
     """Serve the scene as a browser page beside the session."""
@@ -74,7 +78,9 @@ class DemoOptions:
 
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
     """Folder for a page."""
-    figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
+    figure: Annotated[
+        Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
+    ] = None
     """First figure of that page: .png, .svg or .pdf."""
     data: Annotated[Path | None, Parameter(metavar="DIR", group=LOG)] = None
     """For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic torso."""

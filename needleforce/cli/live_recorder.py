@@ -50,7 +50,10 @@ class Recorder:
         self._chunk: list[tuple[float, ArmSample]] = []
         self._fields: list[str] = []
         context = multiprocessing.get_context("spawn")
-        self._queue, (self._pipe, self._other) = context.Queue(), context.Pipe(duplex=False)
+        self._queue, (self._pipe, self._other) = (
+            context.Queue(),
+            context.Pipe(duplex=False),
+        )
         given = (self._queue, self._other, path, joint_names)
         self._process = context.Process(target=_write, args=given)
 
@@ -58,7 +61,9 @@ class Recorder:
         """Take a sample; it takes microseconds."""
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:
-            raise CommandError(f"samples had {self._fields}, one has {fields}: expected the same")
+            raise CommandError(
+                f"samples had {self._fields}, one has {fields}: expected the same"
+            )
         self._fields = fields
         self.time_s += sample.dt_s if self.rows else 0.0
         self.rows += 1
@@ -83,7 +88,9 @@ class Recorder:
             self._chunk = []
             columns: dict[str, Any] = {"t_s": np.array(times)}
             for field in self._fields:
-                columns[COLUMNS[field]] = np.array([getattr(each, field) for each in samples])
+                columns[COLUMNS[field]] = np.array(
+                    [getattr(each, field) for each in samples]
+                )
             self._queue.put(columns)
 
     def __enter__(self) -> Self:
@@ -116,12 +123,16 @@ def leave_real_time() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _write(queue: Any, pipe: Connection, path: Path, joint_names: tuple[str, ...]) -> None:
+def _write(
+    queue: Any, pipe: Connection, path: Path, joint_names: tuple[str, ...]
+) -> None:
     """The process: into the pipe goes None when all is written, or what was wrong."""
     leave_real_time()
     parent, wrong = multiprocessing.parent_process(), None
     try:
-        with open_table(path, is_live=True, labels=lambda: Labels(joint_names=joint_names)) as to:
+        with open_table(
+            path, is_live=True, labels=lambda: Labels(joint_names=joint_names)
+        ) as to:
             while parent is not None and parent.is_alive():
                 try:
                     columns = queue.get(timeout=1.0)

@@ -17,7 +17,13 @@ from needleforce.cli.force_replay import rejections, require_joints
 from needleforce.cli.live_options import ViewOptions
 from needleforce.cli.options import RobotOptions
 from needleforce.cli.robot import robot_from_options
-from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request, write_out
+from needleforce.cli.terminal import (
+    CommandError,
+    progress_bar,
+    say,
+    stop_request,
+    write_out,
+)
 from needleforce.recordings import load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
@@ -57,7 +63,11 @@ class _LayerOfFile(msgspec.Struct, forbid_unknown_fields=True):
 class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     """See docs/scene.md."""
 
-    rotation: tuple[Point, Point, Point] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    rotation: tuple[Point, Point, Point] = (
+        (1.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (0.0, 0.0, 1.0),
+    )
     translation_m: Point = (0.0, 0.0, 0.0)
     entry_m: Point | None = None
     target_m: Point | None = None
@@ -76,7 +86,11 @@ class SessionTare:
 
     def after(self, session: InsertionSession, now: SessionEstimate) -> bool:
         """Tare if it is time, after an update; whether it has."""
-        if session.tared or now.status is not Status.NOT_TARED or now.time_s <= self._next_s:
+        if (
+            session.tared
+            or now.status is not Status.NOT_TARED
+            or now.time_s <= self._next_s
+        ):
             return False
         self._next_s = now.time_s + self._every_s
         try:
@@ -91,7 +105,9 @@ class SessionTare:
 
 def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     """Show a recording until Ctrl-C, or write it as one page; return the exit code."""
-    check_address(options.host, options.port)  # better before minutes of work than after
+    check_address(
+        options.host, options.port
+    )  # better before minutes of work than after
     if options.export is not None:
         if options.export.suffix.lower() != ".html":
             raise CommandError(f"--export {options.export}: its name must end in .html")
@@ -102,7 +118,9 @@ def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     rows = replayed(recording, model, options, plan)
     scene, shapes = EMPTY if plan is None else plan.scene, description(robot)
     with redirect_stdout(sys.stderr):  # viser's banner is no result
-        viewer = Viewer(model, scene, urdf_path=shapes, host=options.host, port=options.port)
+        viewer = Viewer(
+            model, scene, urdf_path=shapes, host=options.host, port=options.port
+        )
     viewer.append(rows)
     viewer.show()
     if options.export is not None:
@@ -131,7 +149,10 @@ def replayed(
 ) -> np.ndarray:
     """Rows of the session over a recording of joint signals; says what is wrong with it."""
     tare, session, rows = SessionTare(options.tare), InsertionSession(model), []
-    rejected, mapping = Counter[str](), load_mapping(options.mapping) if options.mapping else None
+    rejected, mapping = (
+        Counter[str](),
+        load_mapping(options.mapping) if options.mapping else None,
+    )
     joints, known = model.joint_names, (recording, mapping)
     log = read_log(*known, required=["q", "tau"], optional=["dq"], joints=joints)
     require_joints(log["q_rad"], model)
@@ -171,7 +192,9 @@ def read_plan(place: Path) -> Planned:
         scene, layers = _segmented(plan, path.parent)
         match = PlanMatch(_given(plan) or layers, plan.offset_std_m)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
-        raise CommandError(f"{path}: {error}; docs/scene.md says what a plan holds") from error
+        raise CommandError(
+            f"{path}: {error}; docs/scene.md says what a plan holds"
+        ) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return Planned(scene._replace(layers=match.layers), match, entry_m)
 
@@ -182,25 +205,36 @@ def _require_places(plan: _PlanFile) -> None:
         raise ValueError("one of entry_m and target_m in it: expected both, or neither")
     places = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
     if not all(abs(part) < MOST_m for place in places for part in place):
-        raise ValueError(f"a place beyond {MOST_m:g} m in it: expected metres, not millimetres")
+        raise ValueError(
+            f"a place beyond {MOST_m:g} m in it: expected metres, not millimetres"
+        )
 
 
 def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
     """Surfaces, and the layers between entry and target, of the labels in a folder."""
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     turn, shift = np.array(plan.rotation), np.array(plan.translation_m)
-    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) or np.linalg.det(turn) < 0.0:
-        raise ValueError(f"rotation is {turn.tolist()}: expected orthonormal rows, no mirror image")
+    if (
+        not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
+        or np.linalg.det(turn) < 0.0
+    ):
+        raise ValueError(
+            f"rotation is {turn.tolist()}: expected orthonormal rows, no mirror image"
+        )
     if plan.entry_m is None or plan.target_m is None:
         if not plan.layers:
             raise ValueError("neither layers nor entry_m and target_m in it")
         return PlanScene(rotation=turn, translation_m=shift), []
     way = np.array(plan.entry_m), np.array(plan.target_m)
     if np.array_equal(*way):
-        raise ValueError(f"entry_m and target_m are the same point {list(plan.entry_m)}")
+        raise ValueError(
+            f"entry_m and target_m are the same point {list(plan.entry_m)}"
+        )
     if not files:
         if not plan.layers:
-            raise ValueError("no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it")
+            raise ValueError(
+                "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
+            )
         return PlanScene((), (), *way, turn, shift), []
     labels = read_labels(files[0])
     with progress_bar("surfaces") as progress:
@@ -215,7 +249,11 @@ def _given(plan: _PlanFile) -> list[Layer]:
     found, depth_m, std_m = [], plan.start_m, 0.0
     for one in plan.layers:
         if not one.exit_m > depth_m:
-            raise ValueError(f"{one.name!r} ends at {one.exit_m} m, not below where it begins")
-        found.append(Layer(one.name, depth_m, one.exit_m, std_m, one.exit_std_m, one.is_obstacle))
+            raise ValueError(
+                f"{one.name!r} ends at {one.exit_m} m, not below where it begins"
+            )
+        found.append(
+            Layer(one.name, depth_m, one.exit_m, std_m, one.exit_std_m, one.is_obstacle)
+        )
         depth_m, std_m = one.exit_m, one.exit_std_m
     return found

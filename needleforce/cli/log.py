@@ -13,7 +13,13 @@ from needleforce import plots, recordings
 from needleforce.cli import terminal
 from needleforce.cli.options import Columns, Output, Over
 from needleforce.cli.terminal import CommandError, say
-from needleforce.recordings import CHANNELS, ColumnMapping, FollowOptions, LogStream, RecordingError
+from needleforce.recordings import (
+    CHANNELS,
+    ColumnMapping,
+    FollowOptions,
+    LogStream,
+    RecordingError,
+)
 from needleforce.recordings import output as output_files
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
@@ -27,7 +33,9 @@ from needleforce.recordings.table import Labels
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
     """Return the mapping that options and mapping file give together; options win."""
-    base = recordings.load_mapping(columns.mapping) if columns.mapping else ColumnMapping()
+    base = (
+        recordings.load_mapping(columns.mapping) if columns.mapping else ColumnMapping()
+    )
     given = {
         name: parse_column_spec(text, channel)
         for name, channel in CHANNELS.items()
@@ -45,7 +53,9 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
 def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool:
     """Return whether a recording has columns for all of these channels."""
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
-        raise CommandError("a report needs a file, not a pipe; or give --report DIR to force")
+        raise CommandError(
+            "a report needs a file, not a pipe; or give --report DIR to force"
+        )
     table = next(recordings.stream_tables(source, FollowOptions()))
     mapping, asked = mapping_from_options(columns), tuple(channels)
     try:
@@ -61,10 +71,16 @@ class LogSession:
     """Iterates over the log of the command line; reports on stderr what is wrong with it."""
 
     def __init__(
-        self, source: str, output: Output, request: ChannelRequest, is_stopped: Callable[[], bool]
+        self,
+        source: str,
+        output: Output,
+        request: ChannelRequest,
+        is_stopped: Callable[[], bool],
     ) -> None:
         if output.idle is not None and not 0.0 < output.idle < math.inf:
-            raise CommandError(f"--idle {output.idle:g}: expected a number of seconds > 0")
+            raise CommandError(
+                f"--idle {output.idle:g}: expected a number of seconds > 0"
+            )
         self._source, self._output, self._request = source, output, request
         is_piped = source == STANDARD_STREAM
         self.name = "standard input" if is_piped else Path(source).name
@@ -77,7 +93,9 @@ class LogSession:
     @property
     def exit_code(self) -> int:
         """Exit code of a command that has done its work: Ctrl-C is how following ends."""
-        return terminal.INTERRUPTED if self.is_stopped() and not self._output.follow else 0
+        return (
+            terminal.INTERRUPTED if self.is_stopped() and not self._output.follow else 0
+        )
 
     def __iter__(self) -> Iterator[LogChunk]:
         is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
@@ -132,14 +150,20 @@ class Result(Protocol):
 
 
 def run_log(
-    source: str, output: Output, request: ChannelRequest, estimate: Callable[[LogSession], Result]
+    source: str,
+    output: Output,
+    request: ChannelRequest,
+    estimate: Callable[[LogSession], Result],
 ) -> int:
     """Read a log, write what was asked for, print the outcome and return the exit code.
 
     ``estimate`` reads the log to its end and writes the table, see `open_output`.
     """
     check_outputs(source, output)
-    with plots.folder_if_filled(output.report) as folder, terminal.stop_request() as is_stopped:
+    with (
+        plots.folder_if_filled(output.report) as folder,
+        terminal.stop_request() as is_stopped,
+    ):
         log = LogSession(source, output, request, is_stopped)
         result = estimate(log)
         if folder is not None:
@@ -147,10 +171,14 @@ def run_log(
             notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
             sections = (replace(first, notices=notices), *others)
             title = f"{first.heading} from {log.name}"
-            plots.write_page(folder / plots.PAGE, plots.Page(title=title, sections=sections))
+            plots.write_page(
+                folder / plots.PAGE, plots.Page(title=title, sections=sections)
+            )
     try:
         if output.figure is not None:
-            plots.save_figure(_in_window(result.chart(output.over), output), output.figure)
+            plots.save_figure(
+                _in_window(result.chart(output.over), output), output.figure
+            )
     finally:  # a figure that cannot be drawn costs no result
         terminal.write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
@@ -164,7 +192,10 @@ def _window(output: Output) -> tuple[float, float]:
 def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
     """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
     (start, end), (low, high) = _window(output), chart.x_limits or (-math.inf, math.inf)
-    if (low, high) == (-math.inf, math.inf) or (output.start, output.end) == (None, None):
+    if (low, high) == (-math.inf, math.inf) or (output.start, output.end) == (
+        None,
+        None,
+    ):
         return chart
     if not max(low, start) < min(high, end):
         raise CommandError(
@@ -175,14 +206,19 @@ def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
 
 
 _CHARTS = ("forces-over-time", "forces-over-depth", "layers")
-_IN_REPORT = (plots.PAGE, *(f"{name}{end}.svg" for name in _CHARTS for end in ("", "-wide")))
+_IN_REPORT = (
+    plots.PAGE,
+    *(f"{name}{end}.svg" for name in _CHARTS for end in ("", "-wide")),
+)
 
 
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done."""
     start, end = _window(output)
     if not start < end:
-        raise CommandError(f"--from {start:g} --to {end:g}: expected --from before --to")
+        raise CommandError(
+            f"--from {start:g} --to {end:g}: expected --from before --to"
+        )
     table = None if output.output == STANDARD_STREAM else output.output
     named: dict[str, Any] = {"-o": table, "--figure": output.figure}
     if output.report is not None:
@@ -199,7 +235,9 @@ def check_outputs(source: str, output: Output) -> None:
 
 
 @contextmanager
-def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[OpenTable | None]:
+def open_output(
+    output: Output, log: LogSession, labels: Labels
+) -> Iterator[OpenTable | None]:
     """Open the table that the command line names, on the log's clock; None if it names none."""
     path = output.output
     if path is None:
@@ -211,7 +249,9 @@ def open_output(output: Output, log: LogSession, labels: Labels) -> Iterator[Ope
     ) as table:
         yield table
     if is_there and log.exit_code:
-        say(f"warning: {path} holds these rows only; the table that was there is replaced")
+        say(
+            f"warning: {path} holds these rows only; the table that was there is replaced"
+        )
 
 
 # Figures: their axis, and few rows of a log of any length that look the same.
@@ -248,7 +288,9 @@ class RowOverview:
     def add(self, columns: Mapping[str, np.ndarray]) -> None:
         """Take further rows, columns of shape (n,) or (n, k); the same in every call."""
         rows = len(next(iter(columns.values())))
-        self._parts.append({_NUMBER: np.arange(self._seen, self._seen + rows), **columns})
+        self._parts.append(
+            {_NUMBER: np.arange(self._seen, self._seen + rows), **columns}
+        )
         self._seen, self._kept = self._seen + rows, self._kept + rows
         if self._kept > 10 * self._most_rows:
             self._parts = [self.columns()]
@@ -257,17 +299,25 @@ class RowOverview:
     def columns(self) -> dict[str, np.ndarray]:
         """Return the rows kept, in order; empty before the first `add`."""
         names = self._parts[0] if self._parts else ()
-        whole = {name: np.concatenate([part[name] for part in self._parts]) for name in names}
+        whole = {
+            name: np.concatenate([part[name] for part in self._parts]) for name in names
+        }
         if self._kept <= self._most_rows:
             return whole
-        values = np.column_stack([whole[name] for name in self._tracked]).astype(np.float64)
+        values = np.column_stack([whole[name] for name in self._tracked]).astype(
+            np.float64
+        )
         # In stretches of equal length of the log: the first row, and every least and largest value.
         stretches = max(self._most_rows // (2 * values.shape[1] + 1), 1)
         numbers = np.arange(stretches) * self._seen // stretches
         edges = np.unique(np.searchsorted(whole[_NUMBER], numbers))
         kept = [edges := edges[edges < self._kept]]
         for first, stretch in zip(edges, np.split(values, edges[1:]), strict=True):
-            kept.append(first + np.where(np.isnan(stretch), np.inf, stretch).argmin(axis=0))
-            kept.append(first + np.where(np.isnan(stretch), -np.inf, stretch).argmax(axis=0))
+            kept.append(
+                first + np.where(np.isnan(stretch), np.inf, stretch).argmin(axis=0)
+            )
+            kept.append(
+                first + np.where(np.isnan(stretch), -np.inf, stretch).argmax(axis=0)
+            )
         chosen = np.unique(np.concatenate(kept))
         return {name: column[chosen] for name, column in whole.items()}

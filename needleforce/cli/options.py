@@ -10,7 +10,9 @@ from typing import Annotated, Literal
 from cyclopts import App, Group, Parameter
 
 LOG = Group("Log", sort_key=1)
-OUTPUT = Group("Output", help="What is written; without any, a summary alone.", sort_key=2)
+OUTPUT = Group(
+    "Output", help="What is written; without any, a summary alone.", sort_key=2
+)
 ROBOT = Group("Robot", sort_key=3)
 SENSOR = Group("Sensor", sort_key=4)
 TARE = Group("Tare", sort_key=5)
@@ -94,11 +96,14 @@ class Output:
     idle: Annotated[float | None, Parameter(metavar="SECONDS", group=LOG)] = None
     """With --follow or a pipe: stop when nothing new has come for so many seconds."""
     output: Annotated[
-        str | None, Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True)
+        str | None,
+        Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True),
     ] = None
     """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or - for CSV
     on standard output."""
-    figure: Annotated[Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")] = None
+    figure: Annotated[
+        Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
+    ] = None
     """Figure: .png, .svg or .pdf."""
     over: Over = "time"
     """Draw the figure over time (default), or over the depth of the needle."""
@@ -122,9 +127,13 @@ class RobotOptions:
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
     """Link that carries the payload and whose z axis is the insertion direction (default: that of
     the known arm; of a URDF the last link, if there is one only)."""
-    tip_offset: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    tip_offset: Annotated[
+        tuple[float, float, float] | None, Parameter(metavar="X Y Z")
+    ] = None
     """Where the tool is mounted in that frame [m], without editing the URDF."""
-    without: Annotated[tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)] = ()
+    without: Annotated[
+        tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)
+    ] = ()
     """Links to leave out with all that they carry, such as panda_hand where the hand is off."""
     lock: Annotated[
         tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
@@ -135,7 +144,9 @@ class RobotOptions:
     LWR); or nothing (default of other robots). It overrides the mapping."""
 
     def __post_init__(self) -> None:
-        if self.robot == "lwr4plus":  # its name in `urdf`, where it has nothing on the flange
+        if (
+            self.robot == "lwr4plus"
+        ):  # its name in `urdf`, where it has nothing on the flange
             object.__setattr__(self, "robot", "lwr")
 
 
@@ -152,7 +163,9 @@ class SensorOptions:
     mode: Literal["axial", "point", "full"] | None = None
     """Contact: force along the needle (axial), 3-D force at the tip (point, default), 6-D wrench
     (full)."""
-    insertion_axis: Annotated[tuple[float, float, float] | None, Parameter(metavar="X Y Z")] = None
+    insertion_axis: Annotated[
+        tuple[float, float, float] | None, Parameter(metavar="X Y Z")
+    ] = None
     """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
     published: bool = False
     """Use the settings of the published method."""
@@ -165,7 +178,8 @@ class SensorOptions:
     external_torque: bool = False
     """Read the external torque that the robot estimates itself (tau_ext) instead of tau."""
     tare: Annotated[
-        str | None, Parameter(metavar="START:END", allow_leading_hyphen=True, group=TARE)
+        str | None,
+        Parameter(metavar="START:END", allow_leading_hyphen=True, group=TARE),
     ] = None
     """Motion without contact, in seconds of the log's clock, or (+0:+4) from its first stamp."""
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
@@ -193,7 +207,9 @@ class IdentificationOptions:
 class SimulationOptions:
     """What is simulated, and where it goes."""
 
-    output: Annotated[Path | None, Parameter(name=("--output", "-o"), metavar="FILE")] = None
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
+    ] = None
     """Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag."""
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
     """Ground truth, which the robot does not know: forces, depth, layers, ruptures."""
@@ -214,4 +230,6 @@ app = App(
     group_parameters=LOG,
     group_arguments=LOG,
 )
-app.register_install_completion_command(help="Install completion for bash, zsh or fish.")
+app.register_install_completion_command(
+    help="Install completion for bash, zsh or fish."
+)

@@ -14,7 +14,14 @@ from needleforce.cli.options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
-from residual import DEFAULT, PUBLISHED, FrictionModel, JointFriction, SensorConfig, SigmoidFriction
+from residual import (
+    DEFAULT,
+    PUBLISHED,
+    FrictionModel,
+    JointFriction,
+    SensorConfig,
+    SigmoidFriction,
+)
 from urdf import NeedleTool, Payload, Robot
 from urdf.errors import finite_array
 
@@ -36,7 +43,9 @@ def decoded(kind: type[T], table: Any, where: str, preset: Any = None) -> T:
     values = {} if preset is None else asdict(preset)
     for name, value in table.items():
         is_inner = isinstance(value, dict) and isinstance(values.get(name), dict)
-        values[name] = values[name] | value if is_inner else None if value == NOTHING else value
+        values[name] = (
+            values[name] | value if is_inner else None if value == NOTHING else value
+        )
     # msgspec asks for fields that are no arguments, too; __post_init__ replaces these values.
     declared: Any = kind
     values |= {item.name: [0.0] for item in fields(declared) if not item.init}
@@ -58,7 +67,9 @@ def _require_known(kind: Any, table: Mapping[str, Any], where: str) -> None:
             near = get_close_matches(name, known, n=1)
             hint = f"did you mean {near[0]}? " if near else ""
             listed = ", ".join(known)
-            raise CommandError(f"{where}: unknown key {name!r}; {hint}known are: {listed}")
+            raise CommandError(
+                f"{where}: unknown key {name!r}; {hint}known are: {listed}"
+            )
         if is_dataclass(hints[name]) and isinstance(value, dict):
             _require_known(hints[name], value, f"{where}: {name}")
 
@@ -84,7 +95,9 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots; give one of them")
     if options.lock and options.urdf is None:
-        raise CommandError("--lock holds joints of a robot of --urdf FILE; known robots have none")
+        raise CommandError(
+            "--lock holds joints of a robot of --urdf FILE; known robots have none"
+        )
     placed = {"tool_frame": options.tool_frame, "tool_placement": options.tip_offset}
     placed |= {"without": options.without, "payload": payload}
     if options.urdf is None and options.robot in (None, LWR):
@@ -101,7 +114,9 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         return urdf.load_urdf(options.urdf, locked_joints=locked, **placed)
     except (urdf.UnsupportedJointError, urdf.UnknownNameError) as error:
         reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
-        raise CommandError(reason.replace("load_urdf(FILE) loads", "--urdf FILE loads")) from error
+        raise CommandError(
+            reason.replace("load_urdf(FILE) loads", "--urdf FILE loads")
+        ) from error
 
 
 def _locked(text: str) -> tuple[str, float]:
@@ -113,7 +128,9 @@ def _locked(text: str) -> tuple[str, float]:
         raise CommandError(f"--lock {text}: {what}") from error
 
 
-def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload | NeedleTool | None:
+def payload_from_options(
+    options: RobotOptions, mapping: str | None
+) -> Payload | NeedleTool | None:
     """Return the payload of the option, else of the mapping, else the robot's usual one.
 
     A table holds either ``mass_kg``, ``com_m`` and ``inertia_kg_m2`` (about the centre of mass; a
@@ -124,13 +141,21 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
     if value is None and mapping is not None:
         value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
     if value is None:
-        value = "needle" if options.urdf is None and options.robot in (None, LWR) else NOTHING
+        value = (
+            "needle"
+            if options.urdf is None and options.robot in (None, LWR)
+            else NOTHING
+        )
     if value == NOTHING:
         return None
     if value == "needle":
         return NeedleTool()
     if isinstance(value, str):
-        where = value if options.payload is not None else str(Path(mapping or "").parent / value)
+        where = (
+            value
+            if options.payload is not None
+            else str(Path(mapping or "").parent / value)
+        )
         value = read_toml(where, "payload file")
     if not isinstance(value, dict):
         what = f"payload is {type(value).__name__}, expected a table, a file, needle or none"
@@ -141,7 +166,9 @@ def payload_from_options(options: RobotOptions, mapping: str | None) -> Payload 
 def _payload(table: Mapping[str, Any], where: str) -> Payload | NeedleTool:
     if "needle" in table:
         if len(table) > 1 or not isinstance(table["needle"], dict):
-            raise CommandError(f"{where}: give either a table [needle] alone, or mass_kg and com_m")
+            raise CommandError(
+                f"{where}: give either a table [needle] alone, or mass_kg and com_m"
+            )
         return decoded(NeedleTool, table["needle"], f"{where}: [needle]")
     for name in ("mass_kg", "com_m"):
         if name not in table:
@@ -159,7 +186,9 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     title = "[payload]  # in flange axes; inertia about the centre of mass"
     if isinstance(payload, NeedleTool):
         title = "[payload.needle]  # force sensor and needle; see docs/force.md"
-    values = {item.name: np.asarray(getattr(payload, item.name)) for item in fields(payload)}
+    values = {
+        item.name: np.asarray(getattr(payload, item.name)) for item in fields(payload)
+    }
     return [title, *(f"{name} = {value.tolist()!r}" for name, value in values.items())]
 
 
@@ -188,7 +217,9 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
         where = f"{path}: [{name}]"
         for key, value in table.items() if isinstance(table, dict) else ():
             if isinstance(value, list):
-                finite_array(value, (robot.nv,), f"{where}: {key}, one number per joint,")
+                finite_array(
+                    value, (robot.nv,), f"{where}: {key}, one number per joint,"
+                )
         friction = decoded(_MODELS[name], table, where)
     if rotor is not None:
         name = f"{path}: rotor_inertia_kg_m2, one number per joint,"
@@ -196,15 +227,23 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
     return robot, friction
 
 
-def sensor_config(options: SensorOptions, friction: FrictionModel | None) -> SensorConfig:
+def sensor_config(
+    options: SensorOptions, friction: FrictionModel | None
+) -> SensorConfig:
     """Return the preset with the file's settings, then the options', in place of its own."""
     config = PUBLISHED if options.published else DEFAULT
     if options.config is not None:
         table = read_toml(options.config, "config file")
         if "friction" in table:
-            raise CommandError(f"{options.config}: give joint friction with --friction FILE")
+            raise CommandError(
+                f"{options.config}: give joint friction with --friction FILE"
+            )
         config = decoded(SensorConfig, table, options.config, config)
     given = {"gain_per_s": options.gain, "friction": friction}
-    given |= {name: getattr(options, name) for name in ("alignment", "mode", "insertion_axis")}
+    given |= {
+        name: getattr(options, name) for name in ("alignment", "mode", "insertion_axis")
+    }
     given["torque_is_gravity_compensated"] = options.gravity_compensated or None
-    return replace(config, **{name: value for name, value in given.items() if value is not None})
+    return replace(
+        config, **{name: value for name, value in given.items() if value is not None}
+    )

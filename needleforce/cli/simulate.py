@@ -28,7 +28,9 @@ def run(scenario: str | None, options: SimulationOptions) -> int:
         made = simulate(chosen, plant=options.plant, seed=options.seed)
     names = made.robot.joint_names
     if options.output is not None:
-        write_table(options.output, signal_table(made), labels=Labels(joint_names=names))
+        write_table(
+            options.output, signal_table(made), labels=Labels(joint_names=names)
+        )
     if options.truth is not None:
         labels = Labels(joint_names=names, prefix="/truth")
         write_table(options.truth, truth_table(made), labels=labels)
@@ -60,7 +62,10 @@ def signal_table(run: Run) -> dict[str, NDArray]:
     signals = run.signals
     columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
     columns |= {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
-    wrench = {"ft_force_N": signals.ft_wrench[:, :3], "ft_torque_Nm": signals.ft_wrench[:, 3:]}
+    wrench = {
+        "ft_force_N": signals.ft_wrench[:, :3],
+        "ft_torque_Nm": signals.ft_wrench[:, 3:],
+    }
     return {**columns, "tau_Nm": signals.tau_Nm, **wrench}
 
 
@@ -90,7 +95,9 @@ def _shift_s(run: Run) -> float:
 
 def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
     marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
-    for rupture in (item for item in run.truth.ruptures if (item.layer == 0) is on_surface):
+    for rupture in (
+        item for item in run.truth.ruptures if (item.layer == 0) is on_surface
+    ):
         row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
         while row < len(marks) and marks[row]:
             row += 1

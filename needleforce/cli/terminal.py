@@ -13,7 +13,14 @@ INTERRUPTED = 130  # after Ctrl-C, as shells have it
 READER_GONE = 141  # when the reader of standard output has gone, as in `| head`
 TERMINATED = 143  # after SIGTERM
 
-_FORESEEN = ("urdf", "residual", "identification", "groundtruth", "needleforce", "cyclopts")
+_FORESEEN = (
+    "urdf",
+    "residual",
+    "identification",
+    "groundtruth",
+    "needleforce",
+    "cyclopts",
+)
 """Packages whose own errors say what is wrong with the input."""
 
 
@@ -70,7 +77,9 @@ def _explained(error: BaseException) -> str:
 
 
 @contextmanager
-def handled(handler: Callable[[int, FrameType | None], None], *numbers: int) -> Iterator[None]:
+def handled(
+    handler: Callable[[int, FrameType | None], None], *numbers: int
+) -> Iterator[None]:
     """Let a handler have signals while the block runs; only a process's first thread may."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -102,7 +111,9 @@ def stop_request(
 
 
 @contextmanager
-def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[float], None]]:
+def progress_bar(
+    what: str, *, is_wanted: bool = True
+) -> Iterator[Callable[[float], None]]:
     """Show on stderr, if that is a terminal, how far work has come; yield what takes it."""
     if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
@@ -111,7 +122,9 @@ def progress_bar(what: str, *, is_wanted: bool = True) -> Iterator[Callable[[flo
     from rich.progress import Progress
 
     # What is said meanwhile stands above the bar; the bar leaves no trace.
-    with Progress(console=Console(stderr=True), transient=True, redirect_stdout=False) as bar:
+    with Progress(
+        console=Console(stderr=True), transient=True, redirect_stdout=False
+    ) as bar:
         task = bar.add_task(what, total=None)
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 

@@ -12,7 +12,10 @@ Reading order: `ports` (what lies outside), `tasks`, `controller` (one tick), `m
 """
 
 from needleforce.control.controller import Controller as Controller, Limits as Limits
-from needleforce.control.errors import ControlError as ControlError, SettingError as SettingError
+from needleforce.control.errors import (
+    ControlError as ControlError,
+    SettingError as SettingError,
+)
 from needleforce.control.guidance import Guidance as Guidance
 from needleforce.control.insertion_profile import (
     InsertionPlan as InsertionPlan,

@@ -19,8 +19,22 @@ from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIs
 
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
-from needleforce.control.tasks import JointVelocity, LONGEST_STEP_s, Task, ToolState, vector
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled, compiled_or, dot
+from needleforce.control.tasks import (
+    JointVelocity,
+    LONGEST_STEP_s,
+    Task,
+    ToolState,
+    vector,
+)
+from needleforce.jit import (
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+    compiled,
+    compiled_or,
+    dot,
+)
 from urdf import Robot
 
 SLACK_rad_s = 1e-7
@@ -31,7 +45,9 @@ _REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent 
 _AT_LIMIT_rad_s = 1e-6
 _NO_WAY = 1e-13  # A direction that moves a row of length one by less does not move it
 _BEYOND_rad_s = 1e-8  # By so much a joint may pass its bound, within the slack
-_MOST_CHANGES = 60  # Of the joints held at a bound, in one level; what is found by then is kept
+_MOST_CHANGES = (
+    60  # Of the joints held at a bound, in one level; what is found by then is kept
+)
 _GAIN = 1e-12  # Letting go of a joint that gains less by it is not worth while
 
 
@@ -60,18 +76,37 @@ class Limits:
     ) -> None:
         require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
         own = robot.velocity_limit_rad_s
-        ends = (robot.position_lower_rad + margin_rad, robot.position_upper_rad - margin_rad)
+        ends = (
+            robot.position_lower_rad + margin_rad,
+            robot.position_upper_rad - margin_rad,
+        )
         rows = (*ends, own if velocity_rad_s is None else velocity_rad_s)
         try:
-            same = [np.broadcast_to(row, robot.nv) for row in (*rows, acceleration_rad_s2)]
+            same = [
+                np.broadcast_to(row, robot.nv) for row in (*rows, acceleration_rad_s2)
+            ]
         except ValueError:
-            raise SettingError(f"limits must be one number or {robot.nv}, one per joint") from None
+            raise SettingError(
+                f"limits must be one number or {robot.nv}, one per joint"
+            ) from None
         table = np.array(same, dtype=np.float64)
         for wrong, what in (
-            (~np.isfinite(table[:2]).all(axis=0), "no position limits; name them in its model"),
-            (~(table[LOWEST] < table[HIGHEST]), f"no room within a margin of {margin_rad:g} rad"),
-            (~np.isfinite(table[2:]).all(axis=0), "no limit of speed or acceleration; give one"),
-            (~(table[2:] > 0.0).all(axis=0), "a speed or acceleration that is not positive"),
+            (
+                ~np.isfinite(table[:2]).all(axis=0),
+                "no position limits; name them in its model",
+            ),
+            (
+                ~(table[LOWEST] < table[HIGHEST]),
+                f"no room within a margin of {margin_rad:g} rad",
+            ),
+            (
+                ~np.isfinite(table[2:]).all(axis=0),
+                "no limit of speed or acceleration; give one",
+            ),
+            (
+                ~(table[2:] > 0.0).all(axis=0),
+                "a speed or acceleration that is not positive",
+            ),
             (table[SPEED] > own, f"a speed above the robot's own {own.tolist()} rad/s"),
         ):
             if wrong.any():
@@ -119,13 +154,20 @@ class Stack:
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
         for task in tasks:
             if isinstance(task, JointVelocity) and task.size != joints:
-                raise SettingError(f"a task of {task.size} joints, the robot has {joints}")
+                raise SettingError(
+                    f"a task of {task.size} joints, the robot has {joints}"
+                )
         last = tasks[-1] if tasks else None
-        sizes = [task.size for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)]
+        sizes = [
+            task.size
+            for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)
+        ]
         self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
         self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
         ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
-        self.levels = [(self.rows[first:end], self.rates[first:end]) for first, end in ends]
+        self.levels = [
+            (self.rows[first:end], self.rates[first:end]) for first, end in ends
+        ]
 
     def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
         """Take rows and rates of tasks of the same sizes."""
@@ -155,7 +197,9 @@ def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
 
 
 @compiled_or(_all_met)
-def all_met(rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector) -> bool:
+def all_met(
+    rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
+) -> bool:
     """Change a velocity as little as meets all rows; whether it is then within bounds.
 
     Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its i-th
@@ -192,9 +236,13 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     have got:  dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u.
     """
     velocity = stack.wish.copy()
-    if all_met(stack.rows, stack.rates, stack.bounds, velocity):  # then no level needs to give way
+    if all_met(
+        stack.rows, stack.rates, stack.bounds, velocity
+    ):  # then no level needs to give way
         return velocity, False
-    if not (np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()):
+    if not (
+        np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()
+    ):
         raise SettingError("positions or goals are not finite")
     lower, upper = stack.bounds
     # From where no lower task has a say, so that it cannot matter to a higher one.
@@ -204,7 +252,9 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
             length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), 1e-9)
             level = rows / length[:, None], rates / length
             velocity, free = serve_level(*level, free, stack.bounds, velocity)
-    velocity = np.minimum(np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s)
+    velocity = np.minimum(
+        np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s
+    )
     room = np.minimum(velocity - lower, upper - velocity)
     return velocity, bool(room.min() <= _AT_LIMIT_rad_s)
 
@@ -219,7 +269,9 @@ def null_space(rows: Matrix) -> Matrix:
 
 
 @compiled
-def blocking(velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector) -> tuple[float, int]:
+def blocking(
+    velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector
+) -> tuple[float, int]:
     """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none.
 
     Of joints that meet their bounds almost at once the one that moves most, so that near a singular
@@ -281,7 +333,9 @@ class CommandStatus(StrEnum):
     OK = "ok"  # the tasks in order of priority, no limit in the way
     SATURATED = "saturated"  # the same, with at least one joint at a limit
     BRAKING = "braking"  # no task: as slow as the limits allow
-    SKIPPED = "skipped"  # sample or task no good, see `Command.reason`: braking without them
+    SKIPPED = (
+        "skipped"  # sample or task no good, see `Command.reason`: braking without them
+    )
 
 
 class Command(NamedTuple):
@@ -305,13 +359,19 @@ class Controller:
         last_rad_s: What was commanded last, shape (n,).
     """
 
-    def __init__(self, robot: Robot, limits: Limits, solve: Solver = hierarchical) -> None:
+    def __init__(
+        self, robot: Robot, limits: Limits, solve: Solver = hierarchical
+    ) -> None:
         if (joints := limits.table.shape[1]) != robot.nv:
             raise SettingError(f"limits of {joints} joints, the robot has {robot.nv}")
         self.tool = ToolState(robot)
         self._limits, self._joints, self._solve = limits.table, joints, solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
-        self._tasks, self._numbers, self._step_s = list[Task](), Stack((), robot.nv), 1e-3
+        self._tasks, self._numbers, self._step_s = (
+            list[Task](),
+            Stack((), robot.nv),
+            1e-3,
+        )
         self.reset()
 
     def reset(self, dq_rad_s: Array | None = None) -> None:
@@ -342,7 +402,9 @@ class Controller:
                 return self._skip("positions are not finite")
             self._step_s = min(dt_s, LONGEST_STEP_s)
             self.tool.update(q)
-            tasks = self._tasks  # the same tasks are known, whatever has changed in them
+            tasks = (
+                self._tasks
+            )  # the same tasks are known, whatever has changed in them
             if len(stack) != len(tasks) or not all(map(is_, stack, tasks)):
                 has_wish = bool(stack) and isinstance(stack[-1], JointVelocity)
                 key = (has_wish, *[task.size for task in stack])
@@ -357,7 +419,9 @@ class Controller:
             velocity, is_limited = self._solve(numbers)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._skip(f"{type(error).__name__}: {error}")
-        return self._send(velocity, CommandStatus.SATURATED if is_limited else CommandStatus.OK)
+        return self._send(
+            velocity, CommandStatus.SATURATED if is_limited else CommandStatus.OK
+        )
 
     def _skip(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
@@ -365,7 +429,9 @@ class Controller:
         velocity = self.last_rad_s - np.clip(self.last_rad_s, -change, change)
         return self._send(velocity, CommandStatus.SKIPPED, reason)
 
-    def _send(self, velocity: Array, status: CommandStatus, reason: str = "") -> Command:
+    def _send(
+        self, velocity: Array, status: CommandStatus, reason: str = ""
+    ) -> Command:
         velocity.setflags(write=False)
         self.last_rad_s = velocity
         return Command(velocity, status, reason)

@@ -14,7 +14,9 @@ class SettingError(ControlError, ValueError):
     """A setting that cannot work: the message names it, what came and what is valid."""
 
 
-def require_positive(settings: Mapping[str, object], or_zero: Container[str] = ()) -> None:
+def require_positive(
+    settings: Mapping[str, object], or_zero: Container[str] = ()
+) -> None:
     """Refuse what is not a finite, positive number."""
     for name, value in settings.items():
         number = as_float(value)

@@ -32,8 +32,20 @@ from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
 """T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
-LEFT, OPEN_s, CLOSE_s = 0.15, 0.05, 0.5  # z while a hand is felt, times in which it falls, returns
-LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)  # D per rad: 10 to 25 Ns/m at the hub
+LEFT, OPEN_s, CLOSE_s = (
+    0.15,
+    0.05,
+    0.5,
+)  # z while a hand is felt, times in which it falls, returns
+LWR_DAMPING_Nms = (
+    3.2,
+    3.2,
+    1.1,
+    1.1,
+    0.4,
+    0.24,
+    0.1,
+)  # D per rad: 10 to 25 Ns/m at the hub
 STEADY_s, STEADY = 0.12, 0.9
 """Time of the means, and q_0: a hand that begins to lead stays above it, if not by much."""
 RISE_per_s, FADE_per_s, FIRST, MOST = 30.0, 4.0, 3.0, 50.0
@@ -62,7 +74,9 @@ class Guidance:
         SettingError: A damping is not positive, or the robot is no LWR and has none.
     """
 
-    def __init__(self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None) -> None:
+    def __init__(
+        self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None
+    ) -> None:
         given = damping_Nms_per_rad
         if given is None and robot.joint_names[0].startswith("lwr"):
             given = LWR_DAMPING_Nms
@@ -97,9 +111,13 @@ class Guidance:
         # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
         # sigma as the residual grows. What counts is sigma without a hand.
         if is_valid:
-            self._sigma_Nm = np.fmin(math.exp(dt_s / GROWTH_s) * self._sigma_Nm, sigma_Nm)
+            self._sigma_Nm = np.fmin(
+                math.exp(dt_s / GROWTH_s) * self._sigma_Nm, sigma_Nm
+            )
         zone = self._least_Nm + SIGMAS * self._sigma_Nm
-        is_felt = bool((np.abs(residual_Nm) > zone).any())  # not by a number that is not finite
+        is_felt = bool(
+            (np.abs(residual_Nm) > zone).any()
+        )  # not by a number that is not finite
         goal, time_s = (LEFT, OPEN_s) if is_felt else (1.0, CLOSE_s)
         self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
         zone *= self._zone
@@ -109,7 +127,9 @@ class Guidance:
             self._beyond_Nm, self._rejected_s = beyond, 0.0
         else:
             self._rejected_s += dt_s
-            self._beyond_Nm = self._beyond_Nm * (kept if self._rejected_s > HOLD_s else 1.0)
+            self._beyond_Nm = self._beyond_Nm * (
+                kept if self._rejected_s > HOLD_s else 1.0
+            )
         wish = self._beyond_Nm / self._damping
         self._wish = wish + kept * (self._wish - wish)
         if not self._beyond_Nm.any() and np.abs(self._wish).max() < REST_rad_s:
@@ -118,9 +138,15 @@ class Guidance:
             old = math.exp(-dt_s / STEADY_s)
             self._seen = old * self._seen + 1.0 - old
             self._mean = old * self._mean + (1.0 - old) * self._wish
-            self._power_W = old * self._power_W + (1.0 - old) * float(self._wish**2 @ self._damping)
-            steady = float(self._mean**2 @ self._damping) / max(self._power_W * self._seen, 1e-12)
-            rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(self._heavy)
+            self._power_W = old * self._power_W + (1.0 - old) * float(
+                self._wish**2 @ self._damping
+            )
+            steady = float(self._mean**2 @ self._damping) / max(
+                self._power_W * self._seen, 1e-12
+            )
+            rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(
+                self._heavy
+            )
             self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
         else:  # nothing is felt, so the next motion is another one
             self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0

@@ -22,14 +22,26 @@ _TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
 _BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
 _HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows in 0.1 s
 _NEAR_M = 2e-5  # So near to its end a motion has arrived
-_SMOOTH_S, _PEAK_S = 3e-3, 0.1  # Time constants: of the force, and of the memory of its last peak
+_SMOOTH_S, _PEAK_S = (
+    3e-3,
+    0.1,
+)  # Time constants: of the force, and of the memory of its last peak
 _BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
 """Ordinary is the largest fall of the last seconds, without those newer than a block and of counted
 ruptures. A heartbeat is, once the needle has been in tissue for a second."""
-_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = 0.03, 0.15, 0.08, 2.0, 0.03, 1.5e-3
+_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = (
+    0.03,
+    0.15,
+    0.08,
+    2.0,
+    0.03,
+    1.5e-3,
+)
 """A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
 one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
-_MOST_RISE_N_per_s = 15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
+_MOST_RISE_N_per_s = (
+    15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
+)
 _GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
 """A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
@@ -51,7 +63,9 @@ class InsertionPlan:
 
     def __post_init__(self) -> None:
         if not isinstance(self.layer, Integral | None):
-            raise SettingError(f"layer is {self.layer!r}, expected a whole number or None")
+            raise SettingError(
+                f"layer is {self.layer!r}, expected a whole number or None"
+            )
         numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
         require_positive(numbers, or_zero=("approach_m", "dwell_s"))
 
@@ -87,42 +101,70 @@ class RuptureCount:
 
     def __init__(self) -> None:
         self.count, self._last_m = 0, -math.inf
-        self._force_N = self._peak_N = self._inside_s = self._block_s = self._fallen_s = 0.0
-        self._newest_N = self._newer_N = self._ordinary_N = 0.0  # largest falls, by their age
+        self._force_N = self._peak_N = self._inside_s = self._block_s = (
+            self._fallen_s
+        ) = 0.0
+        self._newest_N = self._newer_N = self._ordinary_N = (
+            0.0  # largest falls, by their age
+        )
 
     def update(
-        self, found: Estimate, axial_N: float, depth_m: float, dt_s: float, *, is_steady: bool
+        self,
+        found: Estimate,
+        axial_N: float,
+        depth_m: float,
+        dt_s: float,
+        *,
+        is_steady: bool,
     ) -> bool:
         """Whether one more layer has been left; steady is the speed that is commanded."""
         if not math.isfinite(axial_N):
             return False
-        self._inside_s = max(self._inside_s + (dt_s if found.in_contact else -dt_s), 0.0)
+        self._inside_s = max(
+            self._inside_s + (dt_s if found.in_contact else -dt_s), 0.0
+        )
         self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
         self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
-        if self._block_s < 0.0 or not is_steady:  # what falls then is that rupture, or the start
+        if (
+            self._block_s < 0.0 or not is_steady
+        ):  # what falls then is that rupture, or the start
             self._peak_N = self._force_N
         rise_N = min(max(self._force_N - self._peak_N, 0.0), _MOST_RISE_N_per_s * dt_s)
         self._peak_N, alarm = self._peak_N + rise_N, found.rupture
         self._block_s += dt_s
         seen_N = self._peak_N - self._force_N
-        self._newest_N = max(self._newest_N, seen_N if found.in_contact else min(seen_N, _LARGE_N))
+        self._newest_N = max(
+            self._newest_N, seen_N if found.in_contact else min(seen_N, _LARGE_N)
+        )
         self._ordinary_N *= math.exp(-dt_s / _PAST_S)
         if self._block_s > _BLOCK_S:
             self._ordinary_N = max(self._ordinary_N, self._newer_N)
             self._block_s, self._newest_N, self._newer_N = 0.0, 0.0, self._newest_N
-        fall_N = max(self._peak_N, alarm.force_N if alarm else -math.inf) - self._force_N
+        fall_N = (
+            max(self._peak_N, alarm.force_N if alarm else -math.inf) - self._force_N
+        )
         is_known = self._inside_s > _FIRST_S
-        is_large = fall_N > max((_LARGE if is_known else _FIRST_LARGE) * self._peak_N, _LARGE_N)
+        is_large = fall_N > max(
+            (_LARGE if is_known else _FIRST_LARGE) * self._peak_N, _LARGE_N
+        )
         is_likely = is_known and found.rupture_state is RuptureState.EXPECTED
         is_likely |= is_large and self._inside_s > _RUPTURE_S + _BLOCK_S
         is_likely &= is_steady and fall_N > max(_BEYOND * self._ordinary_N, _LEAST_N)
         self._fallen_s = self._fallen_s + dt_s if is_likely else 0.0
         is_alarm = alarm is not None and fall_N > max(self._ordinary_N, _LEAST_N)
         is_rupture = found.in_contact and (is_alarm or self._fallen_s > _LASTS_S)
-        if not is_rupture or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M:
+        if (
+            not is_rupture
+            or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M
+        ):
             return False
         self.count, self._last_m = self.count + 1, depth_m
-        self._block_s, self._newest_N, self._newer_N, self._inside_s = -_RUPTURE_S, 0.0, 0.0, 0.0
+        self._block_s, self._newest_N, self._newer_N, self._inside_s = (
+            -_RUPTURE_S,
+            0.0,
+            0.0,
+            0.0,
+        )
         return True
 
 
@@ -144,12 +186,21 @@ class InsertionProfile:
     def __init__(self, plan: InsertionPlan) -> None:
         self._plan, self._ruptures = plan, RuptureCount()
         self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]
-        self._from_m = self._last_s = self._asked_m = self._steady_s = self._step_s = 0.0
+        self._from_m = self._last_s = self._asked_m = self._steady_s = self._step_s = (
+            0.0
+        )
         self._held_m: float | None = None  # where an insertion has ended
-        self._state, self._last, self._is_slack = "", Step(0.0), False  # of the last call
+        self._state, self._last, self._is_slack = (
+            "",
+            Step(0.0),
+            False,
+        )  # of the last call
 
     def update(
-        self, now: Situation, identification: Estimate | None = None, axial_N: float | None = None
+        self,
+        now: Situation,
+        identification: Estimate | None = None,
+        axial_N: float | None = None,
     ) -> Step:
         """Speed and event that follow from what is known now.
 
@@ -161,7 +212,9 @@ class InsertionProfile:
         dt_s, self._last_s = now.time_s - self._last_s, now.time_s
         found = identification or now.estimate.identification
         force_N = now.estimate.wrench.axial_unsmoothed if axial_N is None else axial_N
-        is_going = now.is_moving and now.state.value != "dwell"  # which goes on from an insertion
+        is_going = (
+            now.is_moving and now.state.value != "dwell"
+        )  # which goes on from an insertion
         if is_going and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
         before, state = self._state, now.state.value
@@ -178,7 +231,9 @@ class InsertionProfile:
         self._asked_m += dt_s * self._last.speed_m_s
         return self._last
 
-    def _step(self, now: Situation, dt_s: float, found: Estimate, axial_N: float) -> Step:
+    def _step(
+        self, now: Situation, dt_s: float, found: Estimate, axial_N: float
+    ) -> Step:
         plan, depth_m = self._plan, now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
@@ -198,14 +253,20 @@ class InsertionProfile:
                 self._held_m = None
         return Step(0.0)
 
-    def _insert(self, found: Estimate, axial_N: float, depth_m: float, dt_s: float) -> Step:
+    def _insert(
+        self, found: Estimate, axial_N: float, depth_m: float, dt_s: float
+    ) -> Step:
         self._held_m, self._is_slack = depth_m, False
-        self._steady_s = (self._steady_s + dt_s) * (self._last.speed_m_s == self._plan.speed_m_s)
+        self._steady_s = (self._steady_s + dt_s) * (
+            self._last.speed_m_s == self._plan.speed_m_s
+        )
         if dt_s > max(_GAP_S, _GAP_STEPS * self._step_s):
             self._steady_s = min(self._steady_s, _SETTLED_S - _FADE_S)
         self._step_s += 0.02 * (dt_s - self._step_s)
         is_steady = self._steady_s > _SETTLED_S
-        is_left = self._ruptures.update(found, axial_N, depth_m, dt_s, is_steady=is_steady)
+        is_left = self._ruptures.update(
+            found, axial_N, depth_m, dt_s, is_steady=is_steady
+        )
         if is_left and self._ruptures.count == self._plan.layer:
             return Step(self._hold(depth_m), "rupture")
         step = self._travel(self._plan.depth_m - depth_m, dt_s)
@@ -228,9 +289,14 @@ class InsertionProfile:
         if abs(left_m) < _NEAR_M:
             return Step(0.0, "arrived")
         most, way_m = self._plan.acceleration_m_s2, abs(left_m)
-        wish = min(self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m)
+        wish = min(
+            self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m
+        )
         wish = math.copysign(wish, left_m)
-        low, high = self._last.speed_m_s - most * dt_s, self._last.speed_m_s + most * dt_s
+        low, high = (
+            self._last.speed_m_s - most * dt_s,
+            self._last.speed_m_s + most * dt_s,
+        )
         return Step(min(max(wish, low), high))
 
     def _stroke(self, now: Situation, legs_m: tuple[float, ...]) -> Step:

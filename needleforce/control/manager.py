@@ -65,9 +65,16 @@ TABLE = (
     Rule("approach", "idle", "approach", "limit heartbeat outside"),
     Rule("tare", "idle", "tare", "limit heartbeat outside"),
     Rule("insert", "idle teleop dwell", "insertion", "limit heartbeat tared"),
-    Rule("withdraw", "idle teleop insertion dwell stopped", "withdraw", "limit heartbeat tared"),
+    Rule(
+        "withdraw",
+        "idle teleop insertion dwell stopped",
+        "withdraw",
+        "limit heartbeat tared",
+    ),
     Rule("release", "guidance teleop approach tare dwell stopped", "idle"),
-    Rule("stop", "idle guidance teleop approach tare insertion dwell withdraw", "stopped"),
+    Rule(
+        "stop", "idle guidance teleop approach tare insertion dwell withdraw", "stopped"
+    ),
     Rule("stop", "stopped faulted", "same"),
     Rule("reset", "faulted", "idle", "healthy"),
     # what a motion comes to
@@ -78,7 +85,11 @@ TABLE = (
     # what monitors find
     Rule("limit", "guidance teleop approach tare insertion dwell withdraw", "stopped"),
     Rule("limit", "idle stopped faulted", "same"),
-    Rule("fault", "idle guidance teleop approach tare insertion dwell withdraw stopped", "faulted"),
+    Rule(
+        "fault",
+        "idle guidance teleop approach tare insertion dwell withdraw stopped",
+        "faulted",
+    ),
     Rule("fault", "faulted", "same"),
 )
 """Every transition; any other pair of state and event is refused."""
@@ -101,9 +112,16 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
 
     Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown event.
     """
-    rules = {name: rule for rule in TABLE if rule.event == event for name in rule.sources.split()}
+    rules = {
+        name: rule
+        for rule in TABLE
+        if rule.event == event
+        for name in rule.sources.split()
+    }
     if not rules:
-        raise SettingError(f"unknown event {event!r}, expected one of {', '.join(EVENTS)}")
+        raise SettingError(
+            f"unknown event {event!r}, expected one of {', '.join(EVENTS)}"
+        )
     if (rule := rules.get(state)) is None:
         return state, f"{event} is not possible in {state}, only in {', '.join(rules)}"
     missing = [REFUSALS[guard] for guard in rule.guards.split() if guard not in facts]
@@ -111,7 +129,9 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
     return state if stays else State(rule.target), missing[0] if missing else ""
 
 
-class LoggedEvent(msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}):
+class LoggedEvent(
+    msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}
+):
     """One event, a refused one included."""
 
     seq: int  # counts from 0
@@ -141,7 +161,9 @@ def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
     channel_id = writer.register_channel(MCAP_TOPIC, "json", schema_id)
     for event in events:
         time_ns = round(1e9 * event.t_s)
-        writer.add_message(channel_id, time_ns, _ENCODER.encode(event), time_ns, event.seq)
+        writer.add_message(
+            channel_id, time_ns, _ENCODER.encode(event), time_ns, event.seq
+        )
     writer.finish()
 
 
@@ -169,14 +191,20 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
             messages = reader.iter_messages(topics=[MCAP_TOPIC], log_time_order=False)
             lines = [message.data for _, _, message in messages]
         except Exception as error:  # whatever the library makes of a damaged file
-            raise SettingError(f"{path} is no MCAP file, or a damaged one: {error!r}") from error
+            raise SettingError(
+                f"{path} is no MCAP file, or a damaged one: {error!r}"
+            ) from error
     for number, line in enumerate(lines, 1):
         try:
             event = msgspec.json.decode(line, type=LoggedEvent)
         except msgspec.DecodeError as error:
-            raise SettingError(f"{path}, line {number} is no event: {line[:80]!r}") from error
+            raise SettingError(
+                f"{path}, line {number} is no event: {line[:80]!r}"
+            ) from error
         if event.seq not in (0, events[-1].seq + 1 if events else 0):
-            raise SettingError(f"{path}, line {number}: event {event.seq} is out of order")
+            raise SettingError(
+                f"{path}, line {number}: event {event.seq} is out of order"
+            )
         events.append(event)
     return events
 
@@ -196,7 +224,9 @@ class Situation(NamedTuple):
 
     state: State
     state_s: float  # time in this state
-    time_s: float  # sum of the time steps, a step over 0.1 s counted as the one before it
+    time_s: (
+        float  # sum of the time steps, a step over 0.1 s counted as the one before it
+    )
     reason: str  # why it was stopped, faulted or refused last; empty if it never was
     estimate: "SessionEstimate"
 
@@ -206,8 +236,12 @@ class Situation(NamedTuple):
         return self.state in MOVING
 
 
-_ENTRY_MARGIN_M = 1e-3  # So far above the place of the first contact the needle counts as outside
-_LONGEST_STEP_S = 0.1  # A longer time step is a clock that was set, not time that passed here
+_ENTRY_MARGIN_M = (
+    1e-3  # So far above the place of the first contact the needle counts as outside
+)
+_LONGEST_STEP_S = (
+    0.1  # A longer time step is a clock that was set, not time that passed here
+)
 _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
 
 
@@ -239,9 +273,14 @@ class Manager:
         *,
         log: str | Path | None = None,
     ) -> None:
-        if not (hasattr(session, "sensor_config") and isinstance(limits, SafetyLimits | None)):
+        if not (
+            hasattr(session, "sensor_config")
+            and isinstance(limits, SafetyLimits | None)
+        ):
             what = f"{session!r:.80} and {limits!r}"
-            raise SettingError(f"got {what}, expected an InsertionSession and SafetyLimits or None")
+            raise SettingError(
+                f"got {what}, expected an InsertionSession and SafetyLimits or None"
+            )
         config = session.sensor_config
         x, y, z = config.insertion_axis
         if config.frame is not None or x != 0.0 or y != 0.0 or z <= 0.0:
@@ -275,8 +314,15 @@ class Manager:
         estimate = self.session.update(*signals)
         self._find_entry(estimate)
         event, reason = self._monitors.update(estimate, sample, beside, self._step_s)
-        if not event and self.session.zero is not self._entered_zero and self._state in _PLACED:
-            event, reason = "limit", "depth counts from elsewhere: begin_insertion() only at idle"
+        if (
+            not event
+            and self.session.zero is not self._entered_zero
+            and self._state in _PLACED
+        ):
+            event, reason = (
+                "limit",
+                "depth counts from elsewhere: begin_insertion() only at idle",
+            )
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and "heartbeat" not in self._facts():
@@ -288,17 +334,28 @@ class Manager:
         """Where tissue begins: infinitely deep before it is met, -inf for who begins inside it."""
         if estimate.status is Status.REJECTED:
             return  # it repeats the last depth, or none
-        is_first, is_inside = self._depth_m == math.inf, estimate.identification.layer > 0
+        is_first, is_inside = (
+            self._depth_m == math.inf,
+            estimate.identification.layer > 0,
+        )
         is_new = is_first or self.session.zero is not self._zero
-        if is_new and not is_first:  # outside the next insertion may be at another place
+        if (
+            is_new and not is_first
+        ):  # outside the next insertion may be at another place
             moved_m = estimate.depth_m - self._depth_m
-            self._entry_m = math.inf if "outside" in self._facts() else self._entry_m + moved_m
+            self._entry_m = (
+                math.inf if "outside" in self._facts() else self._entry_m + moved_m
+            )
         self._zero, self._depth_m = self.session.zero, estimate.depth_m
         if is_inside and math.isinf(self._entry_m):
             self._lost_zero = self._zero
             if self._entry_m > 0.0:
                 self._entry_m = -math.inf if is_new else self._depth_m
-        elif not is_inside and self._entry_m == -math.inf and self._lost_zero is self._zero:
+        elif (
+            not is_inside
+            and self._entry_m == -math.inf
+            and self._lost_zero is self._zero
+        ):
             self._entry_m = self._depth_m
 
     def request(self, event: str, **data: Any) -> str:
@@ -330,12 +387,19 @@ class Manager:
         try:
             _ENCODER.encode(row)
         except (ValueError, RecursionError) as error:
-            raise SettingError(f"data of {event} cannot be written as JSON: {error}") from error
+            raise SettingError(
+                f"data of {event} cannot be written as JSON: {error}"
+            ) from error
         self.events.append(row)
-        self._state, self._reason = after, refused or str(data.get("reason", "")) or self._reason
+        self._state, self._reason = (
+            after,
+            refused or str(data.get("reason", "")) or self._reason,
+        )
         if after is not before:
             self._entered_s = self._time_s
-            self._entered_zero = self.session.zero if before is State.IDLE else self._entered_zero
+            self._entered_zero = (
+                self.session.zero if before is State.IDLE else self._entered_zero
+            )
             self._monitors.enter(after)
         if self._log is not None:
             self._write(self._log)
@@ -353,7 +417,9 @@ class Manager:
             if size is not None:
                 with suppress(OSError):  # half a line would spoil the next one
                     os.truncate(log, size)
-            self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip("; ")
+            self._reason = f"{self._reason}; the log cannot be written: {error}".lstrip(
+                "; "
+            )
 
     def _facts(self) -> list[str]:
         holds = {

@@ -26,14 +26,24 @@ class SafetyLimits:
 
     axial_N: float  # force against the motion along the needle
     lateral_N: float = 0.5  # force across the needle
-    lateral_s: float = 0.04  # for which it may act; a force twice that limit, half as long
-    free_N: float = 15.0  # change of the axial force in free air, where it may not be tared yet
+    lateral_s: float = (
+        0.04  # for which it may act; a force twice that limit, half as long
+    )
+    free_N: float = (
+        15.0  # change of the axial force in free air, where it may not be tared yet
+    )
     lost_s: float = 0.006  # time of bad samples beyond that of valid ones
     late_s: float = 0.03  # longest time without a sample
     refused_s: float = 0.005  # time of refused commands
-    device_s: float = 0.05  # longest time without news of the haptic device in teleoperation
-    tracking_rad: float = 0.05  # motion of a joint within a second that was not commanded
-    reaction_s: float = 0.015  # from a decision to the arm at rest: forces are predicted over it
+    device_s: float = (
+        0.05  # longest time without news of the haptic device in teleoperation
+    )
+    tracking_rad: float = (
+        0.05  # motion of a joint within a second that was not commanded
+    )
+    reaction_s: float = (
+        0.015  # from a decision to the arm at rest: forces are predicted over it
+    )
 
     def __post_init__(self) -> None:
         require_positive(asdict(self))
@@ -44,7 +54,9 @@ class Beside(NamedTuple):
 
     accepted: bool = True  # whether the arm took the last command
     command_rad_s: Array | None = None  # that command, shape (n,)
-    axial_N: float | None = None  # of an F/T sensor, its bias and the needle's weight removed
+    axial_N: float | None = (
+        None  # of an F/T sensor, its bias and the needle's weight removed
+    )
     has_device: bool = False  # whether the haptic device has sent something new
 
 
@@ -57,8 +69,14 @@ _UNUSABLE = (
     | SensorWarning.MODEL_MISMATCH
     | SensorWarning.TARE_EXPIRED
 )
-_IN_AIR, _AT_TISSUE = ("guidance", "approach", "tare"), ("teleop", "insertion", "dwell", "withdraw")
-_DRIVEN = "teleop", "insertion"  # Without the force a needle can be held, and must come out
+_IN_AIR, _AT_TISSUE = (
+    ("guidance", "approach", "tare"),
+    ("teleop", "insertion", "dwell", "withdraw"),
+)
+_DRIVEN = (
+    "teleop",
+    "insertion",
+)  # Without the force a needle can be held, and must come out
 _RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
 _TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
 """Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
@@ -79,7 +97,12 @@ class Monitors:
 
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
         self._session, self._limits = session, limits
-        self._bad_s, self._device_s, self._clear_s, self._step_s = 0.0, math.inf, math.inf, math.inf
+        self._bad_s, self._device_s, self._clear_s, self._step_s = (
+            0.0,
+            math.inf,
+            math.inf,
+            math.inf,
+        )
         self._position: Array | None = None
         self._lateral_N = 0.0  # of the session, across the needle
         self.has_device, self.is_healthy, self.missed_s = False, True, 0.0
@@ -95,7 +118,11 @@ class Monitors:
         self._side_Ns, self._fading_s, self._entry_lateral_N = 0.0, 0.0, self._lateral_N
 
     def update(
-        self, estimate: "SessionEstimate", sample: ArmSample, beside: Beside, step_s: float
+        self,
+        estimate: "SessionEstimate",
+        sample: ArmSample,
+        beside: Beside,
+        step_s: float,
     ) -> tuple[str, str]:
         """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
 
@@ -105,7 +132,11 @@ class Monitors:
         self._lateral_N = estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         self.has_device = self._device_s <= self._limits.device_s
-        axial_N = estimate.wrench.axial if beside.axial_N is None else as_float(beside.axial_N)
+        axial_N = (
+            estimate.wrench.axial
+            if beside.axial_N is None
+            else as_float(beside.axial_N)
+        )
         fault = f"no sample for {1e3 * since_s:.0f} ms"
         is_late = since_s > self._limits.late_s + self.missed_s
         self.missed_s = max(self.missed_s - max(since_s, step_s), 0.0)
@@ -121,24 +152,44 @@ class Monitors:
             axial_N = self._axial_N or 0.0
         rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
         self._axial_N = axial_N
-        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (rise_N / step_s - self._rate_N_per_s)
+        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (
+            rise_N / step_s - self._rate_N_per_s
+        )
         ahead_N = axial_N + ahead_s * self._rate_N_per_s
         side = self._side_force(step_s, lag_s)
         stop = self._forces(estimate, axial_N, ahead_N) or side
         if self._state == "teleop" and not self.has_device:
-            stop = f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
+            stop = (
+                f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
+            )
         return ("limit", stop) if stop else ("", "")
 
-    def _signals(self, estimate: "SessionEstimate", axial_N: float, step_s: float) -> str:
+    def _signals(
+        self, estimate: "SessionEstimate", axial_N: float, step_s: float
+    ) -> str:
         is_bad, has_force = estimate.status is Status.REJECTED, math.isfinite(axial_N)
-        self._bad_s = max(self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0)
+        self._bad_s = max(
+            self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0
+        )
         if self._bad_s > self._limits.lost_s:
-            why = estimate.wrench.message if has_force else f"axial force of the sensor {axial_N}"
+            why = (
+                estimate.wrench.message
+                if has_force
+                else f"axial force of the sensor {axial_N}"
+            )
             return f"bad samples for {1e3 * self._bad_s:.0f} ms: {why}"
-        return estimate.wrench.message if estimate.warnings & _BROKEN and not is_bad else ""
+        return (
+            estimate.wrench.message
+            if estimate.warnings & _BROKEN and not is_bad
+            else ""
+        )
 
     def _commands(
-        self, estimate: "SessionEstimate", sample: ArmSample, beside: Beside, step_s: float
+        self,
+        estimate: "SessionEstimate",
+        sample: ArmSample,
+        beside: Beside,
+        step_s: float,
     ) -> str:
         command = beside.command_rad_s
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
@@ -149,7 +200,10 @@ class Monitors:
             self._made_rad = self._asked_rad = np.zeros(1)
         if command is None or estimate.status is Status.REJECTED:
             return ""
-        position, kept = np.array(sample.q_rad, dtype=np.float64), math.exp(-step_s / _TRACKING_S)
+        position, kept = (
+            np.array(sample.q_rad, dtype=np.float64),
+            math.exp(-step_s / _TRACKING_S),
+        )
         try:
             command = vector(command, len(position), "command")
         except SettingError:
@@ -161,14 +215,20 @@ class Monitors:
         speed_rad_s = math.sqrt(float(command.dot(command)))
         self._path_rad = kept * (self._path_rad + step_s * speed_rad_s)
         off, late_rad = asked - self._made_rad, _FOLLOWS_S * speed_rad_s
-        behind_rad = float(off.dot(asked)) / max(math.sqrt(float(asked.dot(asked))), 1e-9)
+        behind_rad = float(off.dot(asked)) / max(
+            math.sqrt(float(asked.dot(asked))), 1e-9
+        )
         if behind_rad > 0.5 * self._path_rad + _LEAST_PATH_RAD + late_rad:
             return "the arm does not follow its commands"
-        if (most_rad := float(np.abs(off).max())) > self._limits.tracking_rad + late_rad:
+        if (
+            most_rad := float(np.abs(off).max())
+        ) > self._limits.tracking_rad + late_rad:
             return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
         return ""
 
-    def _forces(self, estimate: "SessionEstimate", axial_N: float, ahead_N: float) -> str:
+    def _forces(
+        self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
+    ) -> str:
         limits, wrench, state = self._limits, estimate.wrench, self._state
         if state in _IN_AIR:
             if self._entry_axial_N is None:
@@ -177,7 +237,9 @@ class Monitors:
             is_known = state != "guidance" and estimate.status is Status.OK
             most_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
             change_N = abs(wrench.axial - self._entry_axial_N)
-            return f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""
+            return (
+                f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""
+            )
         if state not in _AT_TISSUE:
             return ""
         if estimate.warnings & _UNUSABLE and state in _DRIVEN:
@@ -193,9 +255,13 @@ class Monitors:
         """A force across the needle that lasts, and is not what a gap has left."""
         state, lateral_N = self._state, self._lateral_N
         # A needle that was stopped by a side force must still come out.
-        most_N = self._limits.lateral_N + (self._entry_lateral_N if state == "withdraw" else 0.0)
+        most_N = self._limits.lateral_N + (
+            self._entry_lateral_N if state == "withdraw" else 0.0
+        )
         is_gap = step_s > max(_GAP_S, _GAP_STEPS * self._step_s)
-        self._fading_s = _FADE_LAGS * lag_s if is_gap else max(self._fading_s - step_s, 0.0)
+        self._fading_s = (
+            _FADE_LAGS * lag_s if is_gap else max(self._fading_s - step_s, 0.0)
+        )
         self._step_s = step_s
         counts = state in _AT_TISSUE and lateral_N > most_N and self._fading_s == 0.0
         self._side_Ns = self._side_Ns + step_s * lateral_N if counts else 0.0

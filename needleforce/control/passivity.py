@@ -97,14 +97,18 @@ class HandPort(Port):
         at the other side, and the times since the last call and, at most, until the next.
         """
         dt_s, ahead_s = times_s
-        travel_m = position_m - self._position_m  # means nothing at first, when no force is held
+        travel_m = (
+            position_m - self._position_m
+        )  # means nothing at first, when no force is held
         self.observe(self._force_N, travel_m)
         # What damping has taken is paid back; not to count it would damp for ever after.
         self._damped_J += self._damping_N * travel_m
         owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
         force_N = wanted_N * passive_part(-wanted_N * speed_m_s * ahead_s, owed_J)
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg)
+        root_m_s = math.sqrt(
+            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
+        )
         most_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
         self._damping_N, missing_J = 0.0, -min(owed_J, self.net_J)
@@ -134,7 +138,12 @@ class NeedlePort(Port):
     _lagged_m_s = 0.0
 
     def update(
-        self, wanted_m_s: float, force_N: float, speed_m_s: float, incoming_J: float, dt_s: float
+        self,
+        wanted_m_s: float,
+        force_N: float,
+        speed_m_s: float,
+        incoming_J: float,
+        dt_s: float,
     ) -> float:
         """The speed to move with over the coming interval, positive into the tissue.
 

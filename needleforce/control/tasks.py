@@ -54,7 +54,9 @@ class ToolState:
         """Move to a configuration, shape (n,)."""
         model, data, frame = self._model, self._data, self._frame_id
         jacobian = pin.computeFrameJacobian(model, data, q_rad, frame, _BASE_AXES)
-        self.jacobian: Array = jacobian.reshape(6, -1)  # of a single joint it comes as a vector
+        self.jacobian: Array = jacobian.reshape(
+            6, -1
+        )  # of a single joint it comes as a vector
         self.pose: Array = pin.updateFramePlacement(model, data, frame).homogeneous
         self.q_rad = q_rad
 
@@ -112,13 +114,23 @@ class TipTask:
     """
 
     def __init__(self, selection: Array, gain_per_s: float) -> None:
-        self.size, self.selection, self.gain_per_s = len(selection), selection, _gain(gain_per_s)
-        self.goal_m, self.rotation, self.rate = np.zeros(3), np.eye(3), np.zeros(self.size)
+        self.size, self.selection, self.gain_per_s = (
+            len(selection),
+            selection,
+            _gain(gain_per_s),
+        )
+        self.goal_m, self.rotation, self.rate = (
+            np.zeros(3),
+            np.eye(3),
+            np.zeros(self.size),
+        )
         self._turns = bool(selection[:, 3:].any())
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        turn = pin.log3(self.rotation @ tool.pose[:3, :3].T) if self._turns else _NO_TURN
+        turn = (
+            pin.log3(self.rotation @ tool.pose[:3, :3].T) if self._turns else _NO_TURN
+        )
         goal = self.goal_m, turn, self.rate, self.gain_per_s
         _tip_task(tool.pose, tool.jacobian, self.selection, goal, rows, rates)
 
@@ -154,13 +166,17 @@ class Fixture(TipTask):
         self, origin_m: ArrayLike, rotation: ArrayLike, gain_per_s: float = GAIN_PER_S
     ) -> None:
         axes = np.array(rotation, dtype=np.float64)
-        is_turn = axes.shape == (3, 3) and np.allclose(axes.T @ axes, np.eye(3), atol=1e-6)
+        is_turn = axes.shape == (3, 3) and np.allclose(
+            axes.T @ axes, np.eye(3), atol=1e-6
+        )
         if not (is_turn and np.linalg.det(axes) > 0.0):
             what = "right-handed orthonormal axes in columns"
             raise SettingError(f"rotation is {rotation!r}, expected {what}")
         along = np.zeros((6, 6))  # place and direction, each along the three axes
         along[:3, :3] = along[3:, 3:] = axes.T
-        super().__init__(np.delete(along, 2, axis=0), gain_per_s)  # all but the place on the line
+        super().__init__(
+            np.delete(along, 2, axis=0), gain_per_s
+        )  # all but the place on the line
         self.goal_m, self.rotation = vector(origin_m, 3, "origin_m"), axes
 
     @classmethod
@@ -179,10 +195,15 @@ class TipVelocity(TipTask):
     """
 
     def __init__(
-        self, velocity_m_s: ArrayLike, goal_m: ArrayLike | None = None, gain_per_s: float = 0.0
+        self,
+        velocity_m_s: ArrayLike,
+        goal_m: ArrayLike | None = None,
+        gain_per_s: float = 0.0,
     ) -> None:
         if goal_m is not None and gain_per_s == 0.0:
-            raise SettingError("goal_m needs a gain_per_s, or nothing draws the tip there")
+            raise SettingError(
+                "goal_m needs a gain_per_s, or nothing draws the tip there"
+            )
         super().__init__(np.eye(6)[:3], gain_per_s if goal_m is not None else 0.0)
         self.rate = vector(velocity_m_s, 3, "velocity_m_s")
         if goal_m is not None:
@@ -199,14 +220,21 @@ class DecoupledMotion(TipTask):
         gain_per_s: K of both.
     """
 
-    MOST_LAG_m, MOST_LAG_rad = 5e-3, 0.05  # A wish waits for an arm that limits hold so far back
+    MOST_LAG_m, MOST_LAG_rad = (
+        5e-3,
+        0.05,
+    )  # A wish waits for an arm that limits hold so far back
 
     def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
         super().__init__(np.eye(6), gain_per_s)
         self.goal_m, self.rotation = tool.tip_m, tool.rotation
 
     def move(
-        self, tool: ToolState, linear_m_s: ArrayLike, angular_rad_s: ArrayLike, dt_s: float
+        self,
+        tool: ToolState,
+        linear_m_s: ArrayLike,
+        angular_rad_s: ArrayLike,
+        dt_s: float,
     ) -> None:
         """Wish velocities in base axes, shape (3,) each, for the coming tick.
 
@@ -215,7 +243,9 @@ class DecoupledMotion(TipTask):
         behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
         behind_rad = np.linalg.norm(pin.log3(self.rotation @ tool.pose[:3, :3].T))
         linear = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
-        angular = vector(angular_rad_s, 3, "angular_rad_s") * (behind_rad < self.MOST_LAG_rad)
+        angular = vector(angular_rad_s, 3, "angular_rad_s") * (
+            behind_rad < self.MOST_LAG_rad
+        )
         self.rate = np.concatenate((linear, angular))
         dt_s = min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else 0.0
         self.goal_m = self.goal_m + dt_s * linear
@@ -242,7 +272,9 @@ class RemoteCentre:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        _remote_centre(tool.pose, tool.jacobian, self.point_m, self.gain_per_s, rows, rates)
+        _remote_centre(
+            tool.pose, tool.jacobian, self.point_m, self.gain_per_s, rows, rates
+        )
 
 
 @compiled

@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.control.errors import SettingError, require_positive
-from needleforce.control.passivity import HANDLE_kg, HandPort, MOST_DAMPING_Ns_m, NeedlePort
+from needleforce.control.passivity import (
+    HANDLE_kg,
+    HandPort,
+    MOST_DAMPING_Ns_m,
+    NeedlePort,
+)
 from needleforce.control.ports import Array, MasterSample
 from needleforce.control.tasks import vector
 from residual.estimate import Status
@@ -27,8 +32,12 @@ if TYPE_CHECKING:
 Shown = Literal["tip", "enhanced", "raw"]
 Packet = TypeVar("Packet")
 
-_CATCH_UP_PER_S = 10.0  # rate at which the needle makes up for travel that it could not follow
-_SPEED_LAG_S = 0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
+_CATCH_UP_PER_S = (
+    10.0  # rate at which the needle makes up for travel that it could not follow
+)
+_SPEED_LAG_S = (
+    0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
+)
 # A delayed spring drives a hand (a stiffness k takes k T of damping away: more than the usual T is
 # made up for), and so does unknown friction, both the more the less its motion is scaled down; and
 # it springs forward at a rupture. So what is not steady is damped: at least so much, and per scale.
@@ -43,7 +52,9 @@ _FADE_S = 0.05  # a force that is not known any more fades
 # With travel it grows by the stiffness identified, at most so much: a force that grows is not late.
 _SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
 _RUPTURE_S, _AT_ONCE_S = 0.3, 0.014
-_COUPLING_S = 0.2  # so softly the force comes and goes with the clutch: no step throws the hand
+_COUPLING_S = (
+    0.2  # so softly the force comes and goes with the clutch: no step throws the hand
+)
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
 _HELD_S, _GAP_MEMORY_S = 0.02, 1.0
@@ -55,7 +66,9 @@ _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 class HandPacket(NamedTuple):
     """From the device to the needle."""
 
-    travel_m: float  # of the handle along the needle while coupled, scaled to the needle
+    travel_m: (
+        float  # of the handle along the needle while coupled, scaled to the needle
+    )
     speed_m_s: float  # its rate, scaled
     energy_J: float  # that the hand has put in
     is_coupled: bool  # whether the hand moves the needle, which stands otherwise
@@ -90,7 +103,9 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     return min(max(wanted_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
-def _along(axis: Array, sample: MasterSample | None) -> tuple[float, float, bool] | None:
+def _along(
+    axis: Array, sample: MasterSample | None
+) -> tuple[float, float, bool] | None:
     """Place and speed along an axis, and the clutch; None if no handle can have such ones."""
     try:
         numbers = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
@@ -119,8 +134,12 @@ class DeviceSide:
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
         self._rate_m_s = self._steady_m_s = self._still_s = self._since_s = 0.0
         self._coupled = 0.0  # 0 to 1
-        self._gap_s = 0.0  # the longest of late between two samples, over which a force is held
-        self._swing_m_s = self._square = 0.0  # means of the swing's speed and of its square
+        self._gap_s = (
+            0.0  # the longest of late between two samples, over which a force is held
+        )
+        self._swing_m_s = self._square = (
+            0.0  # means of the swing's speed and of its square
+        )
 
     def release(self, travel_m: float = 0.0) -> None:
         """No force is held any more, after about so much travel; begin from where the handle is."""
@@ -129,7 +148,10 @@ class DeviceSide:
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
-        self, handle: tuple[float, float, bool] | None, news: NeedlePacket | None, dt_s: float
+        self,
+        handle: tuple[float, float, bool] | None,
+        news: NeedlePacket | None,
+        dt_s: float,
     ) -> HandPacket:
         """Find the force to render, and return the packet to send.
 
@@ -144,23 +166,33 @@ class DeviceSide:
                     self.release(self._rate_m_s * self._since_s)
             return self._packet
         before_m, (position_m, rate_m_s, is_coupled) = self.position_m, handle
-        dt_s, self._since_s, self.position_m = min(self._since_s, _HELD_S), 0.0, position_m
+        dt_s, self._since_s, self.position_m = (
+            min(self._since_s, _HELD_S),
+            0.0,
+            position_m,
+        )
         self._coupled += (is_coupled - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
         # A handle that moves changes its place; one that only says so repeats an old sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
         speed_m_s = 0.0 if self._still_s > _SILENCE_S else rate_m_s
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
-        self._steady_m_s += (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
+        self._steady_m_s += (
+            (self._rate_m_s - self._steady_m_s) * dt_s / (_STEADY_S + dt_s)
+        )
         known_N, incoming_J = news or (0.0, 0.0)
         swing_m_s = self._rate_m_s - self._steady_m_s
         damping_N = self._damping_for(swing_m_s, dt_s) * swing_m_s
         wanted_N, times_s = known_N * self._coupled + damping_N, (dt_s, self._gap_s)
-        self.force_N = self.port.update(wanted_N, position_m, speed_m_s, incoming_J, times_s)
+        self.force_N = self.port.update(
+            wanted_N, position_m, speed_m_s, incoming_J, times_s
+        )
         scale = self._scale * is_coupled
         moved_m = 0.0 if before_m is None else position_m - before_m
         travel_m = self._packet.travel_m + scale * moved_m
-        self._packet = HandPacket(travel_m, scale * self._rate_m_s, self.port.in_J, is_coupled)
+        self._packet = HandPacket(
+            travel_m, scale * self._rate_m_s, self.port.in_J, is_coupled
+        )
         return self._packet
 
     def _damping_for(self, swing_m_s: float, dt_s: float) -> float:
@@ -182,16 +214,25 @@ class NeedleSide:
     Energy at the hand is that at the needle times force scale / motion scale.
     """
 
-    def __init__(self, motion_scale: float, force_scale: float, speed_limit_m_s: float) -> None:
+    def __init__(
+        self, motion_scale: float, force_scale: float, speed_limit_m_s: float
+    ) -> None:
         self._scale = scale = force_scale / motion_scale
         self._force_scale, self._limit_m_s = force_scale, speed_limit_m_s
         self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale)
-        self.start_m: float | None = None  # depth without travel of the hand, until a reset
+        self.start_m: float | None = (
+            None  # depth without travel of the hand, until a reset
+        )
         self._last: HandPacket | None = None
         self._silent_s = 0.0
 
     def update(
-        self, news: HandPacket | None, force_N: float, depth_m: float, now_m_s: float, dt_s: float
+        self,
+        news: HandPacket | None,
+        force_N: float,
+        depth_m: float,
+        now_m_s: float,
+        dt_s: float,
     ) -> tuple[float, NeedlePacket]:
         """The speed to move with, positive inwards, and the packet to send.
 
@@ -201,15 +242,23 @@ class NeedleSide:
         self._last = news
         wanted_m_s = incoming_J = 0.0
         if news is not None:
-            if self.start_m is None or not news.is_coupled or self._silent_s >= _SILENCE_S:
+            if (
+                self.start_m is None
+                or not news.is_coupled
+                or self._silent_s >= _SILENCE_S
+            ):
                 self.start_m = depth_m - news.travel_m
             incoming_J = news.energy_J
             if self._silent_s < _SILENCE_S:
                 behind_m = self.start_m + news.travel_m - depth_m
                 wanted_m_s = news.speed_m_s + _CATCH_UP_PER_S * behind_m
         wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
-        speed_m_s = self.port.update(wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s)
-        return speed_m_s, NeedlePacket(self._force_scale * force_N, self._scale * self.port.in_J)
+        speed_m_s = self.port.update(
+            wanted_m_s, force_N, now_m_s, incoming_J / self._scale, dt_s
+        )
+        return speed_m_s, NeedlePacket(
+            self._force_scale * force_N, self._scale * self.port.in_J
+        )
 
 
 class TeleopCommand(NamedTuple):
@@ -251,13 +300,17 @@ class Teleoperation:
     ) -> None:
         direction = vector(axis, 3, "axis")
         if not direction.any():
-            raise SettingError(f"axis is {axis!r}, expected three numbers that are not all zero")
+            raise SettingError(
+                f"axis is {axis!r}, expected three numbers that are not all zero"
+            )
         if not 0.1 <= as_float(motion_scale) <= 1.0:
             raise SettingError(f"motion_scale is {motion_scale!r}, expected 0.1 to 1")
         numbers = {"force_scale": force_scale, "speed_limit_m_s": speed_limit_m_s}
         require_positive(numbers | {"force_lag_s": force_lag_s})
         if shown not in get_args(Shown):
-            raise SettingError(f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'")
+            raise SettingError(
+                f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'"
+            )
         if lines is not None and not all(hasattr(line, "exchange") for line in lines):
             raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
@@ -288,7 +341,10 @@ class Teleoperation:
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:
             return TeleopCommand(0.0, -self.device.force_N * self._axis)
-        faded_N, is_ok = _FADE_S / (_FADE_S + dt_s) * self.shown_N, estimate.status is Status.OK
+        faded_N, is_ok = (
+            _FADE_S / (_FADE_S + dt_s) * self.shown_N,
+            estimate.status is Status.OK,
+        )
         self.shown_N = self._smoothed(estimate, dt_s) if is_ok else faded_N
         sent = self.device.update(_along(self._axis, sample), self._from_needle, dt_s)
         lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
@@ -303,10 +359,16 @@ class Teleoperation:
         if self._shown == "raw":
             return known_N
         has_ruptured = estimate.identification.rupture is not None
-        self._ruptured_s = _RUPTURE_S if has_ruptured else max(self._ruptured_s - dt_s, 0.0)
+        self._ruptured_s = (
+            _RUPTURE_S if has_ruptured else max(self._ruptured_s - dt_s, 0.0)
+        )
         lag_s = _AT_ONCE_S if self._ruptured_s > 0.0 else _SMOOTH_S
-        slope = min(max(estimate.identification.stiffness_N_per_m, 0.0), _STIFFEST_N_per_m)
-        pace = estimate.speed_m_s if known_N > 0.0 else 0.0  # drawn back it touches nothing
+        slope = min(
+            max(estimate.identification.stiffness_N_per_m, 0.0), _STIFFEST_N_per_m
+        )
+        pace = (
+            estimate.speed_m_s if known_N > 0.0 else 0.0
+        )  # drawn back it touches nothing
         grown_N = self.shown_N + slope * pace * dt_s
         smooth_N = grown_N + (known_N - grown_N) * dt_s / (lag_s + dt_s)
         return min(max(smooth_N, known_N - _FURTHEST_N), known_N + _FURTHEST_N)

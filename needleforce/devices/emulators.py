@@ -54,7 +54,9 @@ class _Wire(DatagramLink):
         super().__init__(LOOPBACK, 0)
         self._faults, self.peer = faults, peer
         self._rng = np.random.default_rng(faults.seed)
-        self._late: dict[int, bytes] = {}  # by the number of the packet they come before
+        self._late: dict[
+            int, bytes
+        ] = {}  # by the number of the packet they come before
         self._number = self.sent = 0
         self._socket.setblocking(False)
 
@@ -112,7 +114,9 @@ class Emulator(AbstractContextManager["Emulator"]):
     def __init__(self, work: Callable[..., dict[str, Any]], *settings: Any) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, other = context.Pipe()
-        self._process = context.Process(target=_run, args=(other, work, settings), daemon=True)
+        self._process = context.Process(
+            target=_run, args=(other, work, settings), daemon=True
+        )
         self._process.start()
         other.close()
         self.ready: dict[str, Any] = self._reply(START_s)
@@ -122,7 +126,9 @@ class Emulator(AbstractContextManager["Emulator"]):
             if self._pipe.poll(wait_s):
                 return self._pipe.recv()
         self._process.kill()
-        raise LinkError("the emulator has ended without an answer; its message stands above")
+        raise LinkError(
+            "the emulator has ended without an answer; its message stands above"
+        )
 
     def counts(self, wait_s: float | None = None) -> dict[str, Any]:
         """What it has counted, once it has ended by itself, however long that takes if None."""
@@ -141,7 +147,9 @@ class Emulator(AbstractContextManager["Emulator"]):
         self._process.join()
 
 
-def _run(pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[Any, ...]) -> None:
+def _run(
+    pipe: Connection, work: Callable[..., dict[str, Any]], settings: tuple[Any, ...]
+) -> None:
     pipe.send(work(pipe, *settings))
 
 
@@ -158,7 +166,9 @@ class FriSettings:
     period_s: float = 1e-3
     cycles: int | None = None  # then it ends
     in_real_time: bool = False  # whether it asks the system for real-time priority
-    patience_s: float = 0.0  # so much longer a cycle lasts until it is answered; a real one never
+    patience_s: float = (
+        0.0  # so much longer a cycle lasts until it is answered; a real one never
+    )
     command_from_s: float = float("inf")  # when it goes from monitor to command mode
     faults: Faults = field(default_factory=Faults)
 
@@ -173,14 +183,22 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
     packet["period_s"], packet["commanded_rad"] = settings.period_s, settings.q_rad[0]
     pipe.send({"port": wire.address[1]})
     counts, due_s = {"cycles": 0, "same_cycle": 0}, time.monotonic()
-    while counts["cycles"] != settings.cycles and not (counts["cycles"] % 100 == 0 and pipe.poll()):
+    while counts["cycles"] != settings.cycles and not (
+        counts["cycles"] % 100 == 0 and pipe.poll()
+    ):
         number, t_s = counts["cycles"], counts["cycles"] * settings.period_s
-        row, is_bad = number % len(settings.q_rad), is_within(settings.faults.bad_quality, t_s)
+        row, is_bad = (
+            number % len(settings.q_rad),
+            is_within(settings.faults.bad_quality, t_s),
+        )
         is_commanded = t_s >= settings.command_from_s and not is_bad
         packet["count"], packet["stamp_s"] = number % fri.COUNTS, t_s
         packet["state"] = fri.State.COMMAND if is_commanded else fri.State.MONITOR
         packet["quality"] = fri.Quality.BAD if is_bad else fri.Quality.PERFECT
-        packet["position_rad"], packet["torque_Nm"] = settings.q_rad[row], settings.tau_Nm[row]
+        packet["position_rad"], packet["torque_Nm"] = (
+            settings.q_rad[row],
+            settings.tau_Nm[row],
+        )
         due_s += settings.period_s
         patience_s = settings.patience_s if wire.put(packet.tobytes(), t_s) else 0.0
         while found := next(wire.received(due_s + patience_s), None):
@@ -194,7 +212,11 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
                 if is_commanded:
                     packet["commanded_rad"] = answer["position_rad"]
         counts["cycles"] += 1
-    return {**counts, "sent": wire.sent, "commanded_rad": packet["commanded_rad"].copy()}
+    return {
+        **counts,
+        "sent": wire.sent,
+        "commanded_rad": packet["commanded_rad"].copy(),
+    }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,7 +247,10 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
             wire.put(records.tobytes(), number / settings.rate_hz)
             number += size
         for data, sender in wire.received(time.monotonic() + 1e-3):
-            if len(data) != rdt.REQUEST.size or rdt.REQUEST.unpack(data)[0] != rdt.REQUEST_MARK:
+            if (
+                len(data) != rdt.REQUEST.size
+                or rdt.REQUEST.unpack(data)[0] != rdt.REQUEST_MARK
+            ):
                 continue
             command = rdt.REQUEST.unpack(data)[1]
             if command == rdt.SOFTWARE_BIAS:
@@ -233,7 +258,10 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
             elif command == rdt.STOP:
                 wire.peer = None
             elif wire.peer is None:
-                wire.peer, size = sender, settings.records if command == rdt.BUFFERED else 1
+                wire.peer, size = (
+                    sender,
+                    settings.records if command == rdt.BUFFERED else 1,
+                )
                 begin_s = time.monotonic() - number / settings.rate_hz
     return {"records": number, "sent": wire.sent}
 

@@ -12,17 +12,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.devices.proxy import LOOPBACK, ArmSample, DatagramLink, DeviceSettingError
+from needleforce.devices.proxy import (
+    LOOPBACK,
+    ArmSample,
+    DatagramLink,
+    DeviceSettingError,
+)
 
 PORT, JOINTS, COUNTS = 49938, 7, 1 << 16
-_HEADER = {"count": ("<u2", 0), "reflected": ("<u2", 2), "size": ("<u2", 4), "kind": ("<u2", 6)}
+_HEADER = {
+    "count": ("<u2", 0),
+    "reflected": ("<u2", 2),
+    "size": ("<u2", 4),
+    "kind": ("<u2", 6),
+}
 
 
 def _packet(size: int, fields: dict[str, tuple[object, int]]) -> np.dtype:
     """A packet of so many bytes with these fields: their types and first bytes."""
     both = _HEADER | fields
     formats, offsets = zip(*both.values(), strict=True)
-    table = {"names": list(both), "formats": formats, "offsets": offsets, "itemsize": size}
+    table = {
+        "names": list(both),
+        "formats": formats,
+        "offsets": offsets,
+        "itemsize": size,
+    }
     return np.dtype(table)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
@@ -72,7 +87,14 @@ def read_measurement(data: bytes) -> np.void | None:
     if len(data) != MEASUREMENT.itemsize:
         return None
     found = np.frombuffer(data, MEASUREMENT)[0]
-    names = ("stamp_s", "position_rad", "commanded_rad", "added_rad", "torque_Nm", "external_Nm")
+    names = (
+        "stamp_s",
+        "position_rad",
+        "commanded_rad",
+        "added_rad",
+        "torque_Nm",
+        "external_Nm",
+    )
     is_valid = (
         (found["size"], found["kind"]) == (MEASUREMENT.itemsize, MEASUREMENT_KIND)
         and found["state"] <= max(State)
@@ -126,7 +148,9 @@ class FriArm(DatagramLink):
         self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
         self._wait_s, self._give_up_s = wait_s, give_up_s
         self._last: np.void | None = None
-        self._arrival_s = self._after_s = monotonic()  # Of the last: read then, sent later than
+        self._arrival_s = self._after_s = (
+            monotonic()
+        )  # Of the last: read then, sent later than
         self._answer = np.zeros((), COMMAND)
         self._answer["size"], self._answer["kind"] = COMMAND.itemsize, COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
@@ -189,7 +213,9 @@ class FriArm(DatagramLink):
         self.report.use(cycles, dt_s)
         signals = "position_rad", "torque_Nm", "external_Nm"
         q, tau, external = (found[name].astype(float) for name in signals)
-        yield ArmSample(dt_s, q, None, tau, external, cycles - 1, accepts_commands=is_moved)
+        yield ArmSample(
+            dt_s, q, None, tau, external, cycles - 1, accepts_commands=is_moved
+        )
 
     def _send_answer(self, found: np.void) -> None:
         was_commanded = self._takes_commands()
@@ -200,7 +226,9 @@ class FriArm(DatagramLink):
             self._silent = SILENT_CYCLES
         elif self._silent < SILENT_CYCLES:
             self._silent += 1
-            self._target_rad = self._target_rad + found["period_s"] * self._velocity_rad_s
+            self._target_rad = (
+                self._target_rad + found["period_s"] * self._velocity_rad_s
+            )
         answer = self._answer
         answer["count"] = (int(answer["count"]) + 1) % COUNTS
         answer["reflected"], answer["position_rad"] = found["count"], self._target_rad

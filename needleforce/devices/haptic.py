@@ -15,7 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.devices.proxy import DeviceSettingError, Link, LinkError, MasterSample, client
+from needleforce.devices.proxy import (
+    DeviceSettingError,
+    Link,
+    LinkError,
+    MasterSample,
+    client,
+)
 
 ADDRESS = "ws://127.0.0.1:10001"
 AXES = "xyz"
@@ -34,7 +40,9 @@ class HaplyMaster(Link):
 
     def __init__(self, address: str = ADDRESS, *, most_force_N: float = 5.0) -> None:
         if not 0.0 < most_force_N < np.inf:
-            raise DeviceSettingError(f"most_force_N={most_force_N!r}: expected a positive number")
+            raise DeviceSettingError(
+                f"most_force_N={most_force_N!r}: expected a positive number"
+            )
         super().__init__()
         self._gone = client("websockets.exceptions", "websockets").WebSocketException
         connect = client("websockets.sync.client", "websockets").connect
@@ -42,7 +50,9 @@ class HaplyMaster(Link):
             self._socket = connect(address, max_size=1 << 20, open_timeout=5.0)
         except (OSError, self._gone) as error:
             what = f"no haptic service at {address}: {error}"
-            raise LinkError(f"{what}; is it running, is a device plugged in?") from error
+            raise LinkError(
+                f"{what}; is it running, is a device plugged in?"
+            ) from error
         self._most_N, self._force_N, self._device = most_force_N, np.zeros(3), ""
         self._begin_s = self._last_s = self._asked_s = time.monotonic()
 
@@ -108,7 +118,9 @@ class HaplyMaster(Link):
             return None
 
 
-def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) -> dict[str, Any]:
+def emulate_haply(
+    pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3
+) -> dict[str, Any]:
     """The service with one device in an emulated operator's hand; a function for `Emulator`.
 
     The person wants the handle at ``wish_m``: a row per period, shape (m, 3); the last row holds
@@ -119,7 +131,9 @@ def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) 
 
     from groundtruth.rig_operator import HapticMaster, Operator
 
-    hand = Operator(wish_m=lambda t_s: wish_m[min(round(t_s / period_s), len(wish_m) - 1)])
+    hand = Operator(
+        wish_m=lambda t_s: wish_m[min(round(t_s / period_s), len(wish_m) - 1)]
+    )
     master, counts = HapticMaster(hand), {"cycles": 0}
 
     def session(link: ServerConnection) -> None:
@@ -131,7 +145,9 @@ def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) 
                 if sample is not None:
                     at, to = sample.position_m.tolist(), sample.velocity_m_s.tolist()
                     values = {"cursor_position": at, "cursor_velocity": to}
-                    state = {k: dict(zip(AXES, v, strict=True)) for k, v in values.items()}
+                    state = {
+                        k: dict(zip(AXES, v, strict=True)) for k, v in values.items()
+                    }
                     device = {"device_id": "emulated", "state": state}
                     link.send(json.dumps({"inverse3": [device]}))
                 due_s += period_s
@@ -139,7 +155,9 @@ def emulate_haply(pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3) 
                 with suppress(TimeoutError):
                     while (left_s := due_s - time.monotonic()) > 0.0:
                         command = json.loads(link.recv(timeout=left_s))
-                        values = command["inverse3"][0]["commands"]["set_cursor_force"]["values"]
+                        values = command["inverse3"][0]["commands"]["set_cursor_force"][
+                            "values"
+                        ]
                         master.render([values[axis] for axis in AXES])
 
     with serve(session, "127.0.0.1", 0) as server:

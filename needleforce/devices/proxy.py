@@ -39,12 +39,16 @@ def client(module: str, package: str) -> Any:
     try:
         return import_module(module)
     except ImportError as error:
-        raise MissingClientError(f"{package} is not installed; pip install {package}") from error
+        raise MissingClientError(
+            f"{package} is not installed; pip install {package}"
+        ) from error
 
 
 LOOPBACK = "127.0.0.1"  # Where links bind and connect unless an address is named
 MOST_DATAGRAM = 65536
-ROOM = 1 << 17  # Bytes for datagrams that wait to be read: no more than usual, old ones are stale
+ROOM = (
+    1 << 17
+)  # Bytes for datagrams that wait to be read: no more than usual, old ones are stale
 
 
 class ArmSample(NamedTuple):
@@ -92,7 +96,10 @@ class LinkReport:
     def __str__(self) -> str:
         """One line for people: what is not zero."""
         counts = (f"{value:g} {name}" for name, value in asdict(self).items() if value)
-        return ", ".join(counts).replace("longest_gap_s", "s the longest gap") or "nothing received"
+        return (
+            ", ".join(counts).replace("longest_gap_s", "s the longest gap")
+            or "nothing received"
+        )
 
 
 class MasterSample(NamedTuple):
@@ -149,7 +156,9 @@ class ReadOnlyArm(Link):
 class ReplayArm(ReadOnlyArm):
     """Recorded joint signals as an `Arm` that takes no commands; reports how many it gave out."""
 
-    def __init__(self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array) -> None:
+    def __init__(
+        self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array
+    ) -> None:
         """Take m samples: time steps, shape (m,), the others (m, n); velocities may be None."""
         super().__init__()
         self.joints = q_rad.shape[1]
@@ -187,9 +196,13 @@ class DatagramLink(Link):
         DeviceSettingError: A port outside 0 to 65535.
     """
 
-    def __init__(self, host: str, port: int, *, peer: str | None = None, room: int = ROOM) -> None:
+    def __init__(
+        self, host: str, port: int, *, peer: str | None = None, room: int = ROOM
+    ) -> None:
         if not 0 <= port <= 65535:
-            raise DeviceSettingError(f"port {port}: expected 0 to 65535 (0: any free one)")
+            raise DeviceSettingError(
+                f"port {port}: expected 0 to 65535 (0: any free one)"
+            )
         super().__init__()
         self._peer_host = peer and resolved(peer)
         self.sender: tuple[str, int] | None = None
@@ -204,7 +217,9 @@ class DatagramLink(Link):
             why = "is another program using the port, and is the address one of this machine?"
             raise LinkError(f"{what}; {why}") from error
         self.address: tuple[str, int] = self._socket.getsockname()
-        self._empty_s = monotonic()  # When last nothing waited to be read: what came, came later
+        self._empty_s = (
+            monotonic()
+        )  # When last nothing waited to be read: what came, came later
 
     def _receive(self, timeout_s: float) -> bytes | None:
         """The next datagram that may be the peer's; None when none came in time (0: now)."""
@@ -221,7 +236,10 @@ class DatagramLink(Link):
                 continue
             except ConnectionError:  # what was sent before found nobody listening
                 continue
-            if sender[0] == (self._peer_host or sender[0]) and self.peer in (None, sender):
+            if sender[0] == (self._peer_host or sender[0]) and self.peer in (
+                None,
+                sender,
+            ):
                 self.sender = sender
                 return data
             self.report.foreign += 1

@@ -26,14 +26,22 @@ from needleforce.devices.proxy import (
 PORT, REQUEST_MARK = 49152, 0x1234
 REQUEST = struct.Struct(">HHI")
 STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
-RECORD = np.dtype([("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)])
+RECORD = np.dtype(
+    [("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)]
+)
 COUNTS = 1 << 32
-LONGEST_COUNTED_s = 1.0  # A sensor silent for longer may have been off, and count from zero
+LONGEST_COUNTED_s = (
+    1.0  # A sensor silent for longer may have been off, and count from zero
+)
 MOST_AHEAD = 10_000  # Records of such a time; one further on, or further back, is not a new record
 RENUMBERED = 400  # Unless so many in a row are: the sensor has restarted its count
 MOST_REPLY = 1 << 20
-ROOM = 1 << 22  # Bytes for the records of half a second, if net.core.rmem_max allows as many
-FAULT_BITS = 0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
+ROOM = (
+    1 << 22
+)  # Bytes for the records of half a second, if net.core.rmem_max allows as many
+FAULT_BITS = (
+    0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
+)
 
 
 class Scale(NamedTuple):
@@ -53,7 +61,9 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
         with urlopen(url, timeout=timeout_s) as reply:
             tree = ElementTree.fromstring(reply.read(MOST_REPLY))
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
-        raise LinkError(f"no counts per newton from {url}: {error}; is it the sensor?") from error
+        raise LinkError(
+            f"no counts per newton from {url}: {error}; is it the sensor?"
+        ) from error
     numbers = []
     for name, unit_name, si in (("calcpf", "scalfu", "N"), ("calcpt", "scaltu", "Nm")):
         text, unit = (tree.findtext(f".//{each}") for each in (name, unit_name))
@@ -62,8 +72,12 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
         except ValueError:
             raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
         if unit is not None and unit.strip().replace("-", "") != si:
-            what = f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected {si}"
-            raise LinkError(f"{what}: set the sensor to it, or give scale=Scale(per_N, per_Nm)")
+            what = (
+                f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected {si}"
+            )
+            raise LinkError(
+                f"{what}: set the sensor to it, or give scale=Scale(per_N, per_Nm)"
+            )
     return Scale(*numbers)
 
 
@@ -98,8 +112,12 @@ class NetFT(DatagramLink):
         host = resolved(host)
         page = scale or f"http://{host}/netftcalapi.xml"
         self.scale = read_scale(page) if isinstance(page, str) else page
-        if np.shape(self.scale) != (2,) or not all(0.0 < each < np.inf for each in self.scale):
-            raise DeviceSettingError(f"{self.scale}: expected positive counts per N and per Nm")
+        if np.shape(self.scale) != (2,) or not all(
+            0.0 < each < np.inf for each in self.scale
+        ):
+            raise DeviceSettingError(
+                f"{self.scale}: expected positive counts per N and per Nm"
+            )
         if not 0 < port <= 65535:
             raise DeviceSettingError(f"port {port} of the sensor: expected 1 to 65535")
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
@@ -108,7 +126,9 @@ class NetFT(DatagramLink):
         self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
-        self._odd = self._odd_row = 0  # Last count out of sequence, and how many in a row
+        self._odd = self._odd_row = (
+            0  # Last count out of sequence, and how many in a row
+        )
         self._arrival_s = monotonic()
         self._zero, self._newest = np.zeros(6), np.zeros(6)
         self._request(self._mode)
@@ -172,8 +192,15 @@ class NetFT(DatagramLink):
             report.longest_gap_s = max(report.longest_gap_s, now_s - self._arrival_s)
         self._arrival_s = now_s
         for record in np.frombuffer(data, RECORD):
-            count, status, last = int(record["count"]), int(record["status"]), self._last
-            is_faulty, ahead = status & FAULT_BITS, 1 if last is None else (count - last) % COUNTS
+            count, status, last = (
+                int(record["count"]),
+                int(record["status"]),
+                self._last,
+            )
+            is_faulty, ahead = (
+                status & FAULT_BITS,
+                1 if last is None else (count - last) % COUNTS,
+            )
             if not 0 < ahead <= MOST_AHEAD:
                 follows = 0 < (count - self._odd) % COUNTS <= MOST_AHEAD
                 self._odd, self._odd_row = count, self._odd_row + 1 if follows else 0

@@ -33,7 +33,9 @@ class _VendorArm(ReadOnlyArm):
         self.robot, self.joints = robot, joints
         self._period_s, self._last_s = period_s, -np.inf
 
-    def _checked(self, time_s: float, q: Array, *others: Array | None) -> Iterator[ArmSample]:
+    def _checked(
+        self, time_s: float, q: Array, *others: Array | None
+    ) -> Iterator[ArmSample]:
         """Position, velocity, torque, external torque as a sample, if they are valid and new."""
         report, gap_s = self.report, time_s - self._last_s
         given = [each for each in (q, *others) if each is not None]
@@ -64,7 +66,9 @@ class FrankaArm(_VendorArm):
         try:
             self._arm = library.Robot(host, library.RealtimeConfig.kIgnore)
         except RuntimeError as error:
-            raise LinkError(f"no Franka arm at {host}: {error}; is its FCI activated?") from error
+            raise LinkError(
+                f"no Franka arm at {host}: {error}; is its FCI activated?"
+            ) from error
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come; ends when the arm stays away."""
@@ -75,7 +79,9 @@ class FrankaArm(_VendorArm):
                 self.report.outages += 1
                 return
             signals = (state.q, state.dq, state.tau_J, state.tau_ext_hat_filtered)
-            yield from self._checked(1e-3 * state.time.to_msec(), *map(np.asarray, signals))
+            yield from self._checked(
+                1e-3 * state.time.to_msec(), *map(np.asarray, signals)
+            )
 
 
 class UrArm(_VendorArm):
@@ -101,8 +107,12 @@ class UrArm(_VendorArm):
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
         super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
         given = torque_constant_Nm_A
-        self._constant = constant = None if given is None else np.array(given, dtype=float)
-        if constant is not None and (constant.shape != (UR_JOINTS,) or not (constant > 0.0).all()):
+        self._constant = constant = (
+            None if given is None else np.array(given, dtype=float)
+        )
+        if constant is not None and (
+            constant.shape != (UR_JOINTS,) or not (constant > 0.0).all()
+        ):
             what = f"torque_constant_Nm_A={given!r}"
             raise DeviceSettingError(f"{what}: expected six positive numbers")
         library = client("rtde_receive", "ur_rtde")
@@ -116,7 +126,11 @@ class UrArm(_VendorArm):
         while self._is_open and self._arm.isConnected():
             time_s = self._arm.getTimestamp()
             if time_s > self._last_s:
-                reads = self._arm.getActualQ, self._arm.getActualQd, self._arm.getActualCurrent
+                reads = (
+                    self._arm.getActualQ,
+                    self._arm.getActualQd,
+                    self._arm.getActualCurrent,
+                )
                 q, dq, current = (np.array(read()) for read in reads)
                 if self._arm.getTimestamp() != time_s:
                     continue  # parts of two packages

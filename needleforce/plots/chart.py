@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 Span = tuple[float, float]
-Dash = str | tuple[float, tuple[float, ...]]  # of matplotlib: "-", or (offset, (on, off, …))
+Dash = (
+    str | tuple[float, tuple[float, ...]]
+)  # of matplotlib: "-", or (offset, (on, off, …))
 
 
 class FiguresError(Exception):
@@ -66,7 +68,9 @@ class Curve:
     x: Array
     y: Array
     label: str | None = None  # in the legend; None for none there, as for the band
-    std: Array | None = None  # standard deviations: a band of two to either side is shaded
+    std: Array | None = (
+        None  # standard deviations: a band of two to either side is shaded
+    )
     band_label: str | None = None
 
     def __post_init__(self) -> None:
@@ -85,7 +89,9 @@ class Panel:
 
     y_label: str
     curves: tuple[Curve, ...]
-    limits: Span | None = None  # None for `limits_of` the curves; what is cut off is marked
+    limits: Span | None = (
+        None  # None for `limits_of` the curves; what is cut off is marked
+    )
     height: float = 1.0
 
 
@@ -120,7 +126,9 @@ class Chart:
     shadings: tuple[Shading, ...] = ()  # marked in every panel, as the next
     instants: tuple[Instants, ...] = ()
     x_limits: Span | None = None  # None for what the curves need
-    x_ticks: tuple[tuple[float, str], ...] = ()  # places and what stands there; none for numbers
+    x_ticks: tuple[
+        tuple[float, str], ...
+    ] = ()  # places and what stands there; none for numbers
     width_in: float = WIDTH_IN
     height_in: float = 3.0  # without the legend
 
@@ -131,12 +139,17 @@ class Chart:
     def within(self, first: float, last: float) -> "Chart":
         """The same between two places of the x axis, with y axes for what is seen there."""
         if not first < last:
-            raise ChartError(f"window from {first:g} to {last:g}; the end must lie after the start")
+            raise ChartError(
+                f"window from {first:g} to {last:g}; the end must lie after the start"
+            )
         panels = tuple(replace(panel, limits=None) for panel in self.panels)
         return replace(self, panels=panels, x_limits=(first, last))
 
 
-MOST_OF, MOST_OF_BAND = 99.8, 95.0  # per cent of a curve, and of its band's edges, that show
+MOST_OF, MOST_OF_BAND = (
+    99.8,
+    95.0,
+)  # per cent of a curve, and of its band's edges, that show
 MARGIN = 0.06
 
 
@@ -174,16 +187,22 @@ _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 def printable(text: str) -> str:
     r"""Text that XML and UTF-8 can hold: bytes of a file name that cannot become ``\udcff``."""
-    return _NOT_TEXT.sub(lambda found: found.group().encode("unicode_escape").decode(), text)
+    return _NOT_TEXT.sub(
+        lambda found: found.group().encode("unicode_escape").decode(), text
+    )
 
 
 def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
     from matplotlib.figure import Figure
 
-    figure = Figure((chart.width_in, chart.height_in), layout="constrained", facecolor="white")
+    figure = Figure(
+        (chart.width_in, chart.height_in), layout="constrained", facecolor="white"
+    )
     heights = [panel.height for panel in chart.panels]
-    grid = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
+    grid = figure.subplots(
+        len(heights), sharex=True, squeeze=False, height_ratios=heights
+    )
     places = list(grid[:, 0])
     for axes, panel in zip(places, chart.panels, strict=True):
         _draw_marks(axes, chart)
@@ -199,10 +218,14 @@ def draw(chart: Chart) -> "Figure":
     if chart.x_ticks:
         places[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
     room = chart.width_in / WIDTH_IN * LETTERS
-    what, *which = ("\n".join(wrap(line, int(room))) for line in printable(chart.title).split("\n"))
+    what, *which = (
+        "\n".join(wrap(line, int(room))) for line in printable(chart.title).split("\n")
+    )
     figure.suptitle(what, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
     # The pad leaves room for the values of cut peaks above the panel.
-    places[0].set_title("\n".join(which), loc="left", fontsize=8.5, color="#444444", pad=10.0)
+    places[0].set_title(
+        "\n".join(which), loc="left", fontsize=8.5, color="#444444", pad=10.0
+    )
     rows = _legend(figure, places, chart)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
@@ -213,12 +236,21 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
 
     for label, color, spans, least_pt in chart.shadings:
         for first, last in spans:
-            axes.axvspan(first, last, color=color, linewidth=least_pt, label=label, zorder=0.4)
+            axes.axvspan(
+                first, last, color=color, linewidth=least_pt, label=label, zorder=0.4
+            )
     for label, style, places in chart.instants:
-        lift = ScaledTranslation(0.0, style.size_pt / 144.0, axes.figure.dpi_scale_trans)
+        lift = ScaledTranslation(
+            0.0, style.size_pt / 144.0, axes.figure.dpi_scale_trans
+        )
         if places:
-            line: dict[str, Any] = {"transform": axes.get_xaxis_transform() + lift, "zorder": 4}
-            axes.plot(places, np.zeros(len(places)), label=label, **line, **_line(style))
+            line: dict[str, Any] = {
+                "transform": axes.get_xaxis_transform() + lift,
+                "zorder": 4,
+            }
+            axes.plot(
+                places, np.zeros(len(places)), label=label, **line, **_line(style)
+            )
 
 
 def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
@@ -227,9 +259,13 @@ def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
         low, high = y - 2.0 * curve.std, y + 2.0 * curve.std
         # matplotlib thins lines, not areas. All NaN stay, so that no gap is bridged.
         seen = np.flatnonzero(_inside(x, x_limits))
-        some = np.union1d(seen[:: len(seen) // AREA_POINTS + 1], np.flatnonzero(np.isnan(low)))
+        some = np.union1d(
+            seen[:: len(seen) // AREA_POINTS + 1], np.flatnonzero(np.isnan(low))
+        )
         band: dict[str, Any] = {"color": style.color, "label": curve.band_label}
-        axes.fill_between(x[some], low[some], high[some], alpha=BAND_OPACITY, linewidth=0, **band)
+        axes.fill_between(
+            x[some], low[some], high[some], alpha=BAND_OPACITY, linewidth=0, **band
+        )
         for edge in (low, high):  # above the curve, whose noise may fill the band
             axes.plot(x, edge, color=style.color, linewidth=0.5, alpha=0.6, zorder=3)
     axes.plot(x, y, label=curve.label, **_line(style))
@@ -244,10 +280,17 @@ def _line(style: LineStyle) -> dict[str, Any]:
 
 
 def _mark_what_is_cut(
-    axes: "Axes", curves: Sequence[Curve], edge: float, side: float, x_limits: Span | None
+    axes: "Axes",
+    curves: Sequence[Curve],
+    edge: float,
+    side: float,
+    x_limits: Span | None,
 ) -> None:
     """Triangles where curves leave the panel, and beside the farthest its value."""
-    farthest, shape = (edge, 0.0, ""), {"marker": "^" if side > 0 else "v", "markersize": 3.5}
+    farthest, shape = (
+        (edge, 0.0, ""),
+        {"marker": "^" if side > 0 else "v", "markersize": 3.5},
+    )
     for curve in curves:
         beyond = (side * curve.y > side * edge) & _inside(curve.x, x_limits)
         if not beyond.any():
@@ -264,9 +307,18 @@ def _mark_what_is_cut(
     if color:
         text = f"{value:.3g}" if abs(value) < 1e3 else f"{value:.0f}"
         text = text.replace("-", "\N{MINUS SIGN}")
-        aside, side_x = ("right", -4.0) if place > np.mean(axes.get_xlim()) else ("left", 4.0)
-        small: dict[str, Any] = {"fontsize": 7.0, "color": color, "va": "bottom", "ha": aside}
-        axes.annotate(text, (place, edge), (side_x, 2.0), textcoords="offset points", **small)
+        aside, side_x = (
+            ("right", -4.0) if place > np.mean(axes.get_xlim()) else ("left", 4.0)
+        )
+        small: dict[str, Any] = {
+            "fontsize": 7.0,
+            "color": color,
+            "va": "bottom",
+            "ha": aside,
+        }
+        axes.annotate(
+            text, (place, edge), (side_x, 2.0), textcoords="offset points", **small
+        )
 
 
 def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
@@ -304,7 +356,9 @@ def require_matplotlib(what: str, path: str | Path | None = None) -> None:
     ``--report``, needs; `ChartError` if the path of a figure does not end in one of `FORMATS`.
     """
     if path is not None and Path(path).suffix.lower() not in FORMATS:
-        raise ChartError(f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}")
+        raise ChartError(
+            f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}"
+        )
     try:
         import jinja2  # noqa: F401
         import matplotlib.figure  # noqa: F401

@@ -32,7 +32,9 @@ class PageTable:
     caption: str  # stands above
     head: tuple[str, ...]  # of the columns; empty texts for none
     rows: tuple[tuple[str, ...], ...]
-    numeric: frozenset[int] = frozenset()  # columns, from 0, whose cells line up on the right
+    numeric: frozenset[int] = (
+        frozenset()
+    )  # columns, from 0, whose cells line up on the right
     note: str = ""  # stands below
 
     def __post_init__(self) -> None:
@@ -76,7 +78,9 @@ class Page:
 
         environment = Environment(autoescape=True)
         environment.filters |= {"inline": inline, "data_uri": _data_uri}
-        source = files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
+        source = (
+            files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
+        )
         return charts.printable(environment.from_string(source).render(page=self))
 
 
@@ -85,7 +89,9 @@ def _data_uri(path: Path) -> str:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise charts.WriteError(f"cannot read {path}: {error.strerror or error}") from error
+        raise charts.WriteError(
+            f"cannot read {path}: {error.strerror or error}"
+        ) from error
     return f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(content).decode()}"
 
 
@@ -102,12 +108,16 @@ def save_page_figure(
     if is_alone:
         place = path.with_stem(f"{path.stem}-wide")
         wide = charts.save_figure(replace(chart, width_in=charts.WIDE_IN), place)
-    return PageFigure(path=charts.save_figure(chart, path), alt=alt, caption=caption, wide=wide)
+    return PageFigure(
+        path=charts.save_figure(chart, path), alt=alt, caption=caption, wide=wide
+    )
 
 
 def settings_table(settings: Any, caption: str) -> PageTable:
     """One line per field of a dataclass; of a dataclass within it ``outer.inner``."""
-    return PageTable(caption=caption, head=("setting", "value"), rows=tuple(_rows(settings, "")))
+    return PageTable(
+        caption=caption, head=("setting", "value"), rows=tuple(_rows(settings, ""))
+    )
 
 
 def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
@@ -116,8 +126,16 @@ def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
         if is_dataclass(value):
             yield from _rows(value, f"{name}.")
             continue
-        values = value if isinstance(value, tuple | list) else (value,) if value is not None else ()
-        texts = [f"{each:g}" if isinstance(each, float) else str(each) for each in values]
+        values = (
+            value
+            if isinstance(value, tuple | list)
+            else (value,)
+            if value is not None
+            else ()
+        )
+        texts = [
+            f"{each:g}" if isinstance(each, float) else str(each) for each in values
+        ]
         yield f"`{name}`", ", ".join(texts) or "none"
 
 
@@ -133,10 +151,14 @@ def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise charts.WriteError(f"cannot write to {folder}: {error.strerror or error}") from error
+        raise charts.WriteError(
+            f"cannot write to {folder}: {error.strerror or error}"
+        ) from error
     try:
         yield folder
     finally:
-        with suppress(OSError):  # one that holds something is not removed, nor those it lies in
+        with suppress(
+            OSError
+        ):  # one that holds something is not removed, nor those it lies in
             for each in made:
                 each.rmdir()

@@ -52,14 +52,20 @@ NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
 
 def is_bag(path: Path) -> bool:
     """Return whether a path names a ROS 2 bag: by its suffix, or as a folder that holds one."""
-    return path.name.lower().endswith(BAG_SUFFIXES) or (path.is_dir() and bool(_storage(path)))
+    return path.name.lower().endswith(BAG_SUFFIXES) or (
+        path.is_dir() and bool(_storage(path))
+    )
 
 
 def _storage(folder: Path) -> list[Path]:
     """Return the files of messages in a folder; those of a split bag are numbered."""
     with file_errors(folder):
-        found = [p for p in folder.iterdir() if p.is_file() and p.name.endswith(BAG_SUFFIXES)]
-    return sorted(found, key=lambda p: [int(x) for x in re.findall(r"\d{1,99}", p.name)] or [0])
+        found = [
+            p for p in folder.iterdir() if p.is_file() and p.name.endswith(BAG_SUFFIXES)
+        ]
+    return sorted(
+        found, key=lambda p: [int(x) for x in re.findall(r"\d{1,99}", p.name)] or [0]
+    )
 
 
 def read_messages(
@@ -80,7 +86,9 @@ def read_messages(
                 if file.name.lower().endswith(".db3"):
                     yield from _sqlite_messages(readable_path(file), found)
                 else:
-                    yield from _McapReader(file, found, max_bytes // _PARTS).messages(options)
+                    yield from _McapReader(file, found, max_bytes // _PARTS).messages(
+                        options
+                    )
         except FormatError as error:
             raise FormatError(f"{file} {error}") from error
         finally:
@@ -108,7 +116,9 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
         lz4 = optional_library("lz4.frame", "MCAP files with lz4 chunks")
         stream = lz4.open(io.BytesIO(packed))
     else:
-        raise FormatError(f"has chunks compressed with {compression!r}; zstd and lz4 can be read")
+        raise FormatError(
+            f"has chunks compressed with {compression!r}; zstd and lz4 can be read"
+        )
     found = bytearray()
     with suppress(zstd.ZstdError, RuntimeError, EOFError):
         # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
@@ -119,8 +129,17 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
 
 MAGIC = b"\x89MCAP0\r\n"
 _HEAD = struct.Struct("<BQ")  # number and size, with which a record begins
-_MESSAGE_HEAD = struct.Struct("<HIQQ")  # channel, sequence, when it was recorded and published
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = 0x03, 0x04, 0x05, 0x06, 0x0F, 0x80
+_MESSAGE_HEAD = struct.Struct(
+    "<HIQQ"
+)  # channel, sequence, when it was recorded and published
+_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = (
+    0x03,
+    0x04,
+    0x05,
+    0x06,
+    0x0F,
+    0x80,
+)
 """Numbers of records: none lies between the end of the data and private ones."""
 _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
 
@@ -178,9 +197,15 @@ class _McapReader:
                 require_size(size, self._limit, "holds a record that")
             # After a lost byte any bytes stand for a record: no record can be so.
             is_known = 0 < opcode <= _DATA_END or opcode >= _PRIVATE
-            if not is_known or size > self._limit or (opcode == _DATA_END and size != 4):
+            if (
+                not is_known
+                or size > self._limit
+                or (opcode == _DATA_END and size != 4)
+            ):
                 self._is_over, at = True, self._at + done
-                self._faults.append(f"is damaged at byte {at}; what follows cannot be read")
+                self._faults.append(
+                    f"is damaged at byte {at}; what follows cannot be read"
+                )
             if self._is_over or end > len(held):
                 break
             yield from self._taken(opcode, bytes(held[start:end]))
@@ -190,7 +215,9 @@ class _McapReader:
         self._at += done
         del held[:done]
 
-    def _taken(self, opcode: int, data: bytes, *, is_whole: bool = True) -> Iterator[RawMessage]:
+    def _taken(
+        self, opcode: int, data: bytes, *, is_whole: bool = True
+    ) -> Iterator[RawMessage]:
         """Yield the messages in a record, and learn schemas and channels."""
         if opcode == _MESSAGE:
             if (message := self._message(data)) is not None:
@@ -199,7 +226,9 @@ class _McapReader:
         if opcode not in _PARSED:
             return
         try:
-            record = getattr(self._library, _PARSED[opcode]).read(self._stream(io.BytesIO(data)))
+            record = getattr(self._library, _PARSED[opcode]).read(
+                self._stream(io.BytesIO(data))
+            )
         except Exception:
             # Damaged bytes end in whatever the parser runs into.
             self._faults += ["has a damaged record"] * is_whole
@@ -207,11 +236,17 @@ class _McapReader:
         if opcode == _CHUNK:
             yield from self._chunk(record, is_whole=is_whole)
         elif opcode == _SCHEMA:
-            text = record.data.decode(errors="replace") if record.encoding == "ros2msg" else ""
+            text = (
+                record.data.decode(errors="replace")
+                if record.encoding == "ros2msg"
+                else ""
+            )
             self._schemas[record.id] = record.name, text
         else:
             kind, text = self._schemas.get(record.schema_id, ("", ""))
-            self._channels[record.id] = BagTopic(record.topic, kind, record.message_encoding, text)
+            self._channels[record.id] = BagTopic(
+                record.topic, kind, record.message_encoding, text
+            )
 
     def _message(self, data: bytes) -> RawMessage | None:
         # By hand, since the parser of the library takes ten times as long.
@@ -229,8 +264,14 @@ class _McapReader:
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
             data = _unpacked(data, chunk.compression, size)[:size]
-        if is_whole and chunk.uncompressed_crc and crc32(data) != chunk.uncompressed_crc:
-            self._faults.append("has a chunk whose checksum is wrong, which was left out")
+        if (
+            is_whole
+            and chunk.uncompressed_crc
+            and crc32(data) != chunk.uncompressed_crc
+        ):
+            self._faults.append(
+                "has a chunk whose checksum is wrong, which was left out"
+            )
             return
         done = 0
         for opcode, start, end in _records(data):
@@ -239,7 +280,9 @@ class _McapReader:
             yield from self._taken(opcode, data[start:end])
             done = end
         if is_whole and done < size:
-            self._faults.append(f"has a damaged chunk, of which {done} of {size} bytes are right")
+            self._faults.append(
+                f"has a damaged chunk, of which {done} of {size} bytes are right"
+            )
 
 
 def _require_magic(head: bytes, magic: bytes, what: str) -> None:
@@ -278,11 +321,15 @@ def _sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
             for connection, log_ns, data in reader.messages():
                 # In SQLite any value may stand in any column.
                 if type(log_ns) is not int or type(data) is not bytes:
-                    raise TypeError(f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes")
+                    raise TypeError(
+                        f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes"
+                    )
                 yield RawMessage(topics[connection.id], log_ns, data)
     except (rosbag2.ReaderError, apsw.Error, *damage) as error:
         if "missing tables" in str(error):
-            raise FormatError("is not a bag: it has no tables messages and topics") from error
+            raise FormatError(
+                "is not a bag: it has no tables messages and topics"
+            ) from error
         raise FormatError(
             f"is cut short or damaged ({error}); its messages may be had with: "
             f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
@@ -293,4 +340,6 @@ def _sqlite_topic(found: Any) -> BagTopic:
     if not (isinstance(found.topic, str) and isinstance(found.msgtype, str)):
         raise TypeError(f"{found.topic!r:.40} is no name of a topic")
     text = found.msgdef.data if found.msgdef.format.name == "MSG" else ""
-    return BagTopic(found.topic, found.msgtype, str(found.ext.serialization_format), text)
+    return BagTopic(
+        found.topic, found.msgtype, str(found.ext.serialization_format), text
+    )

@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.recordings.bag_messages import NONE_YET, BagTopic, RawMessage, read_messages
+from needleforce.recordings.bag_messages import (
+    NONE_YET,
+    BagTopic,
+    RawMessage,
+    read_messages,
+)
 from needleforce.recordings.bag_types import Content, TopicDecoder, size_of
 from needleforce.recordings.errors import MAX_BYTES, ColumnError, FormatError
 from needleforce.recordings.follow import FollowOptions
@@ -26,8 +31,12 @@ from needleforce.recordings.table import (
 )
 
 MOST_ROWS = 2048  # of a table
-_SETTLED_NS = NS_PER_S  # So long without a new topic, and it is decided which topics are read
-_AS_MANY = 0.9  # a topic with this fraction of another's messages counts as equally fast
+_SETTLED_NS = (
+    NS_PER_S  # So long without a new topic, and it is decided which topics are read
+)
+_AS_MANY = (
+    0.9  # a topic with this fraction of another's messages counts as equally fast
+)
 _LEARNED = 20  # messages of a topic that are looked into
 _SHORTEST_LIMIT_S, _PERIODS = 0.1, 5.0
 """So many periods of a topic may lie between two of its messages and still be bridged."""
@@ -101,7 +110,9 @@ class Topic:
             for name in columns
         }
         self._faults: Counter[str] = Counter()
-        self.rows: list[tuple[Any, ...]] = []  # stamp in ns, then the numbers of each column
+        self.rows: list[
+            tuple[Any, ...]
+        ] = []  # stamp in ns, then the numbers of each column
         self.latest_ns = -(1 << 62)
 
     def add(self, message: RawMessage) -> None:
@@ -120,16 +131,22 @@ class Topic:
             if missing:
                 self._faults["messages that lack joints"] += 1
         if content.stamp_ns == 0 and message.log_ns:
-            self._faults["messages without a source time stamp; the recorder's was taken"] += 1
+            self._faults[
+                "messages without a source time stamp; the recorder's was taken"
+            ] += 1
         stamp_ns = content.stamp_ns or message.log_ns
-        self.rows.append((stamp_ns, *(self._numbers(name, content) for name in self.widths)))
+        self.rows.append(
+            (stamp_ns, *(self._numbers(name, content) for name in self.widths))
+        )
         self.latest_ns = max(self.latest_ns, stamp_ns)
 
     def _numbers(self, name: str, content: Content) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
         width, value = self.widths[name], content.values.get(name)
         if value is None or (name in self.named) != (name in content.named):
-            self._faults[f"messages without values of {name}, or not one for each joint"] += 1
+            self._faults[
+                f"messages without values of {name}, or not one for each joint"
+            ] += 1
         elif name in self.named:
             if self.joints == content.names:
                 return value
@@ -148,7 +165,9 @@ class Topic:
     def values(self) -> dict[str, FloatArray]:
         """Return the numbers of the rows by column, shape (n, k)."""
         return {
-            name: np.array([row[i] for row in self.rows], dtype=np.float64).reshape(-1, width)
+            name: np.array([row[i] for row in self.rows], dtype=np.float64).reshape(
+                -1, width
+            )
             for i, (name, width) in enumerate(self.widths.items(), 1)
         }
 
@@ -179,7 +198,9 @@ class Bag:
         if not self.faults:
             return []
         topics = self.topics.values()
-        ends = [ns / NS_PER_S for topic in topics for ns in (topic.first_ns, topic.last_ns)]
+        ends = [
+            ns / NS_PER_S for topic in topics for ns in (topic.first_ns, topic.last_ns)
+        ]
         return [
             f"{'; '.join(self.faults)}: {sum(topic.count for topic in topics)} messages from "
             f"{min(ends):.3f} s to {max(ends):.3f} s could be read, what came after, if anything, "
@@ -192,17 +213,25 @@ class Bag:
         if not topics:
             faults = "".join(f" ({fault})" for fault in self.faults)
             raise FormatError(f"{self.path} holds no messages{faults}")
-        widths = {name: width for topic in topics for name, width in topic.columns.items()}
+        widths = {
+            name: width for topic in topics for name, width in topic.columns.items()
+        }
         if not widths:
             reasons = (
                 f"{topic.name} ({topic.topic.kind}) {topic.fault or 'holds no numbers'}"
                 for topic in topics
             )
-            raise FormatError(f"{self.path} holds no topic with numbers: {'; '.join(reasons)}")
+            raise FormatError(
+                f"{self.path} holds no topic with numbers: {'; '.join(reasons)}"
+            )
         faults = (f"{t.name!r}: {t.topic.kind} {t.fault}" for t in topics if t.fault)
         return Table(
-            columns={n: np.empty((0,) if k is None else (0, k)) for n, k in widths.items()},
-            joint_names={n: tuple(topic.joint_names) for topic in topics for n in topic.named},
+            columns={
+                n: np.empty((0,) if k is None else (0, k)) for n, k in widths.items()
+            },
+            joint_names={
+                n: tuple(topic.joint_names) for topic in topics for n in topic.named
+            },
             warnings=tuple(faults),
         )
 
@@ -213,7 +242,9 @@ class JoinedRows:
     Only the needed columns are read; `ColumnError` if the mapping does not fit the bag.
     """
 
-    def __init__(self, bag: Bag, request: ChannelRequest, needed: frozenset[str]) -> None:
+    def __init__(
+        self, bag: Bag, request: ChannelRequest, needed: frozenset[str]
+    ) -> None:
         columns = {
             name: [column for column in topic.columns if column in needed]
             for name, topic in bag.topics.items()
@@ -223,7 +254,9 @@ class JoinedRows:
         if chosen is None:
             # A few messages that were lost shall make no difference.
             most = max(bag.topics[name].count for name in columns)
-            chosen = next(name for name in columns if bag.topics[name].count >= _AS_MANY * most)
+            chosen = next(
+                name for name in columns if bag.topics[name].count >= _AS_MANY * most
+            )
         elif chosen not in bag.topics or bag.topics[chosen].fault:
             raise ColumnError(
                 f"reference_topic = {chosen!r} is no topic that can be read; topics are: "
@@ -239,7 +272,9 @@ class JoinedRows:
             topic.choose(columns.get(name, ()), joints)
         # One message more or less is no other rate, only where the recording begins or ends.
         if any(abs(topic.count - rows.count) > 1 for topic in self._others):
-            rates = ", ".join(f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others)
+            rates = ", ".join(
+                f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others
+            )
             self._warnings.append(
                 f"rows are the messages of {chosen} ({rows.rate_hz:.4g} Hz); "
                 f"interpolated to their stamps: {rates}"
@@ -255,15 +290,21 @@ class JoinedRows:
             waits = message is NONE_YET
             if waits or count % MOST_ROWS == 0:
                 # Which columns are which channels is decided from the first table.
-                while (ready := self._ready()) >= (1 if waits and not self._is_new else HEAD_ROWS):
+                while (ready := self._ready()) >= (
+                    1 if waits and not self._is_new else HEAD_ROWS
+                ):
                     yield self._table(min(ready, MOST_ROWS))
                 # What no row needs that waits or may still come, be it a little late, is forgotten.
                 newest_ns = max(topic.latest_ns for topic in self.topics.values())
-                oldest_ns = min((row[0] for row in reference.rows), default=newest_ns - _LATE_NS)
+                oldest_ns = min(
+                    (row[0] for row in reference.rows), default=newest_ns - _LATE_NS
+                )
                 for topic in self._others:
                     kept_ns = oldest_ns - 2 * topic.limit_ns
                     topic.rows = [row for row in topic.rows if row[0] >= kept_ns]
-        self._warnings += [note for topic in self.topics.values() for note in topic.notes()]
+        self._warnings += [
+            note for topic in self.topics.values() for note in topic.notes()
+        ]
         while reference.rows or self._is_new or self._warnings:
             yield self._table(MOST_ROWS)
 
@@ -273,7 +314,10 @@ class JoinedRows:
             return 0
         last_ns = np.maximum.accumulate(self.reference.stamps_ns())
         until_ns = min(
-            max(topic.latest_ns, int(last_ns[-1]) - max(int(topic.limit_ns), _LATE_NS) - 1)
+            max(
+                topic.latest_ns,
+                int(last_ns[-1]) - max(int(topic.limit_ns), _LATE_NS) - 1,
+            )
             for topic in self.topics.values()
         )
         return int(np.searchsorted(last_ns, until_ns, side="right"))
@@ -290,11 +334,17 @@ class JoinedRows:
             for column, values in topic.values().items():
                 found = values[:rows]
                 if topic is not reference:
-                    found = interpolate(at_ns, topic.stamps_ns(), values, topic.limit_ns)
-                columns[column] = found[:, 0] if topic.columns[column] is None else found
+                    found = interpolate(
+                        at_ns, topic.stamps_ns(), values, topic.limit_ns
+                    )
+                columns[column] = (
+                    found[:, 0] if topic.columns[column] is None else found
+                )
         del reference.rows[:rows]
         notes, self._warnings, self._is_new = tuple(self._warnings), [], False
-        return Table(columns=columns, warnings=notes, joint_names=joints, start_ns=self._start_ns)
+        return Table(
+            columns=columns, warnings=notes, joint_names=joints, start_ns=self._start_ns
+        )
 
 
 def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], list[str]]:
@@ -369,7 +419,10 @@ def learn_topics(
         if is_new:
             # Counted anew from this message on, so that rates are those of the same time.
             for topic in bag.topics.values():
-                topic.count, topic.first_ns = int(topic.first_ns == message.log_ns), message.log_ns
+                topic.count, topic.first_ns = (
+                    int(topic.first_ns == message.log_ns),
+                    message.log_ns,
+                )
             continue
         joined, missing = _join(bag, request or ChannelRequest())
         if joined is not None:
@@ -386,7 +439,10 @@ def _join(bag: Bag, request: ChannelRequest) -> tuple[JoinedRows | None, str]:
         needed = request.columns(bag.table())
         if not needed:
             here = ", ".join(bag.topics)
-            return None, f"needed are {', '.join(request.required)}, and until now there are {here}"
+            return (
+                None,
+                f"needed are {', '.join(request.required)}, and until now there are {here}",
+            )
         joined = JoinedRows(bag, request, needed)
     except (ColumnError, FormatError) as error:
         return None, str(error)

@@ -13,16 +13,28 @@ from needleforce.recordings.bag_messages import BagTopic
 from needleforce.recordings.errors import FormatError, optional_library
 from needleforce.recordings.table import NS_PER_S, Columns, Labels, flat_columns
 
-STANDARD = "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
+STANDARD = (
+    "ROS2_HUMBLE"  # whose standard messages are meant where a bag holds no definitions
+)
 CDR = "cdr"
-_NAMES = ("name", "names", "joint_names")  # fields that name the elements of the arrays beside them
+_NAMES = (
+    "name",
+    "names",
+    "joint_names",
+)  # fields that name the elements of the arrays beside them
 _VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 _STAMP = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
 _MOST_ELEMENTS = 64  # longer arrays are images and point clouds, not signals
-_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")  # Position, velocity and effort of a `JointState`
+_SIGNALS = (
+    "q_rad",
+    "dq_rad_s",
+    "tau_Nm",
+)  # Position, velocity and effort of a `JointState`
 _SENSOR = ("ft_force_N", "ft_torque_Nm")
 _LONGEST_DEFINITION = 1 << 18  # characters
-_MOST_UNROLLED = 2000  # `rosbags` generates code for each element of an array of texts or messages
+_MOST_UNROLLED = (
+    2000  # `rosbags` generates code for each element of an array of texts or messages
+)
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
@@ -106,7 +118,9 @@ class TopicDecoder:
             fields = {name for name, _ in self._types.get_msgdef(topic.kind).fields}
             columns = list(self._columns((), topic.kind))
         except (KeyError, RecursionError) as error:
-            raise FormatError(f"has the type {topic.kind}, whose definition is damaged") from error
+            raise FormatError(
+                f"has the type {topic.kind}, whose definition is damaged"
+            ) from error
         self._has_stamp = {path for path, *_ in columns} >= _STAMP
         self._names = next((name for name in _NAMES if name in fields), None)
         self._getters = [
@@ -121,7 +135,11 @@ class TopicDecoder:
         names = tuple(name for name, _ in fields)
         if names in _VECTORS and {kind for _, kind in fields} <= _FLOATS:
             last = "_".join((*path[-1:], "".join(names)))
-            yield (*path[:-1], last), attrgetter(*(".".join((*path, x)) for x in names)), False
+            yield (
+                (*path[:-1], last),
+                attrgetter(*(".".join((*path, x)) for x in names)),
+                False,
+            )
             return
         for name, (node, rest) in fields:
             place = (*path, name)
@@ -135,7 +153,9 @@ class TopicDecoder:
     def decode(self, data: bytes) -> Content:
         """Decode a message; `FormatError` if it does not fit its type."""
         if data.startswith(_ZSTD_MAGIC):
-            raise FormatError("is compressed message by message; unpack it with: ros2 bag convert")
+            raise FormatError(
+                "is compressed message by message; unpack it with: ros2 bag convert"
+            )
         try:
             message = self._types.deserialize_cdr(data, self._kind)
         except Exception as error:
@@ -156,7 +176,9 @@ class TopicDecoder:
             values[column] = value
         stamp_ns = None
         if self._has_stamp:
-            stamp_ns = message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+            stamp_ns = (
+                message.header.stamp.sec * NS_PER_S + message.header.stamp.nanosec
+            )
         return Content(stamp_ns, names, values, frozenset(named))
 
 
@@ -169,7 +191,9 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
 OutTopic = tuple[str, str, Iterable[Any]]  # name, type and messages, one for each row
 
 
-def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> Iterator[OutTopic]:
+def bag_topics(
+    columns: Columns, labels: Labels, stamps_ns: Sequence[int]
+) -> Iterator[OutTopic]:
     """Yield the topics of some rows, of these time stamps.
 
     `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with `ft_torque_Nm`, and
@@ -177,18 +201,33 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
     but `t_s` becomes a `Float64` of its own.
     """
     types = standard_types().types
-    left = {name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()}
+    left = {
+        name: np.array(v, dtype=np.float64, order="C") for name, v in columns.items()
+    }
     left.pop("t_s", None)
-    signals = {name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2}
+    signals = {
+        name: left[name] for name in _SIGNALS if name in left and left[name].ndim == 2
+    }
     width = next(iter(signals.values())).shape[1] if signals else 0
-    signals = {name: left.pop(name) for name, v in signals.items() if v.shape[1] == width}
+    signals = {
+        name: left.pop(name) for name, v in signals.items() if v.shape[1] == width
+    }
     if signals:
         joints, joint_state = list(labels.joint_names), "sensor_msgs/msg/JointState"
         if len(joints) != width:
             joints = [f"joint_{i + 1}" for i in range(width)]
-        numbers = (signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS)
-        rows, make = zip(_headers(stamps_ns, ""), *numbers, strict=True), types[joint_state]
-        yield "/joint_states", joint_state, (make(header, joints, *row) for header, *row in rows)
+        numbers = (
+            signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS
+        )
+        rows, make = (
+            zip(_headers(stamps_ns, ""), *numbers, strict=True),
+            types[joint_state],
+        )
+        yield (
+            "/joint_states",
+            joint_state,
+            (make(header, joints, *row) for header, *row in rows),
+        )
     if all(name in left and left[name].shape[1:] == (3,) for name in _SENSOR):
         vectors = [left.pop(name) for name in _SENSOR]
         yield _wrenches("/ft_sensor/wrench", vectors, _headers(stamps_ns, "ft_sensor"))
@@ -196,7 +235,9 @@ def bag_topics(columns: Columns, labels: Labels, stamps_ns: Sequence[int]) -> It
     if force is not None:
         # A force at the tip has no torque.
         vectors = [force, np.zeros_like(force) if torque is None else torque]
-        yield _wrenches(f"{labels.prefix}/wrench", vectors, _headers(stamps_ns, labels.frame))
+        yield _wrenches(
+            f"{labels.prefix}/wrench", vectors, _headers(stamps_ns, labels.frame)
+        )
     for name, values in flat_columns(left).items():
         topic = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
         # Without a header: its time stamp is the one of the record.
@@ -214,7 +255,9 @@ def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
     """Take `force_x_in_...` and so on from the columns, shape (n, 3); None if one is missing."""
     found: dict[str, str] = {}
     for name, values in columns.items():
-        if values.ndim == 1 and (match := re.fullmatch(rf"{part}_([xyz])_in_\w+", name)):
+        if values.ndim == 1 and (
+            match := re.fullmatch(rf"{part}_([xyz])_in_\w+", name)
+        ):
             found.setdefault(match[1], name)
     if len(found) < len("xyz"):
         return None
@@ -223,7 +266,10 @@ def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
 
 def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> OutTopic:
     kind, types = "geometry_msgs/msg/WrenchStamped", standard_types().types
-    vector, wrench = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Wrench"]
+    vector, wrench = (
+        types["geometry_msgs/msg/Vector3"],
+        types["geometry_msgs/msg/Wrench"],
+    )
     force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
     rows = zip(headers, map(wrench, force, torque), strict=True)
     return name, kind, (types[kind](header, content) for header, content in rows)

@@ -13,7 +13,9 @@ import numpy as np
 from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import Table
 
-Units = Mapping[str, float]  # Units that may stand in a file, with factors to SI; the first is SI
+Units = Mapping[
+    str, float
+]  # Units that may stand in a file, with factors to SI; the first is SI
 
 _TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _ANGLE = {"rad": 1.0, "deg": pi / 180.0}
@@ -25,7 +27,14 @@ _FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605}
 _CODE = {"1": 1.0}
 
 # How people write the same unit; applied in this order.
-_SPELLINGS = (("µ", "u"), ("μ", "u"), ("°", "deg"), ("N·m", "Nm"), ("N.m", "Nm"), ("N*m", "Nm"))
+_SPELLINGS = (
+    ("µ", "u"),
+    ("μ", "u"),
+    ("°", "deg"),
+    ("N·m", "Nm"),
+    ("N.m", "Nm"),
+    ("N*m", "Nm"),
+)
 _SPELLINGS += (("_per_", "/"), ("_", "/"))
 _UNIT_PARTS = 3  # the longest unit in a name has so many parts: `mm_per_s`
 
@@ -50,7 +59,9 @@ class Channel:
     key: str  # in a `Log`, with the SI unit, such as `q_rad`
     units: Units
     per_joint: bool  # one column per joint (2-D) rather than one value (1-D)
-    spellings: tuple[str, ...]  # usual column names, without unit and number and in lower case
+    spellings: tuple[
+        str, ...
+    ]  # usual column names, without unit and number and in lower case
     meaning: str  # one phrase for help texts
 
     @property
@@ -112,7 +123,9 @@ def find_unit(text: str, units: Units) -> str | None:
 
 # At most nine digits: longer numbers are no joint's, and counting up to them would take all memory.
 _BRACKETED = re.compile(r"^(?P<stem>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
-_NUMBERED = re.compile(r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$")
+_NUMBERED = re.compile(
+    r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$"
+)
 _RANGE = re.compile(r"\{(?P<first>\d{1,9})\.\.(?P<last>\d{1,9})\}")
 _ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 
@@ -121,7 +134,9 @@ class ColumnName(NamedTuple):
     """A column name taken apart."""
 
     stem: str  # lower case, without path, number and unit: `q` in `/robot/q_3_rad`
-    family: str  # the name with its number blanked; the columns of one signal have the same
+    family: (
+        str  # the name with its number blanked; the columns of one signal have the same
+    )
     number: int | None  # the trailing one (a joint's)
     unit: str | None  # that the name carries
 
@@ -155,7 +170,9 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     return name, None
 
 
-Found = list[tuple[str, np.ndarray]]  # names and values, in the file's unit, (n,) or (n, k)
+Found = list[
+    tuple[str, np.ndarray]
+]  # names and values, in the file's unit, (n,) or (n, k)
 
 
 def find_columns(table: Table, pattern: str) -> Found:
@@ -172,15 +189,22 @@ def find_columns(table: Table, pattern: str) -> Found:
         return [(pattern, table.columns[pattern])]
     if match := _RANGE.search(pattern):
         first, last = match["first"], match["last"]
-        step, width = 1 if int(first) <= int(last) else -1, len(first) * first.startswith("0")
+        step, width = (
+            1 if int(first) <= int(last) else -1,
+            len(first) * first.startswith("0"),
+        )
         found: Found = []
         # One at a time: the first that is not there ends the search, however long the range is.
         for number in range(int(first), int(last) + step, step):
-            name = f"{pattern[: match.start()]}{number:0{width}d}{pattern[match.end() :]}"
+            name = (
+                f"{pattern[: match.start()]}{number:0{width}d}{pattern[match.end() :]}"
+            )
             found += find_columns(table, name)
         return found
     if "*" in pattern:
-        return _find_numbered(table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1))
+        return _find_numbered(
+            table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1)
+        )
     if match := _ELEMENT.match(pattern):
         values, index = table.columns.get(match["name"]), int(match["index"])
         if values is None or values.ndim != 2:
@@ -189,7 +213,9 @@ def find_columns(table: Table, pattern: str) -> Found:
             what = f"column {match['name']!r} has the elements [0] to [{values.shape[1] - 1}]"
             raise ColumnError(f"{pattern!r}: {what}")
         return [(pattern, values[:, index])]
-    return _find_numbered(table, pattern, rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?")
+    return _find_numbered(
+        table, pattern, rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?"
+    )
 
 
 def _find_numbered(table: Table, pattern: str, expression: str) -> Found:
@@ -219,7 +245,9 @@ def _not_found(table: Table, pattern: str) -> ColumnError:
     """Return the error, with what may have been meant."""
     names, hint = list(table.columns), ""
     head, colon, unit = pattern.rpartition(":")
-    with_unit = [name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)]
+    with_unit = [
+        name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)
+    ]
     if "*" in pattern:
         hint = " The * stands for one number; all the rest of the name must be written out."
     elif colon and any(name.startswith(head) for name in names):
@@ -227,7 +255,9 @@ def _not_found(table: Table, pattern: str) -> ColumnError:
     elif close := with_unit or get_close_matches(pattern, names[:1000], n=1):
         hint = f" Did you mean {close[0]!r}?"
     reported = "".join(f" ({note})" for note in table.warnings if repr(pattern) in note)
-    return ColumnError(f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}")
+    return ColumnError(
+        f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}"
+    )
 
 
 def detect_columns(table: Table, channel: Channel) -> Found:
@@ -236,7 +266,9 @@ def detect_columns(table: Table, channel: Channel) -> Found:
     `ColumnError` if several would fit, or a joint's column is missing.
     """
     named = {name: parse_column_name(name, channel.units) for name in table.columns}
-    named = {name: parts for name, parts in named.items() if parts.stem in channel.spellings}
+    named = {
+        name: parts for name, parts in named.items() if parts.stem in channel.spellings
+    }
     candidates: dict[str, Found] = {}
     families: dict[str, dict[int, str]] = {}
     for name, parts in named.items():
@@ -248,10 +280,14 @@ def detect_columns(table: Table, channel: Channel) -> Found:
     for family, numbered in families.items():
         candidates[family] = _in_order(table, numbered, family)
     if not channel.per_joint:
-        plain = {name: c for name, c in candidates.items() if named[name].number is None}
+        plain = {
+            name: c for name, c in candidates.items() if named[name].number is None
+        }
         candidates = plain or candidates
         # `needleforce force` writes both; whoever filters further wants the one that is not late.
-        quick = {name: c for name, c in candidates.items() if named[name].stem == UNSMOOTHED}
+        quick = {
+            name: c for name, c in candidates.items() if named[name].stem == UNSMOOTHED
+        }
         candidates = quick or candidates
     if len(candidates) > 1:
         raise ColumnError(

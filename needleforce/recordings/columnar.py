@@ -11,7 +11,12 @@ from typing import IO, Any
 
 import numpy as np
 
-from needleforce.recordings.errors import FormatError, file_errors, optional_library, require_size
+from needleforce.recordings.errors import (
+    FormatError,
+    file_errors,
+    optional_library,
+    require_size,
+)
 from needleforce.recordings.table import START_KEY, Table, start_of_clock, to_seconds
 
 _CUT = "so that nothing can be read without its end"
@@ -50,7 +55,9 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
             raise
         except Exception as error:
             # A damaged header raises whatever numpy's and Python's parsers run into.
-            warnings.append(f"column {name!r} cannot be read ({error}) and was left out")
+            warnings.append(
+                f"column {name!r} cannot be read ({error}) and was left out"
+            )
     start = arrays.get(START_KEY)
     start_ns = int(start) if start is not None and start.shape == () else 0
     columns = {name: values for name, values in arrays.items() if values.ndim}
@@ -82,9 +89,13 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
     arrow = optional_library("pyarrow", "Parquet files")
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-            groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
+            groups = [
+                file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)
+            ]
             # Repeated numbers take no room in the file, but all of it in memory.
-            values = (g.column(i).num_values for g in groups for i in range(g.num_columns))
+            values = (
+                g.column(i).num_values for g in groups for i in range(g.num_columns)
+            )
             size = max(8 * sum(values), sum(group.total_byte_size for group in groups))
             require_size(size, max_bytes, f"{path}: what it holds")
             names = Counter(file.schema_arrow.names)
@@ -111,7 +122,9 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     for name in file.schema_arrow.names if file.metadata.num_rows else ():
         cells = file.read(columns=[name]).column(0).combine_chunks()
         if types.is_timestamp(cells.type):
-            nanoseconds = cells.cast(arrow.timestamp("ns", cells.type.tz)).cast(arrow.int64())
+            nanoseconds = cells.cast(arrow.timestamp("ns", cells.type.tz)).cast(
+                arrow.int64()
+            )
             is_known = cells.is_valid().to_numpy(zero_copy_only=False)
             stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
             if is_known.any():
@@ -127,8 +140,14 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
                 cells = cells.cast(arrow.float64(), safe=False)
             columns[name] = cells.to_numpy(zero_copy_only=False)  # empty ones are NaN
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
-            warnings.append(f"column {name!r} holds {cells.type}, no numbers, and was left out")
+            warnings.append(
+                f"column {name!r} holds {cells.type}, no numbers, and was left out"
+            )
     if not columns:
         left_out = "".join(f" ({warning})" for warning in warnings)
-        raise FormatError(f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}")
-    return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds)
+        raise FormatError(
+            f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}"
+        )
+    return Table(
+        columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds
+    )

@@ -10,7 +10,13 @@ import numpy as np
 
 from needleforce.recordings.errors import MAX_BYTES, FormatError, require_size
 from needleforce.recordings.follow import FollowOptions, TextLines
-from needleforce.recordings.table import HEAD_ROWS, START_KEY, Faults, Table, exceed_float64
+from needleforce.recordings.table import (
+    HEAD_ROWS,
+    START_KEY,
+    Faults,
+    Table,
+    exceed_float64,
+)
 
 CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
@@ -34,7 +40,9 @@ class _CsvRows:
     """
 
     def __init__(self) -> None:
-        self.names: tuple[str, ...] = ()  # unique; a column without a name is `column_N`
+        self.names: tuple[
+            str, ...
+        ] = ()  # unique; a column without a name is `column_N`
         self.rows: list[tuple[int, str]] = []
         """Rows that wait to be read, each with the number of its line."""
         self.omitted: dict[int, str] = {}  # which columns are left out, and why
@@ -72,11 +80,15 @@ class _CsvRows:
             cells, names = tail.count(self._delimiter) + 1, len(self.names)
             if cells < names or is_growing:
                 what = f"({cells} of {names} cells) and was left out"
-                self.faults.note(f"line {self._lines + 1}, the last, is cut short {what}", "")
+                self.faults.note(
+                    f"line {self._lines + 1}, the last, is cut short {what}", ""
+                )
                 tail = ""
         self.add([tail])
         if not self.names:
-            raise FormatError("only comments; expected a header row and rows of numbers")
+            raise FormatError(
+                "only comments; expected a header row and rows of numbers"
+            )
         if not self._latest:
             header = self._header.strip()[:200]
             raise FormatError(f"a header but no rows; the header is: {header}")
@@ -93,7 +105,9 @@ class _CsvRows:
         if is_row:
             names = self._split(self._comment.lstrip(_COMMENT))
             is_header = not any(_number(name) is not None for name in names)
-            if not (self._comment and is_header and len(names) == len(self._split(line))):
+            if not (
+                self._comment and is_header and len(names) == len(self._split(line))
+            ):
                 raise FormatError(
                     f"no header row: line {line_number} already holds numbers ({line[:60]!r}). "
                     "Add a line with the column names above it"
@@ -112,7 +126,9 @@ class _CsvRows:
         """Split a line into cells; a quoted cell ends with its line, whatever quotes stray."""
         if '"' in line:
             with suppress(csv.Error):
-                return next(csv.reader([line], delimiter=self._delimiter, skipinitialspace=True))
+                return next(
+                    csv.reader([line], delimiter=self._delimiter, skipinitialspace=True)
+                )
         return line.split(self._delimiter)
 
     def table(self) -> Table:
@@ -140,7 +156,9 @@ class _CsvRows:
         self._is_chosen = True
         kept = (i for i in range(width) if i not in self.omitted)
         columns: dict[str, np.ndarray] = {self.names[i]: values[:, i] for i in kept}
-        for name in [name for name, column in columns.items() if exceed_float64(column)]:
+        for name in [
+            name for name, column in columns.items() if exceed_float64(column)
+        ]:
             cells = (self._split_row(row) for row in rows)
             whole = [row[self.names.index(name)] for row in cells if len(row) == width]
             with suppress(ValueError, OverflowError):  # some are no whole numbers

@@ -31,7 +31,9 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
 
-MAX_BYTES = 2 << 30  # The most memory a recording may ask for; a small damaged file can ask for any
+MAX_BYTES = (
+    2 << 30
+)  # The most memory a recording may ask for; a small damaged file can ask for any
 
 
 def require_size(size: int, limit: int, what: str) -> None:
@@ -61,7 +63,9 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
     except (RecordingError, BrokenPipeError):
         raise
     except OSError as error:
-        raise FileAccessError(f"cannot {verb} {name}: {error.strerror or error}") from error
+        raise FileAccessError(
+            f"cannot {verb} {name}: {error.strerror or error}"
+        ) from error
     except ValueError as error:
         if "null" not in str(error):
             raise
@@ -74,5 +78,7 @@ def readable_path(path: str | Path) -> Path:
     path = Path(path)
     with file_errors(path):
         if path.exists() and not (path.is_file() or path.is_dir() or path.is_fifo()):
-            raise FileAccessError(f"cannot read {path}: it is neither a file, a folder nor a pipe")
+            raise FileAccessError(
+                f"cannot read {path}: it is neither a file, a folder nor a pipe"
+            )
     return path

@@ -13,14 +13,21 @@ from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
 
-from needleforce.recordings.errors import FileAccessError, FormatError, file_errors, readable_path
+from needleforce.recordings.errors import (
+    FileAccessError,
+    FormatError,
+    file_errors,
+    readable_path,
+)
 
 BLOCK = 1 << 18  # the most bytes that are read, or unpacked, at a time
 STANDARD_STREAM = "-"  # instead of a file: standard input or standard output
 
 _POLL_S = 0.05
 _SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
-_CHECKED_TAIL = 256  # Bytes before the place of reading that show if a file was written anew
+_CHECKED_TAIL = (
+    256  # Bytes before the place of reading that show if a file was written anew
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,9 +35,13 @@ class FollowOptions:
     """How long more is waited for, and who hears of it."""
 
     follow: bool = False  # a file is read on when its end is reached, because it grows
-    idle_s: float | None = None  # stop when nothing came for this long; None to wait for ever
+    idle_s: float | None = (
+        None  # stop when nothing came for this long; None to wait for ever
+    )
     should_stop: Callable[[], bool] = lambda: False  # asked before more is read
-    progress: Callable[[float], None] = lambda _: None  # gets the fraction read, where it is known
+    progress: Callable[[float], None] = lambda _: (
+        None
+    )  # gets the fraction read, where it is known
     warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
 
 
@@ -81,20 +92,33 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
             return
 
 
-def _require_unchanged(handle: int, path: Path | None, done: int, tail: bytes | None) -> None:
+def _require_unchanged(
+    handle: int, path: Path | None, done: int, tail: bytes | None
+) -> None:
     """Refuse a followed file that was truncated, also if it has grown since, or is gone."""
     if tail is None or path is None:
         return
     now = os.fstat(handle)
-    if now.st_size == done and not (path.exists() and os.path.samestat(path.stat(), now)):
-        raise FileAccessError(f"{path} was renamed or removed while it was followed; start again")
+    if now.st_size == done and not (
+        path.exists() and os.path.samestat(path.stat(), now)
+    ):
+        raise FileAccessError(
+            f"{path} was renamed or removed while it was followed; start again"
+        )
     if now.st_size < done:
         raise FileAccessError(f"{path} has become shorter while it was followed")
     if os.pread(handle, len(tail), done - len(tail)) != tail:
-        raise FileAccessError(f"{path} was written anew while it was followed; start again")
+        raise FileAccessError(
+            f"{path} was written anew while it was followed; start again"
+        )
 
 
-BINARY = {b"\x89MCA": ".mcap", b"SQLi": ".db3", b"PK\x03\x04": ".npz", b"PAR1": ".parquet"}
+BINARY = {
+    b"\x89MCA": ".mcap",
+    b"SQLi": ".db3",
+    b"PK\x03\x04": ".npz",
+    b"PAR1": ".parquet",
+}
 """How files begin that are no text, and their suffixes."""
 
 
@@ -107,9 +131,13 @@ def head_of(blocks: Iterable[bytes], size: int = 4) -> tuple[bytes, Iterator[byt
 
 
 _GZIP = b"\x1f\x8b"
-_GZIP_WINDOW = 31  # for zlib: the largest window, with the head and the checksum of gzip
+_GZIP_WINDOW = (
+    31  # for zlib: the largest window, with the head and the checksum of gzip
+)
 _LONGEST_LINE = 1 << 24  # characters
-_WINDOWS = {0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)}
+_WINDOWS = {
+    0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)
+}
 """What bytes that are no UTF-8, as Python escapes them, mean in Windows text."""
 
 
@@ -136,15 +164,15 @@ class TextLines:
             text, nul, _ = block.partition(b"\x00")
             yield from self._split(self._decoder.decode(text))
             if nul:
-                self._fault = "the file goes on with NUL bytes, as power loss may leave them"
+                self._fault = (
+                    "the file goes on with NUL bytes, as power loss may leave them"
+                )
                 break
         yield from self._split(self._decoder.decode(b"", final=True))
         if self._fault:
             self._fault += f"; what follows line {self._count} is lost"
             if "damaged" in self._fault:
-                self._fault += (
-                    ", and lines before it may be wrong: gzip shows that there is damage, not where"
-                )
+                self._fault += ", and lines before it may be wrong: gzip shows that there is damage, not where"
             self.warnings.append(self._fault)
             # What follows the last line end is a piece of a line.
             self.tail = ""
@@ -162,9 +190,13 @@ class TextLines:
         head, blocks = head_of(self._blocks)
         if head in BINARY:
             kind = BINARY[head][1:]
-            raise FormatError(f"it is {kind}, not text; give it as a file, under its own suffix")
+            raise FormatError(
+                f"it is {kind}, not text; give it as a file, under its own suffix"
+            )
         if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise FormatError("it is UTF-16 text; save it as UTF-8 (in Excel: CSV UTF-8)")
+            raise FormatError(
+                "it is UTF-16 text; save it as UTF-8 (in Excel: CSV UTF-8)"
+            )
         yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
 
     def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
@@ -177,7 +209,10 @@ class TextLines:
                     yield member.decompress(packed, BLOCK)
                     packed, is_open = member.unconsumed_tail, not member.eof
                     if member.eof:
-                        packed, member = member.unused_data, zlib.decompressobj(_GZIP_WINDOW)
+                        packed, member = (
+                            member.unused_data,
+                            zlib.decompressobj(_GZIP_WINDOW),
+                        )
         except zlib.error:
             self._fault = "the compressed file is damaged"
         else:

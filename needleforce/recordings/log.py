@@ -8,7 +8,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from needleforce.recordings.channels import CHANNELS, Channel, find_columns, parse_column_name
+from needleforce.recordings.channels import (
+    CHANNELS,
+    Channel,
+    find_columns,
+    parse_column_name,
+)
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -42,7 +47,9 @@ class Log:
 
     t_s: FloatArray  # time stamps, shape (n,), finite; on the file's clock, not rebased
     channels: Mapping[str, FloatArray]  # by name, shape (n,) or (n, joints)
-    warnings: tuple[str, ...] = ()  # what is wrong with the recording, one sentence each
+    warnings: tuple[
+        str, ...
+    ] = ()  # what is wrong with the recording, one sentence each
     start_ns: int = 0  # the instant of t_s = 0, see `Table`
 
     def __post_init__(self) -> None:
@@ -52,14 +59,18 @@ class Log:
         time is not finite.
         """
         t_s = read_only("t_s", self.t_s)
-        channels = {name: read_only(name, values) for name, values in self.channels.items()}
+        channels = {
+            name: read_only(name, values) for name, values in self.channels.items()
+        }
         if not channels:
             raise LogError("a log needs at least one channel beside time")
         if t_s.ndim != 1 or not t_s.size:
             raise LogError(f"t_s has shape {t_s.shape}; expected (n,) with n > 0")
         bad = np.flatnonzero(~np.isfinite(t_s))
         if bad.size:
-            raise LogError(f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})")
+            raise LogError(
+                f"t_s: rows that are not finite: {bad.size} (first: row {bad[0] + 1})"
+            )
         for name, values in channels.items():
             if values.ndim not in (1, 2) or values.shape[0] != t_s.size:
                 raise LogError(
@@ -79,7 +90,9 @@ class Log:
         """Return a channel's values; `ColumnError` if the log has no such channel."""
         if name in self.channels:
             return self.channels[name]
-        raise ColumnError(f"the log has no channel {name!r}; it has: {', '.join(self.channels)}")
+        raise ColumnError(
+            f"the log has no channel {name!r}; it has: {', '.join(self.channels)}"
+        )
 
 
 # Beyond these an SI value is implausible for a robot or a needle: two turns of a joint, a torque
@@ -111,7 +124,9 @@ class _Signal:
 
     def read(self, table: Table) -> FloatArray:
         """Return the values of a table's rows, shape (n,) or (n, joints)."""
-        found = [values for name in self.columns for _, values in find_columns(table, name)]
+        found = [
+            values for name in self.columns for _, values in find_columns(table, name)
+        ]
         values = np.column_stack(found) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -121,7 +136,9 @@ class _Signal:
         if not finite.all():
             bad = np.flatnonzero(~finite.all(axis=tuple(range(1, values.ndim))))
             here = f"row {self.rows + int(bad[0]) + 1}"
-            self.faults.note(f"{self.channel.key}: rows with NaN or infinity", here, bad.size)
+            self.faults.note(
+                f"{self.channel.key}: rows with NaN or infinity", here, bad.size
+            )
         self.any_finite = self.any_finite or bool(finite.any())
         if not self.is_sure:
             sizes = np.abs(values[finite])
@@ -134,7 +151,9 @@ class _Signal:
     def not_finite(self) -> tuple[str, ...]:
         """Report rows that are not finite; `LogError` if there was no finite value at all."""
         if self.faults and not self.any_finite:
-            raise LogError(f"{self.channel.key} has no finite value in {self.rows} rows")
+            raise LogError(
+                f"{self.channel.key} has no finite value in {self.rows} rows"
+            )
         return self.faults.lines()
 
     def hardly_si(self) -> tuple[str, ...]:
@@ -151,16 +170,23 @@ class _Signal:
         )
 
 
-def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Signal | None:
+def _find_signal(
+    table: Table, channel: Channel, spec: ColumnSpec | None
+) -> _Signal | None:
     """Find a channel in a table; None if no name looks like it."""
     found = channel_columns(table, channel, spec)
     spec = spec or ColumnSpec(columns=channel.name)
     if not found:
         return None
-    columns, widths = tuple(name for name, _ in found), [prod(v.shape[1:]) for _, v in found]
+    columns, widths = (
+        tuple(name for name, _ in found),
+        [prod(v.shape[1:]) for _, v in found],
+    )
     width, names = sum(widths), ", ".join(columns)
     if width != 1 and not channel.per_joint:
-        raise ColumnError(f"{channel.name} is one column, but {names} gives {width}; choose one")
+        raise ColumnError(
+            f"{channel.name} is one column, but {names} gives {width}; choose one"
+        )
     if len({len(values) for _, values in found}) > 1:
         raise LogError(f"{channel.name}: the columns {names} differ in length")
     scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
@@ -169,8 +195,13 @@ def _find_signal(table: Table, channel: Channel, spec: ColumnSpec | None) -> _Si
             f"{channel.name}: {scales.size} scale factors for {width} columns; give one or {width}"
         )
     # The unit is the specification's, else that in each column's name, else SI.
-    named = (spec.unit or parse_column_name(name, channel.units).unit for name in columns)
-    units = ["s" if c in table.seconds else unit for c, unit in zip(columns, named, strict=True)]
+    named = (
+        spec.unit or parse_column_name(name, channel.units).unit for name in columns
+    )
+    units = [
+        "s" if c in table.seconds else unit
+        for c, unit in zip(columns, named, strict=True)
+    ]
     si = np.array([channel.units[unit or channel.si_unit] for unit in units])
     return _Signal(channel, columns, np.repeat(si, widths) * scales, all(units))
 
@@ -196,15 +227,21 @@ class LogStream:
             one.
     """
 
-    def __init__(self, tables: Iterable[Table], request: ChannelRequest | None = None) -> None:
+    def __init__(
+        self, tables: Iterable[Table], request: ChannelRequest | None = None
+    ) -> None:
         self._tables, self._request = iter(tables), request or ChannelRequest()
-        self._found: dict[str, None] = {}  # warnings, in order, of which so many were taken
+        self._found: dict[
+            str, None
+        ] = {}  # warnings, in order, of which so many were taken
         self._taken = 0
         self._rows = self._kept = self._clock_ns = 0
         self._faults = Faults()
         self._stamps = RowClock()
         self._signals: dict[str, _Signal] = {}
-        self.start_ns = 0  # the instant of t_s = 0, see `Table`; known after the first chunk
+        self.start_ns = (
+            0  # the instant of t_s = 0, see `Table`; known after the first chunk
+        )
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what has been found wrong with the recording since the last call."""
@@ -250,7 +287,9 @@ class LogStream:
         required, optional = self._request.required, self._request.optional
         for name in (*required, *optional):
             if name not in names:
-                raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(names)}")
+                raise MappingError(
+                    f"unknown channel {name!r}; channels are: {', '.join(names)}"
+                )
         optional = optional if required or optional else names
         missing: list[Channel] = []
         for name in (*required, *optional):
@@ -274,7 +313,9 @@ class LogStream:
                 f"Columns are: {table.describe()}{table.left_out()}"
             )
         if not self._signals:
-            raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+            raise ColumnError(
+                f"no channel was recognised. Columns are: {table.describe()}"
+            )
 
     def _chunk(self, table: Table) -> Iterator[LogChunk]:
         values = {key: signal.read(table) for key, signal in self._signals.items()}
@@ -287,17 +328,23 @@ class LogStream:
             here = f"row {self._rows + int(np.argmin(keep)) + 1}"
             lost = int(np.count_nonzero(~keep))
             self._faults.note("time: rows without a stamp, left out", here, lost)
-        kept = values if keep.all() else {key: each[keep] for key, each in values.items()}
+        kept = (
+            values if keep.all() else {key: each[keep] for key, each in values.items()}
+        )
         for key, signal in self._signals.items():
             signal.watch(kept[key])
         if not self._rows:
-            self._report(chain(*(signal.hardly_si() for signal in self._signals.values())))
+            self._report(
+                chain(*(signal.hardly_si() for signal in self._signals.values()))
+            )
         t_s = kept.pop("t_s")
         self._rows, self._kept = self._rows + rows, self._kept + len(t_s)
         if len(t_s):
             yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
-    def _time_s(self, table: Table, values: Mapping[str, FloatArray], rows: int) -> FloatArray:
+    def _time_s(
+        self, table: Table, values: Mapping[str, FloatArray], rows: int
+    ) -> FloatArray:
         """Return stamps in s: of the mapping's rate, or those of a column."""
         rate_hz = self._request.mapping.rate_hz
         if rate_hz is not None:
@@ -328,7 +375,9 @@ class LogStream:
         return Log(t_s=t_s, channels=whole, warnings=warnings, start_ns=self.start_ns)
 
 
-def _check_sizes(values: Mapping[str, FloatArray], signals: Mapping[str, _Signal]) -> None:
+def _check_sizes(
+    values: Mapping[str, FloatArray], signals: Mapping[str, _Signal]
+) -> None:
     shapes = {key: each.shape for key, each in values.items()}
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
@@ -337,7 +386,9 @@ def _check_sizes(values: Mapping[str, FloatArray], signals: Mapping[str, _Signal
             for key, shape in shapes.items()
             if len(shape) == 2 and shape[0] < shape[1]
         ]
-        raise LogError(f"channels differ in length, in rows: {lengths}{''.join(turned)}")
+        raise LogError(
+            f"channels differ in length, in rows: {lengths}{''.join(turned)}"
+        )
     joints = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joints.values())) > 1:
         listed = "; ".join(

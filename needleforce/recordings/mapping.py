@@ -42,8 +42,12 @@ class ColumnSpec:
     turns a sign.
     """
 
-    columns: str | tuple[str, ...]  # name or pattern, as `q{1..7}` or `q_*`, or several, by joint
-    unit: str | None = None  # in the file; None to take it from the column's name, else SI
+    columns: (
+        str | tuple[str, ...]
+    )  # name or pattern, as `q{1..7}` or `q_*`, or several, by joint
+    unit: str | None = (
+        None  # in the file; None to take it from the column's name, else SI
+    )
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
@@ -51,8 +55,12 @@ class ColumnSpec:
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
-        if not scales or not all(_is_finite(factor) and factor != 0.0 for factor in scales):
-            raise MappingError(f"scale = {self.scale!r:.60} must be finite and not zero")
+        if not scales or not all(
+            _is_finite(factor) and factor != 0.0 for factor in scales
+        ):
+            raise MappingError(
+                f"scale = {self.scale!r:.60} must be finite and not zero"
+            )
 
     @property
     def patterns(self) -> tuple[str, ...]:
@@ -76,7 +84,9 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     if colon and (unit := find_unit(tail, channel.units)):
         names = head
     columns = tuple(name.strip() for name in names.split(","))
-    return ColumnSpec(columns=columns[0] if len(columns) == 1 else columns, unit=unit, scale=scale)
+    return ColumnSpec(
+        columns=columns[0] if len(columns) == 1 else columns, unit=unit, scale=scale
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +97,12 @@ class ColumnMapping:
     and for the command that needs to know what hangs on the robot.
     """
 
-    channels: Mapping[str, ColumnSpec] = field(default_factory=dict)  # by keys of `CHANNELS`
-    rate_hz: float | None = None  # of a file without time stamps; it replaces a time column
+    channels: Mapping[str, ColumnSpec] = field(
+        default_factory=dict
+    )  # by keys of `CHANNELS`
+    rate_hz: float | None = (
+        None  # of a file without time stamps; it replaces a time column
+    )
     joints: tuple[str, ...] = ()  # the robot's, in its order
     reference_topic: str | None = None  # whose messages are the rows of the log
     payload: Any = None
@@ -98,7 +112,9 @@ class ColumnMapping:
         channels = {}
         for name, spec in self.channels.items():
             if name not in CHANNELS:
-                raise MappingError(f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}")
+                raise MappingError(
+                    f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}"
+                )
             units, unit = CHANNELS[name].units, spec.unit
             known = None if unit is None else find_unit(unit, units)
             if known is None and unit is not None:
@@ -117,7 +133,9 @@ class ColumnMapping:
                 f"rate_hz = {self.rate_hz!r:.60} must be a positive number of samples/s"
             )
         if "time" in channels:
-            raise MappingError("both rate_hz and a time column are given; keep one of them")
+            raise MappingError(
+                "both rate_hz and a time column are given; keep one of them"
+            )
 
 
 def _is_finite(value: float) -> bool:
@@ -140,14 +158,18 @@ def load_mapping(path: str | Path) -> ColumnMapping:
     try:
         content = read_toml(path, "mapping")
         names = {"rate_hz", "joints", "reference_topic", "payload"} & content.keys()
-        mapping = msgspec.convert({name: content.pop(name) for name in names}, ColumnMapping)
+        mapping = msgspec.convert(
+            {name: content.pop(name) for name in names}, ColumnMapping
+        )
         channels: dict[str, ColumnSpec] = {}
         for name, entry in content.items():
             place = f"$.{name}"
             spec = entry if isinstance(entry, dict) else {"columns": entry}
             if unknown := spec.keys() - {"columns", "unit", "scale"}:
                 keys = ", ".join(map(repr, sorted(unknown)))
-                raise MappingError(f"[{name}] has {keys}; a channel has columns, unit and scale")
+                raise MappingError(
+                    f"[{name}] has {keys}; a channel has columns, unit and scale"
+                )
             channels[name] = msgspec.convert(spec, ColumnSpec)
         return replace(mapping, channels=channels)
     except FormatError as error:
@@ -155,7 +177,9 @@ def load_mapping(path: str | Path) -> ColumnMapping:
     except (msgspec.ValidationError, OverflowError) as error:
         what = str(error).replace("`$", f"`{place}")
         what += "" if f"`{place}" in what else f" - at `{place}`"
-        raise MappingError(f"{path}: {what}; a channel has columns, unit and scale") from error
+        raise MappingError(
+            f"{path}: {what}; a channel has columns, unit and scale"
+        ) from error
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from error
 
@@ -213,7 +237,9 @@ class ChannelRequest:
             if not found and name in self.required:
                 return None
             # An element such as `force_xyz[2]` is found under its own name.
-            needed |= {c if c in table.columns else c.rpartition("[")[0] for c, _ in found}
+            needed |= {
+                c if c in table.columns else c.rpartition("[")[0] for c, _ in found
+            }
         return frozenset(needed)
 
     def _detected(self, table: Table, name: str, chosen: set[str]) -> Found:
@@ -222,12 +248,18 @@ class ChannelRequest:
             return detect_columns(table, CHANNELS[name])
         except ColumnError:
             parents = {column.rpartition("/")[0] for column in chosen}
-            beside = {n: v for n, v in table.columns.items() if n.rpartition("/")[0] in parents}
+            beside = {
+                n: v
+                for n, v in table.columns.items()
+                if n.rpartition("/")[0] in parents
+            }
             joints = {*(self.mapping.joints or self.joints)}
             if not beside and joints:
                 named = table.joint_names
                 beside = {n: table.columns[n] for n in named if joints <= set(named[n])}
-            if beside and (found := detect_columns(Table(columns=beside), CHANNELS[name])):
+            if beside and (
+                found := detect_columns(Table(columns=beside), CHANNELS[name])
+            ):
                 return found
             raise
 
@@ -236,15 +268,22 @@ def channel_columns(table: Table, channel: Channel, spec: ColumnSpec | None) -> 
     """Return the columns that a specification names, else those of usual names; `ColumnError`."""
     if spec is None:
         return detect_columns(table, channel)
-    return [column for pattern in spec.patterns for column in find_columns(table, pattern)]
+    return [
+        column for pattern in spec.patterns for column in find_columns(table, pattern)
+    ]
 
 
-def mapping_text(table: Table, channels: Iterable[str], known: ColumnMapping) -> list[str]:
+def mapping_text(
+    table: Table, channels: Iterable[str], known: ColumnMapping
+) -> list[str]:
     """Return a table's mapping as lines of TOML; the known one stays, unused columns are named."""
     lines: list[str] = []
     used: set[str] = set()
     for name in channels:
-        lines += [*_channel_text(table, CHANNELS[name], known.channels.get(name), used), ""]
+        lines += [
+            *_channel_text(table, CHANNELS[name], known.channels.get(name), used),
+            "",
+        ]
     if left := [name for name in table.columns if name not in used]:
         lines.append("# Columns that are not used:")
         for name in left:
@@ -275,7 +314,10 @@ def _channel_text(
         return [comment_line(reason), *(f"# {line}" for line in lines)]
     names = [name for name, _ in found]
     used |= set(names)
-    units = {(spec and spec.unit) or parse_column_name(name, channel.units).unit for name in names}
+    units = {
+        (spec and spec.unit) or parse_column_name(name, channel.units).unit
+        for name in names
+    }
     unit = units.pop() if len(units) == 1 else None
     of = f"{'of' if unit else 'assumed; of'} {', '.join(channel.units)}"
     unit_line = f"unit = {json.dumps(unit or channel.si_unit)}  # {of}"

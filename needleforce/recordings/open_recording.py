@@ -30,7 +30,12 @@ from needleforce.recordings.follow import (
     head_of,
 )
 from needleforce.recordings.log import Log, LogStream
-from needleforce.recordings.mapping import ChannelRequest, ColumnMapping, comment_line, mapping_text
+from needleforce.recordings.mapping import (
+    ChannelRequest,
+    ColumnMapping,
+    comment_line,
+    mapping_text,
+)
 from needleforce.recordings.table import Table
 
 SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)  # what can be read
@@ -58,7 +63,9 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
     names = parts[0].columns
     filled = [part for part in parts if len(part)] or parts[:1]
     warnings = tuple(dict.fromkeys(note for part in parts for note in part.warnings))
-    columns = {name: np.concatenate([part.columns[name] for part in filled]) for name in names}
+    columns = {
+        name: np.concatenate([part.columns[name] for part in filled]) for name in names
+    }
     return replace(parts[0], columns=columns, warnings=warnings)
 
 
@@ -137,7 +144,9 @@ def stream_tables(
             with file_errors(copy, "write"), copy.open("wb") as file:
                 for block in blocks:
                     file.write(block)
-                    require_size(file.tell(), max_bytes, f"{name}: what comes through it")
+                    require_size(
+                        file.tell(), max_bytes, f"{name}: what comes through it"
+                    )
             try:
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:
@@ -167,7 +176,9 @@ def _binary_tables(
     elif name.endswith((".npz", ".parquet")):
         yield (read_npz if name.endswith(".npz") else read_parquet)(path, max_bytes)
     else:
-        raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}")
+        raise FileAccessError(
+            f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}"
+        )
 
 
 def suggest_mapping(
@@ -185,25 +196,38 @@ def suggest_mapping(
     `read_table`; `ColumnError` if the mapping names a column that is not there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
-    lines = [comment_line(f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"), ""]
+    lines = [
+        comment_line(f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"),
+        "",
+    ]
     lines += [f"rate_hz = {known.rate_hz}", ""] if known.rate_hz is not None else []
     is_time_wanted = "time" in known.channels
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
         bag = Bag(Path(source))
         learn_topics(bag)
         table = bag.table()
-        lines += ["# Topics:", *(comment_line(f"  {t.describe()}") for t in bag.topics.values())]
+        lines += [
+            "# Topics:",
+            *(comment_line(f"  {t.describe()}") for t in bag.topics.values()),
+        ]
         lines += [*map(comment_line, bag.warnings), ""]
         lines += _bag_head(bag, table, names, joints, known)
     else:
-        table, is_time_wanted = next(stream_tables(source, FollowOptions())), known.rate_hz is None
+        table, is_time_wanted = (
+            next(stream_tables(source, FollowOptions())),
+            known.rate_hz is None,
+        )
     lines += [*payload, ""] if payload else []
     names = ["time", *names] if is_time_wanted else names
     return "\n".join([*lines, *mapping_text(table, names, known)])
 
 
 def _bag_head(
-    bag: Bag, table: Table, channels: Sequence[str], joints: Sequence[str], known: ColumnMapping
+    bag: Bag,
+    table: Table,
+    channels: Sequence[str],
+    joints: Sequence[str],
+    known: ColumnMapping,
 ) -> list[str]:
     """Say whose messages are the rows, and the order of joints; what is known stays."""
     columns: set[str] = set()
@@ -220,8 +244,12 @@ def _bag_head(
     ]
     here = list(dict.fromkeys(joint for topic in topics for joint in topic.joint_names))
     if here:
-        order = known.joints or (joints if joints and set(joints) <= set(here) else here)
-        lines.append("# Joints in the order of the robot; they are found by these names.")
+        order = known.joints or (
+            joints if joints and set(joints) <= set(here) else here
+        )
+        lines.append(
+            "# Joints in the order of the robot; they are found by these names."
+        )
         if list(order) != list(joints) and joints:
             lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))
         lines.append(f"joints = {json.dumps(list(order))}")

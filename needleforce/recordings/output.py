@@ -16,13 +16,28 @@ from numpy.typing import ArrayLike
 from needleforce.files import whole_file
 from needleforce.recordings.bag_messages import METADATA, is_bag
 from needleforce.recordings.bag_types import CDR, bag_topics, standard_types
-from needleforce.recordings.errors import FileAccessError, LogError, file_errors, optional_library
+from needleforce.recordings.errors import (
+    FileAccessError,
+    LogError,
+    file_errors,
+    optional_library,
+)
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
-from needleforce.recordings.table import START_KEY, Columns, Labels, flat_columns, to_nanoseconds
+from needleforce.recordings.table import (
+    START_KEY,
+    Columns,
+    Labels,
+    flat_columns,
+    to_nanoseconds,
+)
 
-Append = Callable[[Columns], None]  # writes rows of checked columns, the same in every call
-_CHUNK_BYTES = 1 << 16  # of a bag that is written: who follows it sees rows so many at a time
+Append = Callable[
+    [Columns], None
+]  # writes rows of checked columns, the same in every call
+_CHUNK_BYTES = (
+    1 << 16
+)  # of a bag that is written: who follows it sees rows so many at a time
 
 
 @contextmanager
@@ -36,7 +51,10 @@ def csv_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[App
     def append(columns: Columns) -> None:
         # repr is the shortest text that reads back to the same float.
         flat = flat_columns(columns).values()
-        texts = (map(repr, (v.astype(int) if v.dtype.kind == "b" else v).tolist()) for v in flat)
+        texts = (
+            map(repr, (v.astype(int) if v.dtype.kind == "b" else v).tolist())
+            for v in flat
+        )
         if rows := [",".join(row) for row in zip(*texts, strict=True)]:
             stream.write(("\n".join(rows) + "\n").encode())
         stream.flush()  # for readers of a file that grows
@@ -65,7 +83,9 @@ def npz_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[App
 
 
 @contextmanager
-def parquet_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
+def parquet_writer(
+    stream: BinaryIO, labels: Labels, empty: Columns
+) -> Iterator[Append]:
     """Write each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
     arrow = optional_library("pyarrow", "Parquet files")
     parquet = optional_library("pyarrow.parquet", "Parquet files")
@@ -99,12 +119,16 @@ def mcap_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Ap
     def append(columns: Columns) -> None:
         t_s = columns.get("t_s")
         if t_s is None or t_s.ndim != 1:
-            raise LogError(f"a bag needs time stamps: a column t_s; there is {list(columns)}")
+            raise LogError(
+                f"a bag needs time stamps: a column t_s; there is {list(columns)}"
+            )
         if not np.isfinite(t_s).all():
             raise LogError("a bag needs a time stamp in every row; one is not finite")
         stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
         if min(stamps_ns, default=0) < 0:
-            raise LogError(f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s")
+            raise LogError(
+                f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s"
+            )
         rows = (messages for *_, messages in bag_topics(columns, labels, stamps_ns))
         for stamp_ns, *row in zip(stamps_ns, *rows, strict=True):
             for (channel, kind), message in zip(places, row, strict=True):
@@ -135,7 +159,9 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
         try:
             arrays[name] = np.asarray(values)
         except ValueError as error:
-            raise LogError(f"column {name!r} is not an array of numbers: {error}") from error
+            raise LogError(
+                f"column {name!r} is not an array of numbers: {error}"
+            ) from error
     if not arrays:
         raise LogError("no columns to write")
     first = next(iter(arrays.values()))
@@ -143,7 +169,11 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> Columns:
     for name, values in arrays.items():
         if not name.strip() or name.startswith("#"):
             raise LogError(f"column name {name!r} is empty or starts with '#'")
-        if values.dtype.kind not in "fiub" or values.ndim not in (1, 2) or len(values) != rows:
+        if (
+            values.dtype.kind not in "fiub"
+            or values.ndim not in (1, 2)
+            or len(values) != rows
+        ):
             raise LogError(
                 f"column {name!r} has shape {values.shape} and type {values.dtype}; expected "
                 f"numbers of shape ({rows},) or ({rows}, k)"
@@ -168,7 +198,10 @@ class OpenTable:
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
         with file_errors(self._name, "write"):
             if self._write is None:
-                self._write, self._kinds = self._begin({n: v[:0] for n, v in arrays.items()}), kinds
+                self._write, self._kinds = (
+                    self._begin({n: v[:0] for n, v in arrays.items()}),
+                    kinds,
+                )
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
@@ -191,14 +224,22 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, writer, file = "standard output", csv_writer, nullcontext(sys.stdout.buffer)
+        name, writer, file = (
+            "standard output",
+            csv_writer,
+            nullcontext(sys.stdout.buffer),
+        )
     else:
         name, writer = str(path), _find_writer(Path(path))
-        file = whole_file(path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap")))
+        file = whole_file(
+            path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap"))
+        )
     with ExitStack() as files:
 
         def begin(empty: Columns) -> Append:
-            return files.enter_context(writer(files.enter_context(file), labels(), empty))
+            return files.enter_context(
+                writer(files.enter_context(file), labels(), empty)
+            )
 
         yield OpenTable(begin, name)
         with file_errors(name, "write"):
@@ -210,8 +251,12 @@ def _find_writer(path: Path) -> Writer:
         if path.name.lower().endswith(suffix):
             return writer
     if path.name.lower().endswith(".db3"):
-        raise FileAccessError(f"cannot write {path}: bags are written as MCAP; name it .mcap")
-    raise FileAccessError(f"{path} has no known suffix; known are: {', '.join(WRITERS)}")
+        raise FileAccessError(
+            f"cannot write {path}: bags are written as MCAP; name it .mcap"
+        )
+    raise FileAccessError(
+        f"{path} has no known suffix; known are: {', '.join(WRITERS)}"
+    )
 
 
 def write_table(
@@ -238,7 +283,9 @@ def write_table(
 
 def write_log(path: str | Path, log: Log) -> None:
     """Write a log's time and channels, in SI units; raises as `write_table`."""
-    write_table(path, {"t_s": log.t_s, **log.channels}, labels=Labels(start_ns=log.start_ns))
+    write_table(
+        path, {"t_s": log.t_s, **log.channels}, labels=Labels(start_ns=log.start_ns)
+    )
 
 
 def check_writable(path: str | Path) -> None:
@@ -252,7 +299,9 @@ def require_place(path: Path) -> None:
     """Check that a file can stand there; `FileAccessError` if not."""
     with file_errors(path, "write"):
         if not path.parent.is_dir():
-            raise FileAccessError(f"cannot write {path}: there is no folder {path.parent}")
+            raise FileAccessError(
+                f"cannot write {path}: there is no folder {path.parent}"
+            )
         if path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder")
 

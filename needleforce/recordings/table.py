@@ -29,15 +29,21 @@ class Table:
 
     columns: Mapping[str, np.ndarray]  # by name, shape (n,) or (n, k)
     warnings: tuple[str, ...] = ()  # what the reader had to leave out or guess
-    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)  # of (n, k) columns
+    joint_names: Mapping[str, tuple[str, ...]] = field(
+        default_factory=dict
+    )  # of (n, k) columns
     start_ns: int = 0
-    seconds: frozenset[str] = frozenset()  # columns of time stamps, whatever unit the name says
+    seconds: frozenset[str] = (
+        frozenset()
+    )  # columns of time stamps, whatever unit the name says
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
-        columns = {name: read_only(name, v, is_exact=True) for name, v in self.columns.items()}
+        columns = {
+            name: read_only(name, v, is_exact=True) for name, v in self.columns.items()
+        }
         for name, values in columns.items():
             if values.ndim not in (1, 2):
                 shape = f"has shape {values.shape}; expected (n,) or (n, k)"
@@ -71,7 +77,9 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
     """
     try:
         array = np.asarray(values)
-        is_exact &= array.dtype.kind in "iu" and array.ndim == 1 and exceed_float64(array)
+        is_exact &= (
+            array.dtype.kind in "iu" and array.ndim == 1 and exceed_float64(array)
+        )
         copy = np.array(array, dtype=np.int64 if is_exact else np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
@@ -136,7 +144,10 @@ def exceed_float64(values: np.ndarray) -> bool:
 
 
 def interpolate(
-    at_ns: NDArray[np.int64], stamps_ns: NDArray[np.int64], values: FloatArray, limit_ns: float
+    at_ns: NDArray[np.int64],
+    stamps_ns: NDArray[np.int64],
+    values: FloatArray,
+    limit_ns: float,
 ) -> FloatArray:
     """Interpolate values (m, k) linearly; where stamps agree, they are taken as they are.
 
@@ -193,7 +204,9 @@ class RowClock:
 
     def __init__(self) -> None:
         self._latest_s = -math.inf
-        self._behind: list[float] = []  # stamps since the latest, each later than the one before
+        self._behind: list[
+            float
+        ] = []  # stamps since the latest, each later than the one before
         self._rows = self._advanced = 0
         self._faults = Faults({_SET_BACK: (0, ""), _BACK: (0, "")})  # in this order
 
@@ -209,7 +222,10 @@ class RowClock:
         if t_s.size:
             self._latest_s = float(t_s[-1])
             self._behind.clear()
-            self._rows, self._advanced = self._rows + t_s.size, self._advanced + t_s.size
+            self._rows, self._advanced = (
+                self._rows + t_s.size,
+                self._advanced + t_s.size,
+            )
         return dt_s
 
     def _step(self, now_s: float) -> float:
@@ -227,7 +243,9 @@ class RowClock:
             self._latest_s, self._advanced = now_s, self._advanced + 1
             self._behind.clear()
         if now_s <= before_s:
-            self._faults.note(what, f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s")
+            self._faults.note(
+                what, f"row {self._rows}, {now_s:.9g} s after {before_s:.9g} s"
+            )
         return dt_s
 
     def warnings(self) -> tuple[str, ...]:

@@ -24,7 +24,9 @@ UPDATES_HZ, START_s = 34.0, 60.0  # timers wake late: thirty a second are promis
 class LiveView(Closing):
     """A page in another process, to be found at `url`; made by `open_viewer`."""
 
-    def __init__(self, ring: StateRing, process: Any, pipe: Connection, url: str) -> None:
+    def __init__(
+        self, ring: StateRing, process: Any, pipe: Connection, url: str
+    ) -> None:
         self._ring, self._process, self._pipe, self.url = ring, process, pipe, url
 
     def put(self, now: Any, q_rad: ArrayLike) -> None:
@@ -63,7 +65,11 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
 
 
 def _serve(
-    pipe: Connection, ring_name: str, robot: Robot, plan: PlanScene, settings: dict[str, Any]
+    pipe: Connection,
+    ring_name: str,
+    robot: Robot,
+    plan: PlanScene,
+    settings: dict[str, Any],
 ) -> None:
     """The page's process: thirty times a second, or more, what has come."""
     with suppress(OSError, AttributeError):

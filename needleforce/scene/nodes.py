@@ -27,7 +27,9 @@ NEEDLE_m, NEEDLE_RADIUS_m = 0.2, 0.8e-3
 class PlanScene(NamedTuple):
     """Anatomy and plan as the viewer shows them."""
 
-    surfaces: Sequence[Any] = ()  # with `name`, `colour`, `vertices_m`, `triangles`, in the model
+    surfaces: Sequence[
+        Any
+    ] = ()  # with `name`, `colour`, `vertices_m`, `triangles`, in the model
     layers: Sequence[Any] = ()  # with `name`, `exit_m`, `is_obstacle`
     entry_m: Array | None = None  # in the model
     target_m: Array | None = None
@@ -45,7 +47,9 @@ EMPTY = PlanScene()  # neither anatomy nor plan
 class ArmNodes:
     """The arm: its URDF's own shapes, else a line through its joints; z of its tool: the needle."""
 
-    def __init__(self, server: Any, robot: Robot, urdf_path: Path | None = None) -> None:
+    def __init__(
+        self, server: Any, robot: Robot, urdf_path: Path | None = None
+    ) -> None:
         self._server, self._robot, self._data = server, robot, robot.create_data()
         self._shapes: Any = None
         if urdf_path is not None:
@@ -54,7 +58,9 @@ class ArmNodes:
             self._shapes = ViserUrdf(server, urdf_path, root_node_name="/arm")
             shown, names = self._shapes.get_actuated_joint_names(), robot.joint_names
             self._order = [shown.index(name) for name in names]
-            self._shown_rad = np.zeros(len(shown))  # what the robot lacks, it holds at zero
+            self._shown_rad = np.zeros(
+                len(shown)
+            )  # what the robot lacks, it holds at zero
         self._needle = server.scene.add_cylinder(
             "/needle", radius=NEEDLE_RADIUS_m, height=NEEDLE_m, color=(200, 200, 210)
         )
@@ -70,7 +76,9 @@ class ArmNodes:
             self._shown_rad[self._order] = q
             self._shapes.update_cfg(self._shown_rad)
         else:
-            places = np.array([data.oMi[k].translation for k in range(model.njoints)] + [tip])
+            places = np.array(
+                [data.oMi[k].translation for k in range(model.njoints)] + [tip]
+            )
             _add_lines(self._server, "/bones", places, (90, 100, 120), 6.0)
         self._needle.position = tuple(tip - 0.5 * NEEDLE_m * axis)
         self._needle.wxyz = turned_to(axis)
@@ -94,24 +102,39 @@ def add_anatomy(server: Any, plan: PlanScene) -> None:
         faces = np.asarray(surface.triangles, dtype=np.uint32)
         look = {"opacity": OPACITY, "side": "double"}
         look["color"] = tuple(round(255 * part) for part in surface.colour)
-        server.scene.add_mesh_simple(f"/anatomy/{surface.name}", vertices, faces, **look)
+        server.scene.add_mesh_simple(
+            f"/anatomy/{surface.name}", vertices, faces, **look
+        )
     if plan.entry_m is None or plan.target_m is None:
         return
     entry, target = plan.to_robot(plan.entry_m), plan.to_robot(plan.target_m)
     length_m = float(np.linalg.norm(target - entry))
     if not length_m > 0.0:
-        raise SceneError(f"a plan from {plan.entry_m} to {plan.target_m}: expected two points")
+        raise SceneError(
+            f"a plan from {plan.entry_m} to {plan.target_m}: expected two points"
+        )
     axis = (target - entry) / length_m
-    _add_lines(server, "/plan/way", np.array([entry - 0.03 * axis, target]), PLANNED, 2.0)
-    server.scene.add_icosphere("/plan/target", 3e-3, color=(80, 220, 120), position=tuple(target))
-    for k, (layer, behind) in enumerate(zip(plan.layers[:-1], plan.layers[1:], strict=True)):
+    _add_lines(
+        server, "/plan/way", np.array([entry - 0.03 * axis, target]), PLANNED, 2.0
+    )
+    server.scene.add_icosphere(
+        "/plan/target", 3e-3, color=(80, 220, 120), position=tuple(target)
+    )
+    for k, (layer, behind) in enumerate(
+        zip(plan.layers[:-1], plan.layers[1:], strict=True)
+    ):
         color = OBSTACLE if behind.is_obstacle else PLANNED
         name = f"/plan/boundary {k + 1}"
         add_ring(server, name, entry + layer.exit_m * axis, axis, color, behind.name)
 
 
 def add_ring(
-    server: Any, name: str, place: Array, axis: Array, color: tuple[int, int, int], text: str
+    server: Any,
+    name: str,
+    place: Array,
+    axis: Array,
+    color: tuple[int, int, int],
+    text: str,
 ) -> list[Any]:
     """A ring about the needle's line with a label: on one side if planned, else on the other."""
     angle = np.linspace(0.0, 2.0 * np.pi, 33)
@@ -119,10 +142,15 @@ def add_ring(
     line = _add_lines(server, name, ring, color, 4.0)
     line.position, line.wxyz = tuple(place), turned_to(axis)
     away = (2.0 if color in (FOUND, EXPECTED) else -6.0) * RING_m
-    return [line, server.scene.add_label(f"{name}/label", text, position=(away, 0.0, 0.0))]
+    return [
+        line,
+        server.scene.add_label(f"{name}/label", text, position=(away, 0.0, 0.0)),
+    ]
 
 
-def _add_lines(server: Any, name: str, points: Array, color: tuple[int, ...], width: float) -> Any:
+def _add_lines(
+    server: Any, name: str, points: Array, color: tuple[int, ...], width: float
+) -> Any:
     """A line through points, (n, 3), so many pixels wide."""
     pairs = np.stack([points[:-1], points[1:]], axis=1)
     return server.scene.add_line_segments(

@@ -35,9 +35,13 @@ class SlicerOutput(Closing):
 
         self._igtl: Any = pyigtl
         try:
-            self._server = pyigtl.OpenIGTLinkServer(port=port, local_server=not any_address)
+            self._server = pyigtl.OpenIGTLinkServer(
+                port=port, local_server=not any_address
+            )
         except (OSError, OverflowError) as error:
-            raise SceneError(f"port {port}: {error}; expected a free one, 0 to 65535") from error
+            raise SceneError(
+                f"port {port}: {error}; expected a free one, 0 to 65535"
+            ) from error
         self._send = partial(self._server.send_message, wait=False)
         self._next_s = -np.inf
 
@@ -64,7 +68,10 @@ class SlicerOutput(Closing):
         matrix[:3, 3] *= 1e3
         self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
         forces = {"force_N": now.wrench.axial, "force_std_N": now.wrench.axial_std}
-        forces |= {"tip_force_N": now.identification.tip_force_N, "depth_mm": 1e3 * now.depth_m}
+        forces |= {
+            "tip_force_N": now.identification.tip_force_N,
+            "depth_mm": 1e3 * now.depth_m,
+        }
         self._send(self._igtl.StringMessage(_json(forces), device_name="Force"))
         return True
 

@@ -35,7 +35,12 @@ def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     rupture, retracted = found.rupture, found.retracted
     return (
         *(now.time_s, now.depth_m, now.speed_m_s, wrench.axial, wrench.axial_std),
-        *(found.tip_force_N, found.tip_force_std_N or 0.0, found.shaft_friction_N, found.layer),
+        *(
+            found.tip_force_N,
+            found.tip_force_std_N or 0.0,
+            found.shaft_friction_N,
+            found.layer,
+        ),
         *((0.0, 0.0) if rupture is None else (rupture.layer, rupture.depth_m)),
         *(0.0 if retracted is None else retracted.layer, now.status.value == "ok"),
         *(np.nan if plan is None else getattr(plan, name) for name in PLAN_FIELDS),
@@ -72,7 +77,9 @@ class StateRing(Closing):
         self._row = struct.Struct(f"<{len(FIELDS) + joints}d")
         self._is_owner = name is None
         size = _COUNT.size + ROWS * self._row.size
-        self._memory = SharedMemory(name, create=self._is_owner, size=size if name is None else 0)
+        self._memory = SharedMemory(
+            name, create=self._is_owner, size=size if name is None else 0
+        )
         self._buffer: Any = self._memory.buf
         self.name = self._memory.name
         self._count = 0  # the memory, too, begins with zeros
@@ -90,7 +97,9 @@ class StateRing(Closing):
         # A quarter of the ring is left for what the writer does meanwhile.
         first = max(count, now - 3 * ROWS // 4)
         width = self._row.size // 8
-        table = np.frombuffer(self._buffer, "<f8", ROWS * width, _COUNT.size).reshape(ROWS, width)
+        table = np.frombuffer(self._buffer, "<f8", ROWS * width, _COUNT.size).reshape(
+            ROWS, width
+        )
         return now, table[np.arange(first, now) % ROWS].copy()
 
     def close(self) -> None:

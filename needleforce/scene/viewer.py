@@ -48,7 +48,9 @@ class _Seen(SimpleNamespace):
 
     def __init__(self, row: Array, plan: nodes.PlanScene) -> None:
         super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
-        self.names = {-1: "outside"} | {k: layer.name for k, layer in enumerate(plan.layers)}
+        self.names = {-1: "outside"} | {
+            k: layer.name for k, layer in enumerate(plan.layers)
+        }
         self.next_name = self.names.get(self.plan_layer + 1.0, "")
 
     def event(self) -> str:
@@ -70,7 +72,10 @@ class _Seen(SimpleNamespace):
         yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
         if np.isnan(self.plan_layer):
             return
-        name, certain = self.names.get(self.plan_layer, ""), 100.0 * self.plan_probability
+        name, certain = (
+            self.names.get(self.plan_layer, ""),
+            100.0 * self.plan_probability,
+        )
         here = f"in **{name}** ({certain:.0f} %)"
         next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
         yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
@@ -122,7 +127,9 @@ class Viewer:
         except ImportError as error:
             raise SceneError("viser is not installed; pip install viser") from error
         check_address(host, port)
-        self._server = viser.ViserServer(host=host, port=port, label="needleforce", verbose=False)
+        self._server = viser.ViserServer(
+            host=host, port=port, label="needleforce", verbose=False
+        )
         self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
         self._server.scene.set_up_direction("+z")
         self._plan, self._rows = plan, np.empty((0, len(FIELDS) + robot.nv))
@@ -146,9 +153,13 @@ class Viewer:
             self._slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self._live = gui.add_checkbox("live", True)
             self._play = gui.add_button("Play")
-        self._plots = {name: self._add_plot(name) for name in ("time [s]", "depth [mm]")}
+        self._plots = {
+            name: self._add_plot(name) for name in ("time [s]", "depth [mm]")
+        }
         self._slider.on_update(self._scrubbed)
-        self._play.on_click(lambda _: threading.Thread(target=self._replay, daemon=True).start())
+        self._play.on_click(
+            lambda _: threading.Thread(target=self._replay, daemon=True).start()
+        )
 
     def _add_plot(self, x_label: str) -> Any:
         from viser import uplot
@@ -157,14 +168,23 @@ class Viewer:
         for name, (_, _, color) in CURVES.items():
             pair = (len(series) + 1, len(series) + 2)
             bands.append(uplot.Band(series=pair, fill=f"rgba({color}, 0.18)"))
-            for label, width in ((f"{name} [N]", 2.0), ("+ 2 std", 0.3), ("- 2 std", 0.3)):
-                series.append(uplot.Series(label=label, stroke=f"rgb({color})", width=width))
+            for label, width in (
+                (f"{name} [N]", 2.0),
+                ("+ 2 std", 0.3),
+                ("- 2 std", 0.3),
+            ):
+                series.append(
+                    uplot.Series(label=label, stroke=f"rgb({color})", width=width)
+                )
         return self._server.gui.add_uplot(
             tuple(np.zeros(1) for _ in series),
             tuple(series),
             title=f"force [N] over {x_label}",
             bands=tuple(bands),
-            scales={"x": uplot.Scale(time=False, auto=True), "y": uplot.Scale(auto=True)},
+            scales={
+                "x": uplot.Scale(time=False, auto=True),
+                "y": uplot.Scale(auto=True),
+            },
             aspect=1.6,
         )
 
@@ -206,7 +226,9 @@ class Viewer:
                 return
             times = self._rows[:, 0]
             now_s = float(times[-1]) if time_s is None else float(time_s)
-            at = int(np.clip(np.searchsorted(times, now_s, "right") - 1, 0, len(times) - 1))
+            at = int(
+                np.clip(np.searchsorted(times, now_s, "right") - 1, 0, len(times) - 1)
+            )
             if times[at] == self._shown_s:
                 return
             self._draw(at)
@@ -222,14 +244,19 @@ class Viewer:
         seen = _Seen(row, self._plan)
         with self._server.atomic():
             tip, axis = self._arm.update(row[len(FIELDS) :])
-            past = [mark for mark in self.marks if mark.time_s <= seen.time_s < mark.until_s]
+            past = [
+                mark for mark in self.marks if mark.time_s <= seen.time_s < mark.until_s
+            ]
             for mark in self.marks:
                 for handle in mark.handles:
                     handle.visible = mark in past
             ring.visible = label.visible = bool(np.isfinite(seen.plan_next_m))
             if ring.visible:
                 ring.position = tuple(tip + (seen.plan_next_m - seen.depth_m) * axis)
-                ring.wxyz, label.text = nodes.turned_to(axis), f"{seen.next_name}, expected"
+                ring.wxyz, label.text = (
+                    nodes.turned_to(axis),
+                    f"{seen.next_name}, expected",
+                )
             self._slider.max = max(float(self._rows[-1, 0]), 0.01)
             if self._live.value:
                 self._slider.value = round(seen.time_s, 2)
@@ -253,7 +280,9 @@ class Viewer:
         # A curve over depth runs forth and back: only what is deeper than all before.
         depth = good[:, AT["depth_m"]]
         deeper = depth >= np.maximum.accumulate(depth)
-        self._plots["depth [mm]"].data = tuple(values[deeper] for values in (1e3 * depth, *curves))
+        self._plots["depth [mm]"].data = tuple(
+            values[deeper] for values in (1e3 * depth, *curves)
+        )
 
     def _scrubbed(self, event: Any) -> None:
         if event.client is not None:  # by hand, not by the program
@@ -282,7 +311,9 @@ class Viewer:
             raise SceneError("nothing to export: no rows have come")
         serializer = self._server.get_scene_serializer()
         first_s, last_s = self._rows[[0, -1], 0].tolist()
-        times, step_s = np.linspace(first_s, max(last_s, first_s + FRAME_s), frames, retstep=True)
+        times, step_s = np.linspace(
+            first_s, max(last_s, first_s + FRAME_s), frames, retstep=True
+        )
         for now_s in times.tolist():
             self.show(now_s)
             serializer.insert_sleep(float(step_s))
