@@ -1,6 +1,7 @@
 """What an installed wheel must do on its own, with the core dependencies only.
 
-Run from another directory by an interpreter into which nothing but the wheel was installed.
+Run from another directory by an interpreter into which nothing but the wheel was
+installed.
 """
 
 import subprocess
@@ -50,7 +51,9 @@ def check_imported_from_the_wheel() -> None:
 
 
 def check_a_force() -> None:
-    """An arm at rest that carries its own weight reads no force, without a compiler too."""
+    """An arm at rest that carries its own weight reads no force, without a compiler
+    too.
+    """
     assert jit.COMPILER == "", "numba is no core dependency"
     robot = load_lwr(payload=NeedleTool())
     sensor = InsertionSession(robot)

@@ -1,4 +1,5 @@
-"""Time and memory of a scan at full size: 88 million voxels, 61 structures, in a fresh process.
+"""Time and memory of a scan at full size: 88 million voxels, 61 structures, in a fresh
+process.
 
 The structures are those of the real CT, four times as fine.
 """
@@ -59,7 +60,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
 
 
 def _write_finer(source: Path, path: Path) -> int:
-    """Write the labels with smaller voxels; boundaries by linear interpolation of each mask."""
+    """Write the labels with smaller voxels; boundaries by linear interpolation of
+    each mask.
+    """
     import SimpleITK
     from scipy.ndimage import zoom
 
@@ -79,7 +82,9 @@ def _write_finer(source: Path, path: Path) -> int:
 
 
 def _run(path: Path) -> None:
-    """Read and mesh in this process; writes fractions done, then the results in one line."""
+    """Read and mesh in this process; writes fractions done, then the results in one
+    line.
+    """
     begin = perf_counter()
     labels = read_labels(path)
     surfaces = labels.surfaces(progress=lambda fraction: _say(f"{fraction:.4f}"))

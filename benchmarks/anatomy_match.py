@@ -1,8 +1,9 @@
 """The plan against the ruptures of random stacks, found through the virtual sensor.
 
-The plan lies off by 3 mm as a whole, its boundaries by 0.5 mm (standard deviations). Then the same
-with 30 % of the ruptures withheld, with the offset's deviation misstated twofold either way, and
-with a surface that lies where it was planned, as where organs have moved beneath the skin.
+The plan lies off by 3 mm as a whole, its boundaries by 0.5 mm (standard deviations).
+Then the same with 30 % of the ruptures withheld, with the offset's deviation misstated
+twofold either way, and with a surface that lies where it was planned, as where organs
+have moved beneath the skin.
 """
 
 from collections.abc import Iterator

@@ -1,4 +1,6 @@
-"""Layers along 1,000 straight paths through analytic torsos, against the exact crossings."""
+"""Layers along 1,000 straight paths through analytic torsos, against the exact
+crossings.
+"""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
@@ -129,7 +131,9 @@ def layers_of(labels: Labels, entry_m: NDArray, target_m: NDArray) -> list[Layer
 def measure_path(
     torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray
 ) -> Measured:
-    """Compare one path with the truth: every crossing found between the same two layers."""
+    """Compare one path with the truth: every crossing found between the same two
+    layers.
+    """
     begin = perf_counter()
     layers = layers_of(labels, entry_m, target_m)
     seconds = perf_counter() - begin
@@ -155,7 +159,8 @@ def measure_path(
 
 
 def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) -> bool:
-    """Whether thick true layers all appear in order, and thick layers found are all true.
+    """Whether thick true layers all appear in order, and thick layers found are all
+    true.
 
     Where a thin layer may be missed, what lies on both of its sides counts once.
     """
@@ -176,7 +181,8 @@ def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) 
 def matched(
     truth: Sequence[Stretch], layers: Sequence[Layer]
 ) -> Iterator[tuple[float, float]]:
-    """Yield error and stated deviation, in metres, of crossings between the same two layers.
+    """Yield error and stated deviation, in metres, of crossings between the same two
+    layers.
 
     Of several such crossings the nearest counts.
     """

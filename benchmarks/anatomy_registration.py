@@ -1,8 +1,8 @@
 """Registration by landmarks and touches: errors stated and true, and what is refused.
 
-Touches of organs: the truth is a smooth surface at a third of the scan's voxels, the model what
-segmenting it at the scan's own voxels, turned and shifted, leaves of it. Spleen and stomach were
-not looked at when the covariance was set.
+Touches of organs: the truth is a smooth surface at a third of the scan's voxels, the
+model what segmenting it at the scan's own voxels, turned and shifted, leaves of it.
+Spleen and stomach were not looked at when the covariance was set.
 """
 
 from collections.abc import Callable, Iterator
@@ -34,10 +34,12 @@ Pose = tuple[Array, Array]
 
 LANDMARK_DRAWS, REFUSAL_DRAWS, SYMMETRIC_FITS, FAR_STARTS = 10_000, 300, 30, 100
 FAR_rad, RIGHT_m = (np.pi / 4, np.pi), 3e-3
-"""Starts outside the basin are turned by so much; and the error up to which a fit is right."""
+"""Starts outside the basin are turned by so much; and the error up to which a fit is
+right."""
 MODELS, FITS, CHECKED = 120, 4, 1
-"""Surfaces of an organ, fits to each, and those of them that look for other solutions: a surface's
-error is alike for all fits to it, so with 120 a fraction of 0.95 is known to some 0.01."""
+"""Surfaces of an organ, fits to each, and those of them that look for other solutions:
+a surface's error is alike for all fits to it, so with 120 a fraction of 0.95 is known
+to some 0.01."""
 STD_m, TOUCHES, OUTLIERS = 0.5e-3, 100, 0.1
 TARGET_m = np.array([-0.03, 0.0, 0.01])
 ORGANS = ("liver", "kidney_right", "spleen", "stomach")
@@ -64,7 +66,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
 
 
 def landmarks(count: int, rng: np.random.Generator) -> Array:
-    """Points on the front and sides of a torso, no two closer than 50 mm, not on a line."""
+    """Points on the front and sides of a torso, no two closer than 50 mm, not on a
+    line.
+    """
     while True:
         angle = rng.uniform(-1.5, 1.5, count)
         height = rng.uniform(-0.8, 0.8, count)
@@ -153,7 +157,9 @@ def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
-    """Touches of a mesh's side that looks to the front, one in ten slipped off by 5 to 20 mm."""
+    """Touches of a mesh's side that looks to the front, one in ten slipped off by 5
+    to 20 mm.
+    """
     area = mesh.area_faces * (
         1.0 if front is None else mesh.face_normals @ front > 0.15
     )
@@ -273,7 +279,9 @@ def _quantile(values: list[float]) -> float:
 def truth_and_model(
     labels: Labels, name: str, rng: np.random.Generator
 ) -> tuple[Any, Any]:
-    """A smooth organ as a mesh [m], and the surface of its segmentation on another grid."""
+    """A smooth organ as a mesh [m], and the surface of its segmentation on another
+    grid.
+    """
     import trimesh
     from skimage.measure import marching_cubes
 

@@ -1,7 +1,7 @@
 """The patient's anatomy against analytic shapes and a real CT: one table, misses first.
 
-A part is a module ``benchmarks.anatomy_<part>`` with ``measure(seed, data, progress)``, which
-yields `Figure`s; ``data`` is the folder of recordings, or None.
+A part is a module ``benchmarks.anatomy_<part>`` with ``measure(seed, data, progress)``,
+which yields `Figure`s; ``data`` is the folder of recordings, or None.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,14 +22,16 @@ from benchmarks.tables import ResultTable, new_console
 
 PREFIX = "anatomy"
 PARTS = ("surface", "path", "registration", "match", "abdomen")
-"""What ``anatomy`` alone runs; ``fullsize`` takes a minute and 1.5 GB and is asked for by name."""
+"""What ``anatomy`` alone runs; ``fullsize`` takes a minute and 1.5 GB and is asked
+for by name."""
 CT_FOLDER = "torso_ct_totalsegmentator"
 
 
 def run_anatomy(
     ids: Iterable[str], first_seed: int | None, data: Path | None, progress: Progress
 ) -> list[ControlRow]:
-    """Measure the parts that are asked for: ``anatomy`` for all, ``anatomy-<part>`` for one.
+    """Measure the parts that are asked for: ``anatomy`` for all, ``anatomy-<part>`` for
+    one.
 
     Raises:
         UnknownIdError: There is no such part.

@@ -1,4 +1,6 @@
-"""Surfaces of analytic ellipsoids and of a real CT, and places read back from every format."""
+"""Surfaces of analytic ellipsoids and of a real CT, and places read back from every
+format.
+"""
 
 import locale
 from collections.abc import Iterator
@@ -145,7 +147,9 @@ def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
 def oblique_image(
     signs: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[Any, NDArray[np.float64]]:
-    """Make a SimpleITK image of an L in an oblique, anisotropic grid; and its centroid (m)."""
+    """Make a SimpleITK image of an L in an oblique, anisotropic grid; and its
+    centroid (m).
+    """
     import SimpleITK
 
     values = np.zeros((14, 12, 10), np.uint8)  # k, j, i
@@ -163,7 +167,9 @@ def oblique_image(
 
 
 def write_labels(image: Any, path: Path) -> None:
-    """Write an image in the format of the name: a folder of DICOM slices without a suffix."""
+    """Write an image in the format of the name: a folder of DICOM slices without a
+    suffix.
+    """
     import SimpleITK
 
     if path.suffix:

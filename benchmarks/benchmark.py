@@ -27,10 +27,13 @@ class Fact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """One benchmark on one plant with one seed: a piece of work for a process of its own."""
+    """One benchmark on one plant with one seed: a piece of work for a process of its
+    own.
+    """
 
     benchmark: str  # its name
-    # plant model of a simulation, ``needle`` for one without an arm, ``recording`` for real data
+    # plant model of a simulation, ``needle`` for one without an arm, ``recording`` for
+    # real data
     plant: str
     seed: int = 0  # of everything drawn; of real data, the number of the recording
     data: Path | None = None  # folder of recordings, for benchmarks that need it

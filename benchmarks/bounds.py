@@ -1,15 +1,17 @@
 """How well any estimator can know the friction of a layer, and how soon a rupture.
 
-Friction, the Cramér-Rao bound: once the geometry is known the axial force is linear in what is
-unknown of it, a scale of each layer's friction, and slope, bend and cutting force of each layer's
-tip. The bound is that of an estimator which knows the law, the depths of all ruptures, the noise
-spectrum, and how large slopes, bends and cutting forces may be. No estimator knows as much.
+Friction, the Cramér-Rao bound: once the geometry is known the axial force is linear in
+what is unknown of it, a scale of each layer's friction, and slope, bend and cutting
+force of each layer's tip. The bound is that of an estimator which knows the law, the
+depths of all ruptures, the noise spectrum, and how large slopes, bends and cutting
+forces may be. No estimator knows as much.
 
-Delay, Lorden's bound: a detector whose false alarms are a time T apart must not alarm before it has
-gathered log(T / d) nats of evidence within the delay d (Lorden 1971, with T / d independent trials
-between two false alarms). Evidence is the Kullback-Leibler divergence between the force with and
-without the release. The bound is that of a detector which knows size and course of the release, the
-force there would be without it, and the noise spectrum.
+Delay, Lorden's bound: a detector whose false alarms are a time T apart must not alarm
+before it has gathered log(T / d) nats of evidence within the delay d (Lorden 1971, with
+T / d independent trials between two false alarms). Evidence is the Kullback-Leibler
+divergence between the force with and without the release. The bound is that of a
+detector which knows size and course of the release, the force there would be without
+it, and the noise spectrum.
 """
 
 import math
@@ -23,7 +25,8 @@ from benchmarks.signals import Array, InsertionTruth, NeedleSignal, lagging
 from groundtruth import Rupture
 
 AROUND_s = 0.15
-"""Left out from the onset of a release to so long after its end: there a lag looks like noise."""
+"""Left out from the onset of a release to so long after its end: there a lag looks
+like noise."""
 _FLOOR = 1e-6
 
 
@@ -32,8 +35,8 @@ def reading_error_N(
 ) -> Array:
     """Reading less true force over the insertion, straight lines across the releases.
 
-    The truth goes through the sensor's lag before it is taken off. One value for each sample of
-    `truth.is_insertion`, shape (m,).
+    The truth goes through the sensor's lag before it is taken off. One value for each
+    sample of `truth.is_insertion`, shape (m,).
     """
     inside = truth.is_insertion
     error = (signal.force_N - lagging(truth.axial_N, truth.t_s, lag_s))[inside]
@@ -47,8 +50,9 @@ def reading_error_N(
 def autocovariance(error_N: Array, length: int) -> Array:
     """Autocovariance of (m,) samples about zero at lags 0 to length - 1 [N^2].
 
-    The biased estimate: it is positive definite, and about zero because a force is judged against
-    its free-air zero, so that a constant error is an error. Lags the data do not reach are 0.
+    The biased estimate: it is positive definite, and about zero because a force is
+    judged against its free-air zero, so that a constant error is an error. Lags the
+    data do not reach are 0.
     """
     count = len(error_N)
     spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
@@ -67,12 +71,14 @@ CUTTING_FRACTION = 0.12
 BEND_FRACTION = 0.15
 """The same of the bent part of their elastic force (stiffening 0 to 0.3)."""
 VAGUE = 0.8
-"""Prior standard deviation, relative to the true value, of friction and tip force: both are drawn
-within a factor of 10 or so, equally likely per octave."""
+"""Prior standard deviation, relative to the true value, of friction and tip force: both
+are drawn within a factor of 10 or so, equally likely per octave."""
 
 
 class _Tip(NamedTuple):
-    """Where the tip cuts one layer: from the end of the release above to the boundary below."""
+    """Where the tip cuts one layer: from the end of the release above to the
+    boundary below.
+    """
 
     onset_m: float
     from_m: float
@@ -87,11 +93,12 @@ def friction_bounds(
     is_white: bool,
     cutting_fraction: float = CUTTING_FRACTION,
 ) -> list[float]:
-    """Relative standard deviation of each layer's friction, by `MEASURED_m` after its rupture.
+    """Relative standard deviation of each layer's friction, by `MEASURED_m` after its
+    rupture.
 
-    The error of the reading is as `reading_error_N` returns it; its noise can be taken as white,
-    whatever its spectrum is. The fraction is the root mean square one of cutting in the tip force.
-    One value for each layer that ruptured, in order.
+    The error of the reading is as `reading_error_N` returns it; its noise can be taken
+    as white, whatever its spectrum is. The fraction is the root mean square one of
+    cutting in the tip force. One value for each layer that ruptured, in order.
     """
     exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
     tips = _tips(truth, exits)
@@ -112,7 +119,8 @@ def friction_bounds(
         covariance = toeplitz(
             autocovariance(_means(error_N[:, None], size)[:, 0], len(depth))
         )
-    # Without releases and membranes being pushed in: what they do is no part of the model.
+    # Without releases and membranes being pushed in: what they do is no part of the
+    # model.
     kept = depth >= exits[-1].onset_m + MEASURED_m / 6.0
     for tip in tips:
         kept |= (depth >= tip.from_m) & (depth <= tip.to_m)
@@ -166,7 +174,8 @@ BEFORE_s = 0.3
 WITHIN_s = 0.5
 """After so long every release is over."""
 LINE_s = 0.1
-"""Of the true force before the onset: continued, it is the force without the release."""
+"""Of the true force before the onset: continued, it is the force without the
+release."""
 
 
 def delay_bounds_s(
@@ -175,9 +184,11 @@ def delay_bounds_s(
     error_N: Array,
     lag_s: float = 0.0,
 ) -> list[float]:
-    """Least mean delay after the onset of each release; inf where too little is released.
+    """Least mean delay after the onset of each release; inf where too little is
+    released.
 
-    The run is sampled evenly; `error_N` is as `reading_error_N` returns it, `lag_s` the sensor's.
+    The run is sampled evenly; `error_N` is as `reading_error_N` returns it, `lag_s` the
+    sensor's.
     """
     tick = truth.period_s
     before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
@@ -192,7 +203,8 @@ def delay_bounds_s(
             (np.zeros(before), release_course_N(truth, rupture, within))
         )
         course = lagging(course, tick * np.arange(float(len(course))), lag_s)
-        # Kullback-Leibler divergence gathered up to each sample, noise of that covariance.
+        # Kullback-Leibler divergence gathered up to each sample, noise of that
+        # covariance.
         nats = 0.5 * np.cumsum(np.square(solve_triangular(factor, course, lower=True)))
         enough = np.flatnonzero(nats[before:] >= needed_nats)
         found.append(float(delays[enough[0]]) if len(enough) else math.inf)

@@ -1,7 +1,8 @@
-"""A run of many jobs: its results on disk as they come, gone on with after an interruption.
+"""A run of many jobs: its results on disk as they come, gone on with after an
+interruption.
 
-Whatever the order of arrival, results stand in the order of the jobs: every way to run the same
-jobs writes the same bytes.
+Whatever the order of arrival, results stand in the order of the jobs: every way to run
+the same jobs writes the same bytes.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -21,8 +22,8 @@ from benchmarks.runner import run_job
 JobProgress = Callable[[int, float], None]
 """Takes the index of a job and the fraction of it that is done, 0 to 1."""
 LEAST_PAUSE_S, PAUSE_RATIO = 2.0, 50.0
-"""Between two writings of the file, and at least so many times as long as one takes: of a long
-campaign it is hundreds of megabytes."""
+"""Between two writings of the file, and at least so many times as long as one takes: of
+a long campaign it is hundreds of megabytes."""
 
 
 def run_jobs(
@@ -39,8 +40,8 @@ def run_jobs(
         jobs: Each once.
         workers: Who does them.
         on_progress: Is called as jobs end, of a serial run also meanwhile.
-        results: Where their rows are written while they come, and at the end, or when the run is
-            interrupted; each time whole.
+        results: Where their rows are written while they come, and at the end, or when
+            the run is interrupted; each time whole.
         is_resumed: Whether jobs all of whose rows stand there are not done again.
 
     Raises:
@@ -108,7 +109,9 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
 
 @contextmanager
 def _kept(path: Path | None, found: dict[int, Outcome]) -> Iterator[Callable[[], None]]:
-    """Yields what writes all that was found if that is due; at the end it is written anyway."""
+    """Yields what writes all that was found if that is due; at the end it is written
+    anyway.
+    """
     if path is None:
         yield lambda: None
         return

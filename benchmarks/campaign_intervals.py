@@ -6,9 +6,11 @@ import numpy as np
 import pandas as pd
 
 LEAST_SEEDS = 5
-"""With fewer, too few different samples can be drawn from them: then single runs are drawn."""
+"""With fewer, too few different samples can be drawn from them: then single runs are
+drawn."""
 RESAMPLES, INTERVAL_SEED = 2000, 0
-"""Every interval is drawn anew from the seed: it depends on nothing but its own runs."""
+"""Every interval is drawn anew from the seed: it depends on nothing but its own
+runs."""
 BATCH = 10**6
 """Numbers drawn at a time."""
 
@@ -16,7 +18,8 @@ BATCH = 10**6
 def interval(
     values: Any, seeds: Any, rng: np.random.Generator, *, is_mean: bool
 ) -> tuple[float, float]:
-    """95 % percentile-bootstrap interval of the mean or the median of runs (Efron 1979).
+    """95 % percentile-bootstrap interval of the mean or the median of runs (Efron
+    1979).
 
     Seeds are drawn, each with all its runs: what a seed draws, they have in common.
 

@@ -1,6 +1,7 @@
 """Jobs on the processes of this machine or on a Dask cluster; answers as they come.
 
-A process that dies takes none of the others with it: the jobs it may have held are done once more.
+A process that dies takes none of the others with it: the jobs it may have held are done
+once more.
 """
 
 import os
@@ -63,7 +64,8 @@ class Workers:
 def answers(
     work: Callable[[Job], Answer], jobs: Sequence[Job], workers: Workers
 ) -> Iterator[tuple[int, Answer | None]]:
-    """Do all jobs; yields the index of each with its answer, None if its process died twice.
+    """Do all jobs; yields the index of each with its answer, None if its process died
+    twice.
 
     Args:
         work: Does a job; but for a serial run, a function of a module.
@@ -85,7 +87,8 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     # Matrices are 7 by 7: more threads than processes only get in each other's way.
     single = {name: "1" for name in THREAD_SETTINGS if name not in os.environ}
     os.environ.update(single)
-    # Ctrl-C reaches the whole group: workers end without a traceback each, the parent reports.
+    # Ctrl-C reaches the whole group: workers end without a traceback each, the parent
+    # reports.
     ended = (signal.SIGINT, signal.SIG_DFL)
     context = get_context("spawn")
     pool = ProcessPoolExecutor(

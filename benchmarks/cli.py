@@ -1,6 +1,7 @@
 """The commands of ``python -m benchmarks``, and what becomes of their errors.
 
-Packages that only some commands need are imported inside them: `compare` needs no simulator.
+Packages that only some commands need are imported inside them: `compare` needs no
+simulator.
 """
 
 import math
@@ -82,7 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def progress_of(jobs: int) -> Iterator[Callable[[int, float], None]]:
-    """A bar for many jobs: yields what takes the index of one and the fraction of it done."""
+    """A bar for many jobs: yields what takes the index of one and the fraction of it
+    done.
+    """
     done = dict.fromkeys(range(jobs), 0.0)
     total = 0.0
     with progress_bar(f"{jobs} benchmarks") as show:
@@ -154,20 +157,22 @@ def run(
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, robustness, or all but that; default: a quick set. Or, by
-            themselves, control for the needle in closed loop (20 minutes a seed), or one part of
-            it: control-priority, -constraints, -guidance, -teleoperation, -autonomous, -faults;
-            or anatomy, or one part of it: anatomy-surface, -path, -fullsize.
-        plant: ideal, clean, fri, degraded, or needle (no arm), with commas between several; may be
-            given more than once. Default: clean; for drawn scenarios needle. Of robustness, names
-            of perturbations (benchmarks/perturbations.toml); default: all.
+        ids: Names of the list, tissue, robustness, or all but that; default: a quick
+            set. Or, by themselves, control for the needle in closed loop (20 minutes a
+            seed), or one part of it: control-priority, -constraints, -guidance,
+            -teleoperation, -autonomous, -faults; or anatomy, or one part of it:
+            anatomy-surface, -path, -fullsize.
+        plant: ideal, clean, fri, degraded, or needle (no arm), with commas between
+            several; may be given more than once. Default: clean; for drawn scenarios
+            needle. Of robustness, names of perturbations
+            (benchmarks/perturbations.toml); default: all.
         seeds: Run so many seeds.
-        first_seed: The first of them; default: 0, for control 1000. Methods are tuned on seeds
-            below 1000.
+        first_seed: The first of them; default: 0, for control 1000. Methods are tuned
+            on seeds below 1000.
         data: Folder of real recordings.
         kept: Where the numbers are written.
-        report: Write a page into that folder: the published figures from these runs, and all
-            tables. With no ID named, runs all that the figures need.
+        report: Write a page into that folder: the published figures from these runs,
+            and all tables. With no ID named, runs all that the figures need.
         workers: Who does the runs.
         strict: Exit with 1 if a target is missed.
     """
@@ -226,7 +231,9 @@ def _run_apart(
     data: Path | None,
     to: Path | None,
 ) -> Sequence["ControlRow"]:
-    """Print the table of the closed loop or the anatomy, and return the rows with targets."""
+    """Print the table of the closed loop or the anatomy, and return the rows with
+    targets.
+    """
     from benchmarks.anatomy_study import run_anatomy, show_anatomy
     from benchmarks.control_study import control_jobs, run_control, show_control
 
@@ -263,7 +270,9 @@ def _print_outcomes(
     outcomes: Sequence["Outcome"],
     skipped: Sequence[str],
 ) -> bool:
-    """Print tables, what failed and what was left out; returns whether anything failed."""
+    """Print tables, what failed and what was left out; returns whether anything
+    failed.
+    """
     from benchmarks.tables import result_tables
 
     for table in result_tables(rows):
@@ -320,7 +329,8 @@ def results(
         files: Results from run --json.
         page: Write all tables there (docs/results.md).
         readme: Write the summary between the marks of that page (README.md).
-        limits: Write the worst rows of robustness between the marks of that page (docs/limits.md).
+        limits: Write the worst rows of robustness between the marks of that page
+            (docs/limits.md).
     """
     from benchmarks.rows import read_merged
     from benchmarks.tables import (
@@ -368,11 +378,13 @@ def time_updates(
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
     Args:
-        soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at the end.
+        soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at
+            the end.
         control: Instead, ticks of control, and of session and control together.
         loop: Instead, so many seconds of a 1 kHz loop against an emulated FRI.
         scene: With --loop: the same again beside the scene, and a recorder.
-        kdl: Instead, error and time beside orocos KDL's estimator, if that is installed.
+        kdl: Instead, error and time beside orocos KDL's estimator, if that is
+            installed.
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """

@@ -1,7 +1,8 @@
-"""The needle by itself: how far it goes after a rupture, on bone, pushed aside, and signals lost.
+"""The needle by itself: how far it goes after a rupture, on bone, pushed aside, and
+signals lost.
 
-Positions, speeds and forces are the simulator's, at every tick. What stops the needle is the
-manager, with the session's force and identification, or the F/T sensor's.
+Positions, speeds and forces are the simulator's, at every tick. What stops the needle
+is the manager, with the session's force and identification, or the F/T sensor's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -32,10 +33,11 @@ LOST = {
     "commands": "command",
 }
 STRUCK_M, LOST_S = 15e-3, 0.3
-"""Depth, from the tare, at which a side force or a loss begins; and how long a loss takes."""
+"""Depth, from the tare, at which a side force or a loss begins; and how long a loss
+takes."""
 SIDE_MM_S, AT_REST_M_S = 5.0, 1e-3
-"""Speed with a push from the side, and the one below which the needle counts as stopped: an arm
-with a soft servo goes on to settle."""
+"""Speed with a push from the side, and the one below which the needle counts as
+stopped: an arm with a soft servo goes on to settle."""
 LAYERS = 3
 
 CASES = (
@@ -52,7 +54,9 @@ CASES = (
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one run; the layer at whose end it must stop goes round with the seed."""
+    """Figures of one run; the layer at whose end it must stop goes round with the
+    seed.
+    """
     servo, kind, *rest = case.split()
     if kind == "rupture":
         return _rupture(servo, rest[0], float(rest[1]), plant, seed)

@@ -1,13 +1,15 @@
 """What the kinematic constraints hold, in closed loop against true positions.
 
-Remote centre (RCM): the tip follows a circle of 40 mm across, 80 mm below a trocar that holds the
-needle with 1000 N/m, with 1 N on the tip across; error is the distance of the true axis from the
-point where it was when the centre was set. Fixture: 100 mm through tissue while the user wants to
-leave the line, sideways at up to 20 mm/s; error is the distance of the true tip from the line.
-Decoupled motion: the needle turns by 0.5 rad about the tip, which should rest.
+Remote centre (RCM): the tip follows a circle of 40 mm across, 80 mm below a trocar that
+holds the needle with 1000 N/m, with 1 N on the tip across; error is the distance of the
+true axis from the point where it was when the centre was set. Fixture: 100 mm through
+tissue while the user wants to leave the line, sideways at up to 20 mm/s; error is the
+distance of the true tip from the line. Decoupled motion: the needle turns by 0.5 rad
+about the tip, which should rest.
 
-S is the stiff inner loop, I joint impedance. With *kinematic error*, the arm's joints are not quite
-where the controller's model has them: micrometres on shared kinematics mean nothing without it.
+S is the stiff inner loop, I joint impedance. With *kinematic error*, the arm's joints
+are not quite where the controller's model has them: micrometres on shared kinematics
+mean nothing without it.
 """
 
 import math
@@ -39,11 +41,12 @@ SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedanc
 MILLI = 1e3
 
 GAIN_per_s, PUSHED_GAIN_per_s = 30.0, 60.0
-"""K of the constraints. Noise of the measured positions passes the loop and grows with the root of
-K; what a push displaces falls with K. A needle in a fixture is held by a hand, so it gets more."""
+"""K of the constraints. Noise of the measured positions passes the loop and grows with
+the root of K; what a push displaces falls with K. A needle in a fixture is held by a
+hand, so it gets more."""
 SETTLE_s = 0.6
-"""Rest before a constraint is set at the mean of what is measured in its second half. After 0.3 s
-joint impedance still moves by 0.01 mm under the 1 N on the tip."""
+"""Rest before a constraint is set at the mean of what is measured in its second half.
+After 0.3 s joint impedance still moves by 0.01 mm under the 1 N on the tip."""
 BEHIND_TIP_m = 0.08
 RADIUS_m, PERIOD_s, FADE_s = 0.02, 8.0, 1.0
 INSERTION_m, INSERTION_m_s = 0.1, 0.01
@@ -113,7 +116,9 @@ def across(seed: int) -> Array:
 
 
 def _circle(test: ClosedLoop) -> tuple[Array, Array]:
-    """RCM errors on the circle, from its full size on, and the distances of the tip from it."""
+    """RCM errors on the circle, from its full size on, and the distances of the tip
+    from it.
+    """
     rig, tool = test.rig, test.control.tool
     true = rig.truth
     centre_m = true.tip_m - BEHIND_TIP_m * true.rotation[:, 2]
@@ -173,7 +178,9 @@ def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 
 def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
-    """The circle while a hand pushes the elbow: 30 N within 50 ms, for 1 s, every 2 s."""
+    """The circle while a hand pushes the elbow: 30 N within 50 ms, for 1 s, every 2
+    s.
+    """
     side = across(seed + 1)
 
     def push(t_s: float) -> Array:

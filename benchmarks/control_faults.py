@@ -1,8 +1,9 @@
-"""Faults of sensors, wires, clocks, commands and devices in closed loop: the needle stops or holds.
+"""Faults of sensors, wires, clocks, commands and devices in closed loop: the needle
+stops or holds.
 
-The faults are those of `benchmarks.faults`, made sample by sample, and those that only a loop has.
-A fault that the estimator bridges must not move the needle off its course; any other must stop it,
-and the manager must say why.
+The faults are those of `benchmarks.faults`, made sample by sample, and those that only
+a loop has. A fault that the estimator bridges must not move the needle off its course;
+any other must stop it, and the manager must say why.
 """
 
 import math

@@ -1,11 +1,11 @@
 """Manual guidance through the residual, by simulated hands on hub, wrist and elbow.
 
-Each run tares the virtual sensor over a stroke of 60 mm along the needle. *Drift*: the fastest
-command in 60 s without a hand. *Breakaway*: force on the hub, growing by 1 N/s, at which the arm
-begins to yield. *Stable*: hands of a stiffness pull aside by 20 mm and rest;
-the figures are how far the held point still swings in the last half second, and how far it has been
-from the resting hand, worst of directions.
-*In tissue*: 10 N on the hub across a needle 40 mm deep, how far its axis leaves the entry.
+Each run tares the virtual sensor over a stroke of 60 mm along the needle. *Drift*: the
+fastest command in 60 s without a hand. *Breakaway*: force on the hub, growing by 1 N/s,
+at which the arm begins to yield. *Stable*: hands of a stiffness pull aside by 20 mm and
+rest; the figures are how far the held point still swings in the last half second, and
+how far it has been from the resting hand, worst of directions. *In tissue*: 10 N on the
+hub across a needle 40 mm deep, how far its axis leaves the entry.
 """
 
 import math
@@ -44,14 +44,16 @@ SPEED_m_s, HAND_N_per_m = 0.1, 500.0
 DEEP_m, SIDE_N = 0.04, 10.0
 SWING_m = 2e-4
 REST_s, AWAY_m = 0.5, 0.025
-"""From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has run away;
-it may then stand still because the sensor takes nothing in, so its swing alone says nothing."""
+"""From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has
+run away; it may then stand still because the sensor takes nothing in, so its swing
+alone says nothing."""
 DRIFT_s = 60.0
 FOR_GUIDANCE = replace(DEFAULT, smooth_momentum=False)
 
 
 class GuidedArm:
-    """An arm with sensor, controller and guidance, tared, that a hand gets hold of later.
+    """An arm with sensor, controller and guidance, tared, that a hand gets hold of
+    later.
 
     Attributes:
         begin_s: When guidance begins, on the rig's clock.

@@ -1,4 +1,6 @@
-"""One autonomous insertion of the simulated arm: rig, manager, program and controller in a loop."""
+"""One autonomous insertion of the simulated arm: rig, manager, program and
+controller in a loop.
+"""
 
 from collections.abc import Iterator
 from typing import Any
@@ -30,20 +32,22 @@ from urdf import Robot
 STANDOFF_M = 5e-3
 """Height of the tip above the tissue where it is tared."""
 GAIN_PER_S = 20.0
-"""Of the fixture: with a higher one, positions rounded to 1.75e-4 rad shake the needle."""
+"""Of the fixture: with a higher one, positions rounded to 1.75e-4 rad shake the
+needle."""
 REST_S = 0.15
 """After the end of an insertion; the arm has come to rest by then."""
 
 
 class Insertion:
-    """Runs a plan on a rig; each step of the iteration is one cycle, until the insertion has ended.
+    """Runs a plan on a rig; each step of the iteration is one cycle, until the
+    insertion has ended.
 
     Args:
         rig: The arm, and what is true of it.
         plan: What to do.
         limits: Of the manager.
-        with_ft: Take the rig's F/T sensor for force and identification, zeroed over the tare
-            stroke, over which the needle's weight and inertia do not show.
+        with_ft: Take the rig's F/T sensor for force and identification, zeroed over the
+            tare stroke, over which the needle's weight and inertia do not show.
         known: The robot as the session is to know it, if not as it is.
 
     Attributes:
@@ -71,7 +75,9 @@ class Insertion:
         self.ended_s: float | None = None
 
     def __iter__(self) -> Iterator[Situation]:
-        """Run until the arm rests at the end of the insertion, or the rig's time is over."""
+        """Run until the arm rests at the end of the insertion, or the rig's time is
+        over.
+        """
         rig, manager, beside = self.rig, self.manager, Beside()
         control = Controller(rig.robot, Limits(rig.robot))
         control.tool.update(rig.home_rad)
@@ -91,7 +97,8 @@ class Insertion:
                     sample, [] if now.state is State.FAULTED else stack
                 )
                 dq_rad_s = command.dq_rad_s
-            # A sample that was rejected moves nothing: the last command stands until a fault.
+            # A sample that was rejected moves nothing: the last command stands until a
+            # fault.
             beside = Beside(rig.send(dq_rad_s), dq_rad_s)
             is_inside = now.state in (State.INSERTION, State.TELEOP)
             if was_inside and not is_inside and self.ended_s is None:

@@ -1,11 +1,12 @@
-"""Strict priority and hard limits, over random stacks of tasks and against hostile input.
+"""Strict priority and hard limits, over random stacks of tasks and against hostile
+input.
 
-Half of the postures are within 1e-9 to 1e-2 rad of a singular one. *Leak*: how far the tasks below
-change what a task above gets. *Cascade*: each level again as a QP of its own, set up by pink and
-solved through qpsolvers, in what the levels above leave free; how much better it is than the level
-of our solution, as far as bounds let it. *Hostile*: ticks with leaps of measured positions, late
-samples, goals out of reach and numbers that are none; an ideal arm integrates what was commanded
-before.
+Half of the postures are within 1e-9 to 1e-2 rad of a singular one. *Leak*: how far the
+tasks below change what a task above gets. *Cascade*: each level again as a QP of its
+own, set up by pink and solved through qpsolvers, in what the levels above leave free;
+how much better it is than the level of our solution, as far as bounds let it.
+*Hostile*: ticks with leaps of measured positions, late samples, goals out of reach and
+numbers that are none; an ideal arm integrates what was commanded before.
 """
 
 from collections.abc import Iterator, Sequence
@@ -52,7 +53,9 @@ SINGULAR_JOINTS = (1, 3, 5)
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one case and seed; no plant plays a part, so only ``clean`` has them."""
+    """Figures of one case and seed; no plant plays a part, so only ``clean`` has
+    them.
+    """
     if plant == "clean":
         rng = np.random.default_rng(seed)
         robot = load_lwr(payload=NeedleTool())
@@ -159,11 +162,12 @@ class Rows(PinkTask):
 
 
 def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
-    """How much better than ours each level can be, given what the levels above leave to it.
+    """How much better than ours each level can be, given what the levels above leave to
+    it.
 
-    Each is judged where it ends. The levels below keep what it has got, see `leaks`, but may pass a
-    bound by 1e-8 rad/s; where a level would gain 1e6 times as much, a QP that starts from there
-    takes that for room.
+    Each is judged where it ends. The levels below keep what it has got, see `leaks`,
+    but may pass a bound by 1e-8 rad/s; where a level would gain 1e6 times as much, a QP
+    that starts from there takes that for room.
     """
     stacks = RandomStacks(robot, rng)
     worst, bound, unsolved = [0.0, 0.0], [0.0, 0.0], 0
@@ -229,8 +233,9 @@ def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array
 def _most_gain(missing: Array, rows: Array, free: Array, room: Array) -> float:
     """By how much a level's norm can fall, from above, by the dual of its QP.
 
-    Any pushes p >= 0 of the bounds on the joints bound it: what they leave of the gradient can at
-    most move every joint through its box. The pushes are the best of `nnls`.
+    Any pushes p >= 0 of the bounds on the joints bound it: what they leave of the
+    gradient can at most move every joint through its box. The pushes are the best of
+    `nnls`.
     """
     gradient, ends = free.T @ (rows.T @ missing), np.concatenate((room[1], -room[0]))
     sides = np.hstack((free.T, -free.T))
@@ -248,7 +253,8 @@ def _free(rows: Array) -> Array:
 def _within(room: Array, way: Array) -> Array:
     """The part of a way that bounds allow but for rounding.
 
-    Near singular postures a way along which a joint passes its bound by 1e-13 gains 0.001 rad/s.
+    Near singular postures a way along which a joint passes its bound by 1e-13 gains
+    0.001 rad/s.
     """
     room = room + np.array([[-1e-16], [1e-16]])
     ends = np.where(way > 0.0, room[1], room[0])

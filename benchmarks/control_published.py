@@ -1,7 +1,7 @@
 """The published recursion of task priority, to compare with: Ferro et al., Section V.B.
 
-It has the damped inverses of the authors' code and knows no limits. A projector made of damped
-inverses is none, so near singular postures lower tasks undo higher ones.
+It has the damped inverses of the authors' code and knows no limits. A projector made of
+damped inverses is none, so near singular postures lower tasks undo higher ones.
 """
 
 import numpy as np
@@ -18,7 +18,8 @@ def published(stack: Stack) -> tuple[Array, bool]:
 
     dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
 
-    The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below 1e-10.
+    The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below
+    1e-10.
     """
     wish = stack.wish
     velocity, projector = np.zeros_like(wish), np.eye(wish.size)

@@ -1,8 +1,8 @@
 """What a tick of control costs, beside the bare Pinocchio calls it cannot do without.
 
-The samples are those of an arm whose tip draws a circle about a remote centre, at leisure and so
-fast that limits bind. Subjects take turns, so ratios hold on a busy machine; tails are of processor
-time, on which other processes do not count.
+The samples are those of an arm whose tip draws a circle about a remote centre, at
+leisure and so fast that limits bind. Subjects take turns, so ratios hold on a busy
+machine; tails are of processor time, on which other processes do not count.
 """
 
 import math
@@ -27,7 +27,8 @@ SESSION, TOGETHER = "session", "session and control"
 RATIO = 8.0 if COMPILER else 25.0
 """Most that a tick of control may cost, relative to the bare calls."""
 TAIL_US, TOGETHER_US = 200.0, 60.0
-"""Most processor time of 999 in 1000 ticks of control; most of session and control, median."""
+"""Most processor time of 999 in 1000 ticks of control; most of session and control,
+median."""
 SECONDS, WARM_TICKS, BEHIND_TIP_M, RADIUS_M = 8.0, 1000, 0.08, 0.02
 
 

@@ -1,9 +1,10 @@
-"""The needle moved in closed loop: every part of the study over seeds, one table, misses first.
+"""The needle moved in closed loop: every part of the study over seeds, one table,
+misses first.
 
 A part is a module ``benchmarks.control_<part>`` with `CASES`, names of its cases, and
-``measure(case, plant, seed)``, which yields the figures of one run of some seconds. A row of the
-table is the worst of all seeds, or the quantile that the figure names. Targets are judged on the
-plant ``clean``; ``fri`` stands beside it.
+``measure(case, plant, seed)``, which yields the figures of one run of some seconds. A
+row of the table is the worst of all seeds, or the quantile that the figure names.
+Targets are judged on the plant ``clean``; ``fri`` stands beside it.
 """
 
 import json
@@ -42,7 +43,8 @@ class Figure(NamedTuple):
     at_least: bool = False
     """Whether the target is the least it may be."""
     quantile: float = 1.0
-    """Of the seeds, from the good end: 1 is the worst seed, 0.9 the worst of the best 90 %."""
+    """Of the seeds, from the good end: 1 is the worst seed, 0.9 the worst of the
+    best 90 %."""
 
 
 class ControlJob(NamedTuple):
@@ -87,7 +89,8 @@ class ControlRow(NamedTuple):
 def control_jobs(
     ids: Iterable[str], plants: Sequence[str], first_seed: int | None, seeds: int
 ) -> list[ControlJob]:
-    """All cases of the parts that are asked for: ``control`` for all, ``control-<part>`` for one.
+    """All cases of the parts that are asked for: ``control`` for all,
+    ``control-<part>`` for one.
 
     Args:
         ids: What is asked for.
@@ -213,7 +216,9 @@ def _evaluation(row: ControlRow | None) -> str:
 
 
 def show_control(rows: Sequence[ControlRow], to: Path | None) -> list[ControlRow]:
-    """Print the table, write rows to a file if one is named, and return those that are judged."""
+    """Print the table, write rows to a file if one is named, and return those that
+    are judged.
+    """
     new_console().print(control_table(rows).rich())
     if to is not None:
         write_control(to, rows)
@@ -221,7 +226,9 @@ def show_control(rows: Sequence[ControlRow], to: Path | None) -> list[ControlRow
 
 
 def write_control(path: Path, rows: Iterable[ControlRow]) -> None:
-    """Write rows as JSON; what is not finite becomes null. `ResultsError` where it cannot."""
+    """Write rows as JSON; what is not finite becomes null. `ResultsError` where it
+    cannot.
+    """
     lines = []
     for row in rows:
         value = float(f"{row.value:.6g}") if math.isfinite(row.value) else None

@@ -1,6 +1,8 @@
-"""A hand drives the needle: energy, drift, what is felt at a rupture, alarms; delays 0 to 50 ms.
+"""A hand drives the needle: energy, drift, what is felt at a rupture, alarms; delays 0
+to 50 ms.
 
-Energy is that of the emulated device's own account; forces before a rupture are means over 0.1 s.
+Energy is that of the emulated device's own account; forces before a rupture are means
+over 0.1 s.
 """
 
 from collections.abc import Iterator
@@ -23,7 +25,8 @@ CASES = (
 )
 SCALES = (0.1, 0.2, 0.4, 1.0)
 SPEED_M_S, TRAVEL_M = 4e-3, 111e-3
-"""The needle's speed if the hand had its will, and its travel: through the stack and beyond."""
+"""The needle's speed if the hand had its will, and its travel: through the stack and
+beyond."""
 WALL_SPEED_M_S, PRESSED_M = 10e-3, 20e-3
 MOST_S = 90.0
 

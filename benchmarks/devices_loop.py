@@ -1,9 +1,9 @@
 """A loop at 1 kHz with the whole session, fed by the emulated controller of an LWR.
 
-The controller is a process of its own; each of its cycles is answered, then estimated. The wake-up
-is late by what a sample arrives after its place on a grid of 1 ms, whose beginning is that of the
-sample least late. An overrun is a tick that takes longer than a cycle. Real-time priority is taken
-where the system grants it.
+The controller is a process of its own; each of its cycles is answered, then estimated.
+The wake-up is late by what a sample arrives after its place on a grid of 1 ms, whose
+beginning is that of the sample least late. An overrun is a tick that takes longer than
+a cycle. Real-time priority is taken where the system grants it.
 """
 
 import multiprocessing
@@ -42,7 +42,9 @@ QUANTILES = (50.0, 99.0, 99.9, 100.0)
 
 
 def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
-    """Run the loop, alone and, if wanted, with the scene and with a recorder beside it."""
+    """Run the loop, alone and, if wanted, with the scene and with a recorder beside
+    it.
+    """
     if not 0.0 < seconds < inf:
         raise BenchmarkError(
             f"--loop {seconds:g}: expected a positive number of seconds"
@@ -82,7 +84,9 @@ def _is_real_time() -> bool:
 def _beside(
     kind: str, robot: Robot, notes: list[str]
 ) -> Iterator[Callable[[Any, ArmSample], None]]:
-    """What takes the estimate and the sample of every tick; at the end, what else is to be said."""
+    """What takes the estimate and the sample of every tick; at the end, what else is
+    to be said.
+    """
     if kind == SCENE:
         from needleforce.scene import open_viewer
 
@@ -112,7 +116,9 @@ def _beside(
 
 
 def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
-    """The process of a page's reader: counts its updates, and its server's processor time."""
+    """The process of a page's reader: counts its updates, and its server's processor
+    time.
+    """
     import viser
     import zstandard
     from websockets.sync.client import connect

@@ -1,4 +1,6 @@
-"""What faults do to a running insertion: errors, recovery, and what the caller is warned of."""
+"""What faults do to a running insertion: errors, recovery, and what the caller is
+warned of.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -136,8 +138,8 @@ def late(force_N: Array, *, with_velocity: bool = True) -> Array:
 class FaultStudy:
     """One insertion, undisturbed, and what it needs to be repeated with a fault.
 
-    A repetition goes on to the end of the layer, whose rupture must be found, or only a little
-    beyond the fault.
+    A repetition goes on to the end of the layer, whose rupture must be found, or only a
+    little beyond the fault.
     """
 
     def __init__(
@@ -178,7 +180,9 @@ class FaultStudy:
         yield from motion_results(with_velocity=self._with_velocity)
 
     def session_results(self) -> Iterator[FaultResult]:
-        """What sensors, wires and clocks do, and what poses and loads do after the tare."""
+        """What sensors, wires and clocks do, and what poses and loads do after the
+        tare.
+        """
         run, tare = self.run, self._tare
         good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
         for name, inject in SIGNAL_FAULTS.items():
@@ -205,7 +209,9 @@ class FaultStudy:
 
 
 def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
-    """What stop, reversal and second insertion do, against the true force as the observer lags."""
+    """What stop, reversal and second insertion do, against the true force as the
+    observer lags.
+    """
     scenario, spans = troubled_scenario()
     run = simulate(scenario, PLANT, 0)
     tare, count = tare_index(run), len(run.signals.t_s)
@@ -230,7 +236,9 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
 
 
 def tare_in_contact(run: Run, at: int) -> FaultResult:
-    """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert again."""
+    """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert
+    again.
+    """
     count, nothing = len(run.signals.t_s), np.zeros(len(run.signals.t_s))
     session = InsertionSession(run.robot, UNSMOOTHED)
     before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
@@ -275,7 +283,9 @@ def wrong_payload(run: Run) -> FaultResult:
 
 
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
-    """The insertion after the tare; it is all fault, and its recovery that of its whole length."""
+    """The insertion after the tare; it is all fault, and its recovery that of its
+    whole length.
+    """
     tare, count = tare_index(run), len(run.signals.t_s)
     insertion = FaultStream.of_run(run, tare, count, late(run.truth.axial_N))
     found = feed(session, insertion)

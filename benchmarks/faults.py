@@ -1,4 +1,6 @@
-"""Faults of sensors, wires, clocks, poses and loads, put into the signals of an insertion."""
+"""Faults of sensors, wires, clocks, poses and loads, put into the signals of an
+insertion.
+"""
 
 import math
 from collections.abc import Callable, Mapping
@@ -22,7 +24,9 @@ PERIOD_s = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FaultStream:
-    """m samples of an arm with n joints, and what the force would be without the fault."""
+    """m samples of an arm with n joints, and what the force would be without the
+    fault.
+    """
 
     dt_s: (
         Array  # time since the sample before, as the caller would report it, shape (m,)
@@ -38,7 +42,9 @@ class FaultStream:
     def of_run(
         cls, run: Run, first: int, last: int, reference_N: Array
     ) -> "FaultStream":
-        """The samples of a run from ``first`` to before ``last``; the reference is of all."""
+        """The samples of a run from ``first`` to before ``last``; the reference is
+        of all.
+        """
         sent, part = run.signals, slice(first, last)
         assert sent.dq_rad_s is not None
         return cls(
@@ -50,7 +56,9 @@ class FaultStream:
         )
 
     def copy(self, start: int, stop: int) -> "FaultStream":
-        """A copy with a fault from ``start`` to before ``stop``, whose arrays may be written."""
+        """A copy with a fault from ``start`` to before ``stop``, whose arrays may be
+        written.
+        """
         copies = {name: getattr(self, name).copy() for name in SERIES}
         return replace(self, **copies, start=start, stop=stop)
 
@@ -191,10 +199,12 @@ def loaded(
 def detour(
     run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array
 ) -> FaultStream:
-    """A motion in free air to a pose and back, before a stream that starts at rest in free air.
+    """A motion in free air to a pose and back, before a stream that starts at rest in
+    free air.
 
-    The fault ends when the arm is back. Torques are those of the true arm, with the sensors' noise
-    and the offset that they show where the motion begins, and of an end stop at the pose.
+    The fault ends when the arm is back. Torques are those of the true arm, with the
+    sensors' noise and the offset that they show where the motion begins, and of an end
+    stop at the pose.
     """
     start = stream.q_rad[0]
     fraction, rate, change = _there_and_back()
@@ -230,7 +240,9 @@ def detour(
 
 
 def _there_and_back() -> tuple[Array, Array, Array]:
-    """Fraction of the way and its first two derivatives: quintic out, a stay, quintic back."""
+    """Fraction of the way and its first two derivatives: quintic out, a stay,
+    quintic back.
+    """
     t_s = np.arange(0.0, 2.0 * TRAVEL_S + STAY_S, PERIOD_s, dtype=np.float64)
     out, back = (
         Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S)
@@ -258,7 +270,8 @@ FIRST_STOP_M, TURN_M, DEEPEST_M, AGAIN_M = 15e-3, 10e-3, 42e-3, 20e-3
 TARE_M, TARE_S = 100e-3, 4.0
 _TOP_M = -STANDOFF_M - TARE_M
 _STROKES: tuple[tuple[str, float, Profile, float], ...] = (
-    # Name of its end, where it leads, how, and how long it takes; a cruise has its own speed.
+    # Name of its end, where it leads, how, and how long it takes; a cruise has its own
+    # speed.
     ("at rest", _TOP_M, "rest", 1.0),
     ("down", -STANDOFF_M, "quintic", TARE_S),
     ("up", _TOP_M, "quintic", TARE_S),

@@ -1,4 +1,6 @@
-"""Figures of the axial force of one run, after the published Figure 5; all figures of a run."""
+"""Figures of the axial force of one run, after the published Figure 5; all figures
+of a run.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -37,10 +39,12 @@ class RunFigures:
         facts: tuple[Fact, ...] = (),
         is_alone: bool = False,
     ) -> None:
-        """Draw a chart; its title says what is shown, this adds of which figure and run.
+        """Draw a chart; its title says what is shown, this adds of which figure and
+        run.
 
-        `kind` is the ending of the file's name, `panel` the published figure and its letter, empty
-        for none; a chart alone takes the whole width of the page. The rest is as in `Drawing`.
+        `kind` is the ending of the file's name, `panel` the published figure and its
+        letter, empty for none; a chart alone takes the whole width of the page. The
+        rest is as in `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.
@@ -76,13 +80,15 @@ STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
     ("virtual", "ours"): ("virtual sensor, ours", palette.OURS),
     ("virtual", "published"): ("virtual sensor, published", palette.PUBLISHED),
 }
-"""By source and method, in the order of drawing: dashed lines lie on continuous ones."""
+"""By source and method, in the order of drawing: dashed lines lie on continuous
+ones."""
 MARGIN_s = 2.0
 """Shown before contact and after withdrawal."""
 MOST_OF = 99.0
 """Per cent of each error curve that its panel must hold."""
 CALM_RATIO = 3.0
-"""Limit of the error panel over the size of the smallest error: no wild curve flattens the rest."""
+"""Limit of the error panel over the size of the smallest error: no wild curve
+flattens the rest."""
 
 
 def force_chart(
@@ -149,7 +155,9 @@ def _error_limit(errors: Sequence[Curve]) -> float:
 
 
 def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
-    """Difference of a reading from the true force, or another one, over the judged part."""
+    """Difference of a reading from the true force, or another one, over the judged
+    part.
+    """
     return float(np.sqrt(np.mean((reading.axial_N - target_N)[truth.judged] ** 2)))
 
 

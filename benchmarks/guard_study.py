@@ -18,7 +18,8 @@ from residual.sample_stream import SampleStream
 from urdf import NeedleTool, Robot, load_lwr
 
 Motion = tuple[Array, Array, Array]
-"""Positions [rad], velocities [rad/s] and torques [Nm] of m samples at 1 kHz, each (m, n)."""
+"""Positions [rad], velocities [rad/s] and torques [Nm] of m samples at 1 kHz, each
+(m, n)."""
 
 PERIOD_s = 1e-3
 MOST_ACCELERATION_RAD_S2 = 40.0
@@ -79,7 +80,8 @@ def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 
 def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """Hands push the arm behind its third joint or further out with 5 to 50 N, and let go.
+    """Hands push the arm behind its third joint or further out with 5 to 50 N, and let
+    go.
 
     The force comes within 30 to 200 ms and goes within 10 to 50 ms, in any direction.
     """

@@ -40,13 +40,14 @@ def draw_identification(
 ) -> tuple[Drawing, ...]:
     """Every figure of the identification in a run.
 
-    `found` holds what every method made of each source, the F/T sensor's first; `ft` is that
-    sensor's force, if another source is among them.
+    `found` holds what every method made of each source, the F/T sensor's first; `ft` is
+    that sensor's force, if another source is among them.
     """
     figures = RunFigures(job, folder)
     on_ft = {item.method: item for item in found[0]}["ours"]
     _add_offline(figures, on_ft.signal, truth)
-    # Without a published counterpart: the whole chain; of gels, for Table I, the F/T sensor.
+    # Without a published counterpart: the whole chain; of gels, for Table I, the F/T
+    # sensor.
     usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
     for identified in found:
         by_method = {item.method: item for item in identified}

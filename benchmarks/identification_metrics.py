@@ -1,4 +1,6 @@
-"""Every identification number of one simulated insertion: ruptures, friction, enhanced force."""
+"""Every identification number of one simulated insertion: ruptures, friction,
+enhanced force.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -31,8 +33,8 @@ from identification import (
 from identification.config import Model
 
 SPEED_WINDOW_s = 0.2
-"""Over which the median of the speed is taken, centred, as one may offline: the models are judged,
-not the noise of an arm's velocity, which B Δz would turn into force."""
+"""Over which the median of the speed is taken, centred, as one may offline: the models
+are judged, not the noise of an arm's velocity, which B Δz would turn into force."""
 
 
 def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
@@ -60,14 +62,16 @@ def quiet_speed_m_s(signal: NeedleSignal) -> NDArray[np.float64]:
 
 
 def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
-    """The spans from first contact to the first rupture, and from each rupture to the next.
+    """The spans from first contact to the first rupture, and from each rupture to the
+    next.
 
-    A membrane on the surface thus has a span of its own, the fictitious layer of Section III-B. A
-    layer that the tip is still in at the deepest point ends there.
+    A membrane on the surface thus has a span of its own, the fictitious layer of
+    Section III-B. A layer that the tip is still in at the deepest point ends there.
     """
     inside = truth.is_insertion
     last = int(np.flatnonzero(inside)[-1])
-    # An arm that lags may break through after its path has ended: that is not in the data.
+    # An arm that lags may break through after its path has ended: that is not in the
+    # data.
     found = [rupture for rupture in truth.ruptures if rupture.onset_s < truth.t_s[last]]
     ends = [(rupture.onset_s, rupture.onset_m) for rupture in found]
     if truth.layer[last] <= truth.layer_friction_N.shape[1]:
@@ -85,7 +89,8 @@ def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
 
 
 SIGMA1_N = (0.03, 0.05, 0.08, 0.15)
-"""Its authors set σ₁ for each recording: 0.08 N in the text, 0.03 to 0.15 N in their settings."""
+"""Its authors set σ₁ for each recording: 0.08 N in the text, 0.03 to 0.15 N in their
+settings."""
 
 
 def identify_as_run(
@@ -95,9 +100,11 @@ def identify_as_run(
     method: Method = "published-as-run",
     config: PublishedConfig = PUBLISHED,
 ) -> Identified:
-    """The published method as its authors ran it: commanded speed, shape (n,), and the best σ₁.
+    """The published method as its authors ran it: commanded speed, shape (n,), and the
+    best σ₁.
 
-    Best is the one with most ruptures found less false alarms, which they saw in the force.
+    Best is the one with most ruptures found less false alarms, which they saw in the
+    force.
     """
     quiet = replace(signal, speed_m_s=commanded_m_s)
     tried = [
@@ -117,8 +124,8 @@ def measure_identification(
 ) -> Iterator[Measurement]:
     """Measure one method on one signal.
 
-    What the models can explain offline depends on neither method nor estimated force: it is stated
-    once, on the F/T reading.
+    What the models can explain offline depends on neither method nor estimated force:
+    it is stated once, on the F/T reading.
     """
     values = event_metrics(item, truth) | enhanced_metrics(item, truth)
     # Table I: one layer that ruptures, and no membrane.
@@ -141,17 +148,19 @@ def event_metrics(item: Identified, truth: InsertionTruth) -> dict[str, float]:
 
 
 VISIBLE_N = 0.15
-"""A true transition counts as a rupture when the true force drops by more than this, whatever the
-noise of who looks for it; below it is a soft transition. The least drop of ruptures in real liver
-(0.15 to 1.4 N); half that of the 25 % gel, the softest of the published tissues."""
+"""A true transition counts as a rupture when the true force drops by more than this,
+whatever the noise of who looks for it; below it is a soft transition. The least drop of
+ruptures in real liver (0.15 to 1.4 N); half that of the 25 % gel, the softest of the
+published tissues."""
 EARLY_s = 0.2
-"""An alarm may come this much before the onset: a derivative criterion sees the force level off
-before it drops."""
+"""An alarm may come this much before the onset: a derivative criterion sees the force
+level off before it drops."""
 LATE_s = 1.5
-"""It may come this much after the onset: the longest release takes 0.25 s (0.5 mm at 2 mm/s), the
-published virtual sensor (K = 5/s) needs three lags of 0.2 s to show nine tenths of it, and as much
-again is left to the method. True onsets are 1.25 s apart at the least in drawn stacks without
-membranes (10 mm at 8 mm/s), so where windows overlap the nearest onset decides."""
+"""It may come this much after the onset: the longest release takes 0.25 s (0.5 mm at 2
+mm/s), the published virtual sensor (K = 5/s) needs three lags of 0.2 s to show nine
+tenths of it, and as much again is left to the method. True onsets are 1.25 s apart at
+the least in drawn stacks without membranes (10 mm at 8 mm/s), so where windows overlap
+the nearest onset decides."""
 
 
 def is_visible(rupture: Rupture) -> bool:
@@ -169,10 +178,11 @@ class Matching(NamedTuple):
 
 
 def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
-    """Give each alarm to at most one true rupture and the other way round, nearest first.
+    """Give each alarm to at most one true rupture and the other way round, nearest
+    first.
 
-    An alarm may belong to a rupture when it lies within `EARLY_s` before and `LATE_s` after its
-    onset.
+    An alarm may belong to a rupture when it lies within `EARLY_s` before and `LATE_s`
+    after its onset.
     """
     onsets_s = [rupture.onset_s for rupture in ruptures]
     pairs = nearest_pairs(
@@ -189,10 +199,11 @@ def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
 def nearest_pairs(
     true: Sequence[float], found: Sequence[float], before: float, after: float
 ) -> dict[int, int]:
-    """Index of the found value that belongs to each true one; those without are left out.
+    """Index of the found value that belongs to each true one; those without are left
+    out.
 
-    A found value is at most so much before or after the true one, and belongs to one true value
-    at most, nearest first.
+    A found value is at most so much before or after the true one, and belongs to one
+    true value at most, nearest first.
     """
     candidates = sorted(
         (abs(value - wanted), i, j)
@@ -210,9 +221,10 @@ def nearest_pairs(
 def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, float]:
     """Numbers of one insertion by name; what does not exist in it has no entry.
 
-    Recall over ruptures and over soft transitions. Precision: the fraction of alarms that belong
-    to either; nan without an alarm, since then it is undefined. Medians over the ruptures found:
-    alarm after onset, error of the estimated time, travel from onset to alarm.
+    Recall over ruptures and over soft transitions. Precision: the fraction of alarms
+    that belong to either; nan without an alarm, since then it is undefined. Medians
+    over the ruptures found: alarm after onset, error of the estimated time, travel from
+    onset to alarm.
     """
     hard = [pair for pair in matching.found if is_visible(pair[0])]
     missed = [rupture for rupture in matching.missed if is_visible(rupture)]
@@ -255,12 +267,14 @@ class LayerFriction(NamedTuple):
 def layer_frictions(
     ruptures: Sequence[Rupture], alarms: Sequence[Alarm], *, online: bool = False
 ) -> list[LayerFriction]:
-    """Pair every layer with what was identified of it, at the end or, `online`, in the next layer.
+    """Pair every layer with what was identified of it, at the end or, `online`, in the
+    next layer.
 
-    A layer ends at its rupture. What is identified by alarms since the layer before it (a surface
-    membrane's, a false one's) counts for it: that much friction was taken off the force. A layer
-    that ends softly counts together with the one after it, since the force does not separate them;
-    one whose rupture was missed counts as estimated at zero.
+    A layer ends at its rupture. What is identified by alarms since the layer before it
+    (a surface membrane's, a false one's) counts for it: that much friction was taken
+    off the force. A layer that ends softly counts together with the one after it, since
+    the force does not separate them; one whose rupture was missed counts as estimated
+    at zero.
     """
     found: list[LayerFriction] = []
     true_N, begin_s = 0.0, -math.inf
@@ -297,11 +311,12 @@ def _layer_friction(
 def friction_metrics(
     frictions: Sequence[LayerFriction], when: str = ""
 ) -> dict[str, float]:
-    """Worst and mean relative error, and whether the stated standard deviations are right.
+    """Worst and mean relative error, and whether the stated standard deviations are
+    right.
 
-    `when` is part of the names: ``_online`` for what was known in the layer after. The coverage is
-    the fraction of layers within twice the stated standard deviation; layers that were not
-    identified state none and do not count there.
+    `when` is part of the names: ``_online`` for what was known in the layer after. The
+    coverage is the fraction of layers within twice the stated standard deviation;
+    layers that were not identified state none and do not count there.
     """
     if not frictions:
         return {}
@@ -323,8 +338,8 @@ def friction_metrics(
 def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
     """Cumulative friction B d of the one layer in Ns/m, by name, as in Table I.
 
-    True: friction over speed at the rupture. Offline: equation (6) with the multi-layer model on
-    the insertion, rupture known. Online: as the method states it in the end.
+    True: friction over speed at the rupture. Offline: equation (6) with the multi-layer
+    model on the insertion, rupture known. Online: as the method states it in the end.
     """
     rupture = truth.ruptures[0]
     speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
@@ -339,8 +354,8 @@ def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]
 
 
 CLEAR_m = 2e-3
-"""Beyond the end of the last release: both methods wait for 1 mm of travel before they compensate,
-and another is left for their delay."""
+"""Beyond the end of the last release: both methods wait for 1 mm of travel before they
+compensate, and another is left for their delay."""
 ADVANCING_m_s = 1e-4
 """Below this speed the needle rests."""
 
@@ -348,8 +363,9 @@ ADVANCING_m_s = 1e-4
 def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
     """Enhanced and tip force against the true ones; what does not exist has no entry.
 
-    Errors count from the first compensation to the deepest point; a method that never compensates
-    is judged from the true exit of the first layer on, with what it calls enhanced force.
+    Errors count from the first compensation to the deepest point; a method that never
+    compensates is judged from the true exit of the first layer on, with what it calls
+    enhanced force.
     """
     values: dict[str, float] = {}
     after = truth.is_insertion[identified.start :].copy()
@@ -392,11 +408,14 @@ def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
 
 
 MEAN_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
-"""Of a standard normal variable: the mean error of an estimator that reaches its bound."""
+"""Of a standard normal variable: the mean error of an estimator that reaches its
+bound."""
 
 
 def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
-    """Least errors that the noise of a reading allows, by name; nothing without ruptures."""
+    """Least errors that the noise of a reading allows, by name; nothing without
+    ruptures.
+    """
     visible = [rupture for rupture in truth.ruptures if is_visible(rupture)]
     lag_s = 0.0
     if signal.source == "virtual":

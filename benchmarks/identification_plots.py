@@ -1,6 +1,8 @@
-"""Charts of the identification in one run, after the published Figures 2, 3, 8, 9 and 11 to 14.
+"""Charts of the identification in one run, after the published Figures 2, 3, 8, 9 and
+11 to 14.
 
-The clock starts where the tare stroke ends and the needle sets out, as in the publication.
+The clock starts where the tare stroke ends and the needle sets out, as in the
+publication.
 """
 
 from collections.abc import Sequence
@@ -67,8 +69,8 @@ def enhanced_chart(
 ) -> Chart:
     """Measured, predicted and enhanced force of one method, with its own events.
 
-    Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the method was
-    given another, and the profile of the speed, as in Figure 9.
+    Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the
+    method was given another, and the profile of the speed, as in Figure 9.
     """
     x, whole = _times_s(item, truth), truth.t_s - truth.tare_end_s
     top_N = float(truth.axial_N[truth.is_insertion].max())
@@ -124,9 +126,9 @@ def enhanced_chart(
 def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
     """Steps over time, by the name of the estimate they belong to.
 
-    True friction is no coefficient (it also depends on speed in other ways): these are its values
-    at each rupture, friction over speed, and that over the travel since the rupture before. There
-    is no one true stiffness, and none is given.
+    True friction is no coefficient (it also depends on speed in other ways): these are
+    its values at each rupture, friction over speed, and that over the travel since the
+    rupture before. There is no one true stiffness, and none is given.
     """
     times: list[float] = []
     local: list[float] = []
@@ -180,7 +182,8 @@ class Compared:
 def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:
     """Stiffness, friction per length and cumulative friction of every method.
 
-    The Kelvin-Voigt model's friction has another unit and is drawn only where the units agree.
+    The Kelvin-Voigt model's friction has another unit and is drawn only where the units
+    agree.
     """
     true = true_friction(truth)
     drawn = (
@@ -232,7 +235,9 @@ def _parameter(
 def _parameter_limits(
     shown_s: tuple[float, float], curves: Sequence[Curve], found: Sequence[float]
 ) -> tuple[float, float]:
-    """Room for the identified layers, the truth, and most of every curve, without transients."""
+    """Room for the identified layers, the truth, and most of every curve, without
+    transients.
+    """
     sizes, (low, high) = [1e-9, *(1.1 * value for value in found)], shown_s
     for curve in curves:
         inside = curve.y[(curve.x > low) & (curve.x < high) & np.isfinite(curve.y)]

@@ -1,9 +1,10 @@
-"""The same samples through orocos KDL's estimator of a wrench: error and time beside ours.
+"""The same samples through orocos KDL's estimator of a wrench: error and time beside
+ours.
 
-``ChainExternalWrenchEstimator`` is what a user finds in Debian (``liborocos-kdl-dev``). It gets the
-robot, the gain and the samples that ours gets; its inner filter is off, as ours has none. It takes
-no offset off and has no tare, so it stands here as it is, and with torques from which the mean
-residual just before contact is taken off.
+``ChainExternalWrenchEstimator`` is what a user finds in Debian (``liborocos-kdl-dev``).
+It gets the robot, the gain and the samples that ours gets; its inner filter is off, as
+ours has none. It takes no offset off and has no tare, so it stands here as it is, and
+with torques from which the mean residual just before contact is taken off.
 """
 
 import ctypes
@@ -135,7 +136,9 @@ class KdlEstimator:
         self.call(q.ctypes.data, dq.ctypes.data, tau.ctypes.data)
 
     def bare(self) -> Update:
-        """What takes sample k where it is known in advance at which addresses it lies."""
+        """What takes sample k where it is known in advance at which addresses it
+        lies.
+        """
         places = [
             tuple(each.ctypes.data for each in sample) for sample in self._samples
         ]
@@ -156,7 +159,8 @@ class KdlEstimator:
 
 
 class PlainEstimator:
-    """Our observer and, as KDL's, the pseudo-inverse of all six rows; arguments as `KdlEstimator`.
+    """Our observer and, as KDL's, the pseudo-inverse of all six rows; arguments as
+    `KdlEstimator`.
 
     Attributes:
         axial_N: Resistance to insertion at the last sample.
@@ -227,7 +231,9 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
 
 
 def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
-    """The table, and whether both targets are met; without KDL that is said, and there is none."""
+    """The table, and whether both targets are met; without KDL that is said, and
+    there is none.
+    """
     errors: list[Error] = []
     times: dict[str, Array] = {}
     try:

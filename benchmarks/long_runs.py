@@ -1,4 +1,6 @@
-"""A million updates, and recordings of any length: does the chain grow, does it slow down?"""
+"""A million updates, and recordings of any length: does the chain grow, does it slow
+down?
+"""
 
 import math
 import os
@@ -31,7 +33,8 @@ from residual import DEFAULT
 
 SCENARIO, PLANT = "gel-25-constant", "clean"
 WINDOW = 20_000
-"""Updates of the first and of the last median: more than one cycle's worth of either."""
+"""Updates of the first and of the last median: more than one cycle's worth of
+either."""
 SETTLED_S, STILL = 0.5, 1000
 """The needle is at rest so long after its insertion, for so many samples at least."""
 NS_PER_US, BYTES_PER_KB, BYTES_PER_MB = 1e3, 1024.0, 1024.0**2
@@ -41,11 +44,11 @@ NS_PER_US, BYTES_PER_KB, BYTES_PER_MB = 1e3, 1024.0, 1024.0**2
 class Soak:
     """What many updates did."""
 
-    # median update at the start, after the tare and one cycle, and at the end, over the same part
-    # of a cycle [us]
+    # median update at the start, after the tare and one cycle, and at the end, over the
+    # same part of a cycle [us]
     tick_us: tuple[float, float]
-    # memory that Python held for the chain after that cycle and after the last whole one: in the
-    # tissue a layer's data add to it [kB]
+    # memory that Python held for the chain after that cycle and after the last whole
+    # one: in the tissue a layer's data add to it [kB]
     python_kB: tuple[float, float]
     process_MB: tuple[
         float, float
@@ -69,7 +72,9 @@ class Soak:
 
 
 class Cycle:
-    """An insertion with as long a rest in the tissue, without end; `length` updates make one."""
+    """An insertion with as long a rest in the tissue, without end; `length` updates
+    make one.
+    """
 
     def __init__(self) -> None:
         run = simulate(SCENARIO, PLANT, 0)
@@ -79,7 +84,8 @@ class Cycle:
         self.tare = int(np.searchsorted(t_s, run.tare_end_s))
         at = int(np.searchsorted(t_s, run.scenario.motion.insertion_end_s + SETTLED_S))
         still = list(range(at, at + STILL))
-        # Forth and back: a jump from the last to the first would be a spike to the session.
+        # Forth and back: a jump from the last to the first would be a spike to the
+        # session.
         moving = len(self._rows) - self.tare
         rest = (still + still[::-1]) * (moving // (2 * STILL))
         self.order = [*range(self.tare, at), *rest, *range(at, len(self._rows))]
@@ -115,7 +121,9 @@ class Cycle:
     def time(
         self, ticks: int, progress: Progress
     ) -> tuple[Array, tuple[int, ...], int]:
-        """Time of every update [us], shape (ticks,); ruptures by whole cycle; samples rejected."""
+        """Time of every update [us], shape (ticks,); ruptures by whole cycle;
+        samples rejected.
+        """
         session, taken, ruptures = (
             self.tared(),
             np.zeros(ticks),
@@ -127,7 +135,9 @@ class Cycle:
         return taken, tuple(ruptures[:-1]), session.rejected
 
     def memory(self, ticks: int, progress: Progress) -> Array:
-        """Memory of Python [kB] and of the process [MB], after each whole cycle, shape (n, 2)."""
+        """Memory of Python [kB] and of the process [MB], after each whole cycle,
+        shape (n, 2).
+        """
         session, process, held = self.tared(), psutil.Process(), []
         tracemalloc.start()
         try:
@@ -141,10 +151,12 @@ class Cycle:
 
 
 def run_soak(ticks: int, progress: Progress = lambda fraction: None) -> Soak:
-    """Insert, rest and withdraw over and over on one tare, every time as a new insertion.
+    """Insert, rest and withdraw over and over on one tare, every time as a new
+    insertion.
 
-    In every cycle the needle rests in the tissue for as long as it moves. Cost and memory are
-    measured in separate passes, since watching memory costs time. At least two cycles are run.
+    In every cycle the needle rests in the tissue for as long as it moves. Cost and
+    memory are measured in separate passes, since watching memory costs time. At least
+    two cycles are run.
     """
     cycle = Cycle()
     ticks = max(ticks, 2 * cycle.length + 1)
@@ -218,7 +230,8 @@ def joint_recording(seconds: float) -> Iterator[Columns]:
 
 
 def needle_recording(seconds: float) -> Iterator[Columns]:
-    """Depth, speed and force of a needle that is inserted into gel and withdrawn, again and again.
+    """Depth, speed and force of a needle that is inserted into gel and withdrawn, again
+    and again.
 
     Every cycle is in fresh tissue, whose surface lies as deep as the needle
     has come before: in the channel of an insertion there is nothing left to rupture.
@@ -274,7 +287,9 @@ class ProcessUse(NamedTuple):
     ]  # resident memory as it went on, in equal steps of time
 
     def memory_at(self, fraction: float) -> float:
-        """Resident memory when that fraction of the time had passed [MB]; nan if unknown."""
+        """Resident memory when that fraction of the time had passed [MB]; nan if
+        unknown.
+        """
         if not self.memory_MB:
             return float("nan")
         return self.memory_MB[
@@ -294,7 +309,8 @@ def run_python(
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     start_s, before = time.perf_counter(), psutil.Process().cpu_times()
     memory_MB: list[float] = []
-    # A file, not a pipe: that would be full after 64 kB, and the process would wait for ever.
+    # A file, not a pipe: that would be full after 64 kB, and the process would wait for
+    # ever.
     with TemporaryFile() as errors:
         command = [sys.executable, *arguments]
         process = psutil.Popen(

@@ -1,4 +1,6 @@
-"""Both methods on one signal: virtual sensor, F/T sensor, identification; errors of a force."""
+"""Both methods on one signal: virtual sensor, F/T sensor, identification; errors of
+a force.
+"""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -70,9 +72,10 @@ class ForceReading:
 REPORT_EVERY = 1000
 """Samples between two reports of progress."""
 PUBLISHED_SPEED_s = 0.02
-"""Time constant of the low-pass on the speed that the published method is given. It takes speed as
-exact: as an arm measures it (0.12 mm/s of noise on 2.3 mm/s) its friction error on the 50 % gel is
-125 %, through this low-pass 11 %. Ours has the same inside and is given the raw speed."""
+"""Time constant of the low-pass on the speed that the published method is given. It
+takes speed as exact: as an arm measures it (0.12 mm/s of noise on 2.3 mm/s) its
+friction error on the 50 % gel is 125 %, through this low-pass 11 %. Ours has the same
+inside and is given the raw speed."""
 
 
 class SessionRun(NamedTuple):
@@ -105,7 +108,8 @@ def run_session(
         tare_s: When it is tared.
         progress: Takes the fraction done.
         sensor: Settings of the virtual sensor, if not those of the simulated LWR.
-        contact_m: Depth of first contact since the tare, which the published method assumes known.
+        contact_m: Depth of first contact since the tare, which the published method
+            assumes known.
     """
     is_published = method == "published"
     config = (
@@ -147,8 +151,9 @@ OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
 def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
     """The published force with the gain of its observer that gives the least error.
 
-    One lag is taken off the force and another put on. That is what another gain would give: the
-    pose hardly turns within a lag, so that filtering the force is filtering the residual.
+    One lag is taken off the force and another put on. That is what another gain would
+    give: the pose hardly turns within a lag, so that filtering the force is filtering
+    the residual.
     """
     start = int(np.searchsorted(truth.t_s, truth.zeroed_s))
     force, judged = reading.axial_N, truth.judged
@@ -168,14 +173,16 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
 
 
 TARE_s = 3.0
-"""The last stroke in free air. Over a whole stroke, from rest to rest, the needle's inertia cancels
-from the mean; its weight does not change on a straight line and goes with the bias."""
+"""The last stroke in free air. Over a whole stroke, from rest to rest, the needle's
+inertia cancels from the mean; its weight does not change on a straight line and goes
+with the bias."""
 
 
 def ft_force(run: Run) -> ForceReading:
     """Axial force from the F/T reading, zeroed over the last free stroke.
 
-    The standard deviation it states is its noise over that stroke: what a user would write down.
+    The standard deviation it states is its noise over that stroke: what a user would
+    write down.
     """
     t_s = run.signals.t_s
     resistance = -run.signals.ft_wrench[:, 2]
@@ -192,7 +199,8 @@ def joint_residual(
     alignment: Alignment = "trapezoid",
     friction: FrictionModel | None = None,
 ) -> Array:
-    """Residual of a `MomentumObserver`, without tare or wrench, after every sample [Nm], (n, j).
+    """Residual of a `MomentumObserver`, without tare or wrench, after every sample
+    [Nm], (n, j).
 
     Raises:
         DataError: The arm sent no velocities.
@@ -220,13 +228,15 @@ class Alarm(NamedTuple):
     rupture_s: float  # estimated rupture time, as known at the end
     # the layer it ended, as known at the end; None if it was never identified
     layer: LayerEstimate | None
-    # the same layer as identified in the layer after it, before any later rupture: what was taken
-    # off the force then
+    # the same layer as identified in the layer after it, before any later rupture: what
+    # was taken off the force then
     online: LayerEstimate | None
 
 
 def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
-    """Every rupture reported, in order; estimates begin with sample `start` of the n instants."""
+    """Every rupture reported, in order; estimates begin with sample `start` of the n
+    instants.
+    """
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     known = (
         one.identified_layer
@@ -250,7 +260,9 @@ def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
-    """Sum of B d over the traversed layers, each at the speed of its rupture, as known at last."""
+    """Sum of B d over the traversed layers, each at the speed of its rupture, as
+    known at last.
+    """
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
     return sum(
         layer.friction_N / max(layer.rupture.speed_m_s, 1e-9) for layer in layers
@@ -259,7 +271,9 @@ def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a method made of a signal; sample k of it is sample ``start + k`` of the run."""
+    """What a method made of a signal; sample k of it is sample ``start + k`` of the
+    run.
+    """
 
     signal: NeedleSignal  # what it was given
     method: Method  # of the identification (and, of a virtual force, of the sensor)
@@ -294,10 +308,11 @@ def identify(
     config: MultilayerConfig | PublishedConfig | None = None,
     result: Replay | None = None,
 ) -> Identified:
-    """Run a method from the end of the tare to the end of the run; `result` if that was done.
+    """Run a method from the end of the tare to the end of the run; `result` if that was
+    done.
 
-    `ours` finds first contact by itself. `published` assumes it known, and is given it: the one
-    thing of the ground truth that an identifier sees here.
+    `ours` finds first contact by itself. `published` assumes it known, and is given it:
+    the one thing of the ground truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
     config = IDENTIFIERS[method] if config is None else config
@@ -324,10 +339,11 @@ COARSE_S = 0.01
 
 
 def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
-    """Delay of the estimate [s]: the shift of the truth that leaves the least error variance.
+    """Delay of the estimate [s]: the shift of the truth that leaves the least error
+    variance.
 
-    A constant difference between the two is not counted. Positive when the estimate is late; nan
-    where the truth does not change, or for less than a second of data.
+    A constant difference between the two is not counted. Positive when the estimate is
+    late; nan where the truth does not change, or for less than a second of data.
     """
     inner = (
         (t_s >= t_s[0] + LATEST_S) & (t_s <= t_s[-1] + EARLIEST_S)
@@ -353,8 +369,8 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
 def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement]:
     """Measure one reading over the judged part of a run.
 
-    RMSE, bias, coverage, all nan when no sample is judged; and the lag, where the true force
-    changes.
+    RMSE, bias, coverage, all nan when no sample is judged; and the lag, where the true
+    force changes.
     """
     judged = truth.judged
     estimate, true = reading.axial_N[judged], truth.axial_N[judged]
@@ -379,8 +395,9 @@ GAIN_per_s = 50.0
 def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
     """Error of a plain observer on an ideal arm; nothing on any other.
 
-    The ideal is r' = K (external torque - r) with the true torque's mean over each tick, solved
-    exactly: row k of the truth, the tick from sample k to the next, gives the value at k + 1.
+    The ideal is r' = K (external torque - r) with the true torque's mean over each
+    tick, solved exactly: row k of the truth, the tick from sample k to the next, gives
+    the value at k + 1.
     """
     if run.plant != "ideal":
         return []

@@ -1,7 +1,8 @@
-"""Perturbed worlds: a scenario and a plant in which one thing is not as the estimators assume.
+"""Perturbed worlds: a scenario and a plant in which one thing is not as the estimators
+assume.
 
-`perturbations.toml` defines them: what is changed, within which range, and why. Its fields are
-those of `Perturbation`.
+`perturbations.toml` defines them: what is changed, within which range, and why. Its
+fields are those of `Perturbation`.
 """
 
 import math
@@ -135,7 +136,9 @@ class Perturbation(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """What is simulated; what the plant's sensors add holds for the needle alone as well."""
+    """What is simulated; what the plant's sensors add holds for the needle alone as
+    well.
+    """
 
     scenario: Scenario
     plant: PlantModel = PLANT_MODELS["clean"]
@@ -158,7 +161,9 @@ def _like(value: object, limits: Range, rng: Rng) -> object:
 
 
 def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
-    """Each wave with a second harmonic of up to half its size: no organ moves as a pure sine."""
+    """Each wave with a second harmonic of up to half its size: no organ moves as a
+    pure sine.
+    """
     found: list[tuple[float, float, float]] = []
     for wave in waves:
         size_m, frequency_hz = (
@@ -228,10 +233,11 @@ PERTURBED = "robustness-"
 def perturbed(
     name: str, scenario: Scenario, seed: int
 ) -> tuple[World, tuple[str, ...]]:
-    """A scenario in a perturbed world, and the perturbations: of `mixed`, those that were drawn.
+    """A scenario in a perturbed world, and the perturbations: of `mixed`, those that
+    were drawn.
 
-    Equal arguments give equal worlds; estimators are tuned on seeds below 1000, and reported on
-    seeds from 1000 on.
+    Equal arguments give equal worlds; estimators are tuned on seeds below 1000, and
+    reported on seeds from 1000 on.
     """
     rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
     names = (name,)

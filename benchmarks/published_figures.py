@@ -1,4 +1,6 @@
-"""The published figures: which run gives the counterpart of each, and what to compare."""
+"""The published figures: which run gives the counterpart of each, and what to
+compare.
+"""
 
 from pathlib import Path
 
@@ -12,7 +14,9 @@ FRICTION_FIGURE, TABLE_ONE = "10", "I"
 class PublishedFigure(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """One figure of Ferro et al., or their table, as `published_figures.toml` has it."""
+    """One figure of Ferro et al., or their table, as `published_figures.toml` has
+    it.
+    """
 
     number: str  # in the publication
     title: str  # what it is about

@@ -63,7 +63,9 @@ TUNED = Estimate("online", "ft", "published-as-run")
 
 
 def gel_friction(rows: Iterable[Row]) -> Frame | None:
-    """Rows of the gels' friction [Ns/m] on the best plant they were run on; None without any."""
+    """Rows of the gels' friction [Ns/m] on the best plant they were run on; None
+    without any.
+    """
     found = [
         row
         for row in rows
@@ -160,7 +162,9 @@ PUBLISHED_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
 
 
 def friction_chart(title: str, gels: Frame) -> Chart:
-    """After the published Figure 10: from the left the published means of a gel, then ours."""
+    """After the published Figure 10: from the left the published means of a gel,
+    then ours.
+    """
     places, known = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
@@ -232,7 +236,9 @@ def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
 
 
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
-    """Runs that are the counterpart of no figure, or were made with another plant model as well."""
+    """Runs that are the counterpart of no figure, or were made with another plant
+    model as well.
+    """
     used = {
         id(drawing)
         for item in PUBLISHED_FIGURES

@@ -1,7 +1,8 @@
-"""Estimators in perturbed worlds, by the arm or, for the identification alone, by the needle.
+"""Estimators in perturbed worlds, by the arm or, for the identification alone, by the
+needle.
 
-The published method runs on the F/T force everywhere; on the virtual force only where the plant
-itself is what changes, since its sensor would double the time.
+The published method runs on the F/T force everywhere; on the virtual force only where
+the plant itself is what changes, since its sensor would double the time.
 """
 
 from collections.abc import Iterator
@@ -85,7 +86,9 @@ def perturbed_needle(
 
 
 def run_robustness(job: Job, progress: Progress) -> Findings:
-    """``robustness-...``: the world of the plant's name, our method and the published one."""
+    """``robustness-...``: the world of the plant's name, our method and the
+    published one.
+    """
     name = job.plant
     chosen = job.benchmark.removeprefix(PERTURBED)
     scenario = SCENARIOS[job.seed % len(SCENARIOS)] if chosen == MIXED else chosen

@@ -1,9 +1,10 @@
 """One number of the results, files of them, and every metric a row may carry.
 
-Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table of
-`benchmarks.tables` that shows the metric (``none``: it stands in the results only); `best`,
-`tolerance` and `relative_tolerance` say which change is one for the worse; `meaning` is one line.
-A relative tolerance of 1 marks a number shown for reference, by which nothing is judged.
+Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table
+of `benchmarks.tables` that shows the metric (``none``: it stands in the results only);
+`best`, `tolerance` and `relative_tolerance` say which change is one for the worse;
+`meaning` is one line. A relative tolerance of 1 marks a number shown for reference, by
+which nothing is judged.
 """
 
 import csv
@@ -20,12 +21,13 @@ from benchmarks import ResultsError, UnknownMetricError
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals."""
 Method = Literal["published", "published-as-run", "published-best-K", "ours", "guess"]
-"""Whose method: as published, or ours. What does not depend on it stands under ``ours``;
-``guess`` is a rule of thumb that an identification worth having must beat.
+"""Whose method: as published, or ours. What does not depend on it stands under
+``ours``; ``guess`` is a rule of thumb that an identification worth having must beat.
 
-``published`` has one setting and the measured speed, as ours. ``published-as-run`` is it as its
-authors ran it: commanded speed, σ₁ chosen for each recording; ``published-best-K`` is that with the
-gain of the observer that suits the recording best, where theirs is 5/s."""
+``published`` has one setting and the measured speed, as ours. ``published-as-run`` is
+it as its authors ran it: commanded speed, σ₁ chosen for each recording;
+``published-best-K`` is that with the gain of the observer that suits the recording
+best, where theirs is 5/s."""
 
 
 class RowKey(NamedTuple):
@@ -71,7 +73,9 @@ SIGNIFICANT_DIGITS = 6
 
 
 def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
-    """Rows, and how many each run has, so that equal runs give equal bytes; not finite: null."""
+    """Rows, and how many each run has, so that equal runs give equal bytes; not
+    finite: null.
+    """
     lines = b",\n  ".join(map(_line, rows))
     counts = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
     return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, counts)
@@ -83,7 +87,9 @@ def _line(row: Row) -> bytes:
 
 
 def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> None:
-    """Write rows to a file, whole or not at all; raises `ResultsError` where that cannot be."""
+    """Write rows to a file, whole or not at all; raises `ResultsError` where that
+    cannot be.
+    """
     from needleforce.plots import FiguresError
     from needleforce.plots.chart import write_file
 
@@ -109,8 +115,8 @@ def read_results(path: str | Path) -> list[Row]:
     """Read rows from a file; null becomes nan.
 
     Raises:
-        ResultsError: The file cannot be read, is not JSON of this schema, lacks a field, or has
-            two rows with one key.
+        ResultsError: The file cannot be read, is not JSON of this schema, lacks a
+            field, or has two rows with one key.
     """
     try:
         lines = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
@@ -138,7 +144,9 @@ def _row(line: _Line) -> Row:
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
-    """Rows of several files; a later one replaces those of the same scenario and plant."""
+    """Rows of several files; a later one replaces those of the same scenario and
+    plant.
+    """
     found: dict[tuple[str, str], list[Row]] = {}
     for path in paths:
         rows = read_results(path)
@@ -156,7 +164,8 @@ UNITS = {
     "_ms": "ms",
     "_pct": "%",
 }
-"""By the end of a metric's name; a name that ends otherwise is that of a fraction or a count."""
+"""By the end of a metric's name; a name that ends otherwise is that of a fraction or
+a count."""
 
 
 class Metric(msgspec.Struct, frozen=True, kw_only=True):
@@ -167,7 +176,8 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
     meaning: str  # one line
     best: float  # the value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage
     tolerance: float  # absolute worsening that is not called a regression, in the metric's unit
-    # the same as a fraction of the old distance from ``best``; the larger of the two counts
+    # the same as a fraction of the old distance from ``best``; the larger of the two
+    # counts
     relative_tolerance: float
 
     @property
@@ -179,11 +189,15 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def may_be_undefined(self) -> bool:
-        """Whether nan is a result of it, no failure: without an alarm there is no precision."""
+        """Whether nan is a result of it, no failure: without an alarm there is no
+        precision.
+        """
         return self.name == "rupture_precision"
 
     def is_regression(self, old: float, new: float) -> bool:
-        """Whether the new value is worse beyond tolerance; a number that is not finite always."""
+        """Whether the new value is worse beyond tolerance; a number that is not
+        finite always.
+        """
         if not (math.isfinite(old) and math.isfinite(new)):
             return not math.isfinite(new)
         allowed = max(self.tolerance, self.relative_tolerance * abs(old - self.best))
@@ -191,7 +205,9 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def table_lines(path: Path) -> Iterator[dict[str, str]]:
-    """Lines of one of this package's data tables by column; ``#`` begins a comment line."""
+    """Lines of one of this package's data tables by column; ``#`` begins a comment
+    line.
+    """
     with path.open(encoding="utf-8", newline="") as lines:
         yield from csv.DictReader(line for line in lines if not line.startswith("#"))
 
@@ -218,7 +234,9 @@ def metric(name: str) -> Metric:
 
 
 class Measurement(NamedTuple):
-    """One measured number, before it is known which job it belongs to; fields as in `Row`."""
+    """One measured number, before it is known which job it belongs to; fields as in
+    `Row`.
+    """
 
     source: Source
     method: Method
@@ -226,6 +244,8 @@ class Measurement(NamedTuple):
     value: float
 
     def row(self, scenario: str, plant: str, seed: int) -> Row:
-        """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks the metric."""
+        """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks
+        the metric.
+        """
         unit = metric(self.metric).unit
         return Row(scenario, plant, seed, *self[:3], value=float(self.value), unit=unit)

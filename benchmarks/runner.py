@@ -26,7 +26,8 @@ from needleforce.recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
 
-# The two of the published Figure 5, the other speed of each, and the organs: under a minute.
+# The two of the published Figure 5, the other speed of each, and the organs: under a
+# minute.
 QUICK = (
     "gel-25-sinusoidal",
     "gel-70-constant",
@@ -130,12 +131,13 @@ IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST
 class Request:
     """What was asked for."""
 
-    # names of benchmarks; none for the quick ones (and, where figures are wanted, for what the
-    # published figures need), ``all`` for all, ``tissue`` for the scenarios with tissue
+    # names of benchmarks; none for the quick ones (and, where figures are wanted, for
+    # what the published figures need), ``all`` for all, ``tissue`` for the scenarios
+    # with tissue
     ids: Sequence[str] = ()
-    # plant models of simulations, ``needle`` for none; when empty, every benchmark runs on its
-    # own: the random stack with the needle alone, so that hundreds are affordable; for
-    # benchmarks in perturbed worlds, names of perturbations
+    # plant models of simulations, ``needle`` for none; when empty, every benchmark runs
+    # on its own: the random stack with the needle alone, so that hundreds are
+    # affordable; for benchmarks in perturbed worlds, names of perturbations
     plants: Sequence[str] = ()
     seeds: int = 1  # how many seeds are run
     first_seed: int = 0  # the first of them
@@ -144,7 +146,9 @@ class Request:
 
 
 class Plan(NamedTuple):
-    """Jobs in order, and names of benchmarks that are left out for want of recordings."""
+    """Jobs in order, and names of benchmarks that are left out for want of
+    recordings.
+    """
 
     jobs: tuple[Job, ...]
     skipped: tuple[str, ...]
@@ -155,8 +159,8 @@ def make_plan(request: Request) -> Plan:
 
     Raises:
         UnknownIdError: A benchmark or a plant of that name does not exist.
-        DataError: The folder of recordings does not exist, or a benchmark that was asked for by
-            name needs one, or an arm where only the needle was asked for.
+        DataError: The folder of recordings does not exist, or a benchmark that was
+            asked for by name needs one, or an arm where only the needle was asked for.
     """
     for plant in request.plants:
         if plant not in (*PLANTS, *PERTURBATIONS, MIXED):
@@ -213,7 +217,9 @@ def _missing(item: Benchmark, request: Request) -> str:
 
 
 def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
-    """The plants a simulation runs on, each once; none when it needs an arm and none was named."""
+    """The plants a simulation runs on, each once; none when it needs an arm and none
+    was named.
+    """
     asked = dict.fromkeys(request.plants or item.plants)
     return tuple(plant for plant in asked if plant in item.possible)
 
@@ -249,7 +255,9 @@ KNOWN = (
 
 
 def run_job(job: Job, progress: Progress = lambda fraction: None) -> Outcome:
-    """Rows of a job, or the reason why there are none: of an unforeseen error, where it was."""
+    """Rows of a job, or the reason why there are none: of an unforeseen error, where
+    it was.
+    """
     try:
         found = benchmark_named(job.benchmark).run(job, progress)
     except KNOWN as error:

@@ -1,4 +1,6 @@
-"""Signals that estimators get, and the ground truth that their estimates are judged against."""
+"""Signals that estimators get, and the ground truth that their estimates are judged
+against.
+"""
 
 from dataclasses import dataclass
 from itertools import accumulate
@@ -40,7 +42,9 @@ class InsertionTruth:
 
     @property
     def enhanced_N(self) -> Array:
-        """Axial force without the friction of the layers already traversed, shape (n,)."""
+        """Axial force without the friction of the layers already traversed, shape
+        (n,).
+        """
         number = np.arange(1, self.layer_friction_N.shape[1] + 1)
         is_traversed = number[None, :] < self.layer[:, None]
         return self.axial_N - np.sum(self.layer_friction_N * is_traversed, axis=1)
@@ -57,7 +61,9 @@ class InsertionTruth:
 
 
 def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
-    """The ground truth of an insertion, by the simulated arm or by a needle without one."""
+    """The ground truth of an insertion, by the simulated arm or by a needle without
+    one.
+    """
     true, motion = run.truth, run if isinstance(run, NeedleRun) else run.truth
     depth_m, organ = motion.depth_m, run.scenario.tissue_motion
     if isinstance(run, NeedleRun) and organ is not None:
@@ -98,8 +104,8 @@ class ForceTruth:
 
 
 CLOCK_DIGITS = 9
-"""Time stamps are whole nanoseconds; differences of their floats are not, and a period that differs
-in its last bit looks like a clock that jitters."""
+"""Time stamps are whole nanoseconds; differences of their floats are not, and a period
+that differs in its last bit looks like a clock that jitters."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,7 +135,8 @@ class JointSignals:
 
     def samples(self) -> list[tuple[Array, Array | None, Array, float]]:
         """Arguments of an estimator's `update`, sample by sample."""
-        # Lists: a controller has its sample at hand and need not cut it out of an array.
+        # Lists: a controller has its sample at hand and need not cut it out of an
+        # array.
         velocities = (
             [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
         )
@@ -154,10 +161,10 @@ def measured_travel(
 ) -> tuple[Array, Array]:
     """Travel of the tip along the needle's axis and its rate, shape (n,) each.
 
-    Forward kinematics of measured positions, Jacobian of measured velocities.
-    Where the arm sends no velocity, velocity and the position that belongs to it are estimated as
-    the virtual sensor does it. The tip's place and axis at `zero_s` are the zero and the direction
-    of depth.
+    Forward kinematics of measured positions, Jacobian of measured velocities. Where the
+    arm sends no velocity, velocity and the position that belongs to it are estimated as
+    the virtual sensor does it. The tip's place and axis at `zero_s` are the zero and
+    the direction of depth.
     """
     q_rad, dq_rad_s = signals.q_rad, signals.dq_rad_s
     if dq_rad_s is None:
@@ -176,7 +183,9 @@ def measured_travel(
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
-    """Values behind a first-order lag, sampled evenly and at rest before, shape (n,)."""
+    """Values behind a first-order lag, sampled evenly and at rest before, shape
+    (n,).
+    """
     if lag_s <= 0.0:
         return values
     keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
@@ -195,7 +204,9 @@ def inverse_dynamics(
 def tool_jacobians(
     robot: Robot, q_rad: Array, axes: pin.ReferenceFrame = pin.ReferenceFrame.LOCAL
 ) -> Array:
-    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along the needle."""
+    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along
+    the needle.
+    """
     model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
     return np.array(
         [pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad]

@@ -68,7 +68,8 @@ class SimulatedCase:
     signals: JointSignals  # what the arm sent
     truth: ForceTruth  # what force readings are judged against
     sessions: dict[Method, SessionRun]  # of every method, as a user has it
-    # by the published sensor with the gain that suits the run, where that method was run
+    # by the published sensor with the gain that suits the run, where that method was
+    # run
     best_gain: ForceReading | None
     ft: ForceReading | None  # the F/T sensor's
 
@@ -83,7 +84,9 @@ class SimulatedCase:
 def read_sensors(
     run: Run, progress: Progress, methods: Sequence[Method] = tuple(METHODS)
 ) -> SimulatedCase:
-    """Run the session of every method on what the simulated arm sent, and read the F/T sensor."""
+    """Run the session of every method on what the simulated arm sent, and read the
+    F/T sensor.
+    """
     signals, free = JointSignals.of_run(run), not run.scenario.layers
     # From first contact to the end of withdrawal; without tissue, all after the tare.
     truth = ForceTruth(
@@ -131,7 +134,9 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
 def session_signal(
     case: SimulatedCase, method: Method, force: ForceReading
 ) -> NeedleSignal:
-    """A force with depth and speed of a method's session, which come from measured joints."""
+    """A force with depth and speed of a method's session, which come from measured
+    joints.
+    """
     made, t_s = case.sessions[method], case.signals.t_s
     return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
 
@@ -139,8 +144,8 @@ def session_signal(
 def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     """Every method on the F/T force, then on the virtual one.
 
-    There each whole session is judged, by its own identification of its own force. On the F/T
-    force the same identifiers get depth and speed of the same sessions.
+    There each whole session is judged, by its own identification of its own force. On
+    the F/T force the same identifiers get depth and speed of the same sessions.
     """
     assert case.ft is not None, "without tissue there is nothing to identify"
     truth, scenario = insertion_truth(case.run), case.run.scenario
@@ -182,16 +187,18 @@ def _measured(
 
 
 NOISE_FACTOR = (0.5, 2.0)
-"""Range of the noise of drawn runs, of white noise and drift each: a better and a worse sensor."""
+"""Range of the noise of drawn runs, of white noise and drift each: a better and a
+worse sensor."""
 
 
 def run_needle(
     job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
 ) -> Findings:
-    """Identification alone, at half a second a run: insert, identify by both methods, measure.
+    """Identification alone, at half a second a run: insert, identify by both methods,
+    measure.
 
-    Without tissue there is nothing to identify. The seed is that of the noise, whose level may be
-    drawn as well.
+    Without tissue there is nothing to identify. The seed is that of the noise, whose
+    level may be drawn as well.
     """
     if not chosen.layers:
         return Findings([])

@@ -1,4 +1,6 @@
-"""What an update of the estimators costs, beside the bare Pinocchio calls of its equations."""
+"""What an update of the estimators costs, beside the bare Pinocchio calls of its
+equations.
+"""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -29,8 +31,8 @@ from urdf import Robot
 Update = Callable[[int], object]
 """Processes the sample of that index."""
 BLOCK = 200
-"""Updates of one subject before the next has its turn: short enough that whatever slows the machine
-down slows all of them."""
+"""Updates of one subject before the next has its turn: short enough that whatever slows
+the machine down slows all of them."""
 NS_PER_US = 1e3
 SCENARIO, PLANT = "stack-constant", "clean"
 LAYER_TICKS = 6
@@ -41,7 +43,9 @@ BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor
 
 
 class Subject(NamedTuple):
-    """What a subject's cost is a multiple of, and the most it may be, compiled by numba or not."""
+    """What a subject's cost is a multiple of, and the most it may be, compiled by
+    numba or not.
+    """
 
     bare: str
     compiled: float | None = None
@@ -62,7 +66,9 @@ SUBJECTS: Mapping[str, Subject] = {
 
 
 def cost_ratio(times: Array, bare: Array) -> float:
-    """Cost relative to the bare dynamics: median of the ratios of neighbouring blocks' medians."""
+    """Cost relative to the bare dynamics: median of the ratios of neighbouring
+    blocks' medians.
+    """
     return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
 
 
@@ -71,8 +77,8 @@ def time_side_by_side(
 ) -> dict[str, Array]:
     """Let subjects take turns, block by block, over the same samples 0 to last - 1.
 
-    Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates before `first`
-    are not counted: caches fill, filters settle.
+    Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates
+    before `first` are not counted: caches fill, filters settle.
     """
     for update in subjects.values():
         time_each(update, range(first))
@@ -94,10 +100,11 @@ def time_each(update: Update, indices: Iterable[int]) -> list[float]:
 
 
 class ChainUpdate:
-    """A session that takes an arm's signals sample by sample, called with the index of the next.
+    """A session that takes an arm's signals sample by sample, called with the index of
+    the next.
 
-    `alarms` are the updates that raised a rupture, `layers` those that worked on identifying a
-    traversed layer.
+    `alarms` are the updates that raised a rupture, `layers` those that worked on
+    identifying a traversed layer.
     """
 
     def __init__(
@@ -182,7 +189,9 @@ def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
 
 
 def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
-    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the bias is due."""
+    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the
+    bias is due.
+    """
     model, data = robot.model, robot.create_data()
     positions, still = list(signals.q_rad), np.zeros(robot.nv)
     frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
@@ -200,7 +209,9 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
 
 
 def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
-    """An estimator that gets the sample of each index, and is tared before that of `tare`."""
+    """An estimator that gets the sample of each index, and is tared before that of
+    `tare`.
+    """
     samples = signals.samples()
 
     def update(k: int) -> None:
@@ -255,7 +266,9 @@ def speed_table(report: SpeedReport) -> ResultTable:
 
 
 def event_table(report: SpeedReport) -> ResultTable:
-    """Updates that raise a rupture and updates that identify a layer, in the same insertion."""
+    """Updates that raise a rupture and updates that identify a layer, in the same
+    insertion.
+    """
     lines = []
     for what, events in (
         ("rupture raised", report.alarms),

@@ -1,4 +1,6 @@
-"""The tables of a run: in the terminal, in docs/results.md, in README.md and in the report."""
+"""The tables of a run: in the terminal, in docs/results.md, in README.md and in the
+report.
+"""
 
 import math
 import re
@@ -38,11 +40,14 @@ LEAST_WIDTH = 200
 """Of a table that goes into a file or a pipe."""
 _RMSE, CUMULATIVE = "wrench_rmse_N", "cumulative_friction_{}_Ns_per_m"
 Frame = Any
-"""A pandas.DataFrame with the columns of `Row`; its annotations leave open what a selection is."""
+"""A pandas.DataFrame with the columns of `Row`; its annotations leave open what a
+selection is."""
 
 
 def new_console() -> Console:
-    """A console as wide as the terminal, or wide enough for every table where there is none."""
+    """A console as wide as the terminal, or wide enough for every table where there
+    is none.
+    """
     console = Console(highlight=False)
     if not console.is_terminal:
         console.width = max(console.width, LEAST_WIDTH)
@@ -126,7 +131,9 @@ def select(frame: Frame, **wanted: str | None) -> Frame:
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A column of numbers: which rows of a group go into a cell, and how they are shown."""
+    """A column of numbers: which rows of a group go into a cell, and how they are
+    shown.
+    """
 
     head: str
     form: str = ""  # format of a number, such as ``.3f``
@@ -151,7 +158,8 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self._summary(mine["value"] * self.scale, mine["seed"], known)
 
     def _summary(self, values: Frame, seeds: Frame, known: Metric | None) -> str:
-        """One value as it is; of more the median, and in brackets the one farthest from the best.
+        """One value as it is; of more the median, and in brackets the one farthest from
+        the best.
 
         Of fractions the mean and the least instead.
         """
@@ -189,8 +197,8 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         ""  # groups without a metric of this table of `metrics.csv` are left out
     )
     caption: str = ""
-    # metrics whose worst run decides the order, worst first; ``target``: missed targets come
-    # first; ``shortfall``: of our fractions
+    # metrics whose worst run decides the order, worst first; ``target``: missed targets
+    # come first; ``shortfall``: of our fractions
     worst_first: tuple[str, ...] = ()
     has_worst: bool = True  # whether a cell shows the worst of several runs too
     perturbed: bool = (
@@ -255,7 +263,9 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def _force_mark(group: Frame) -> str:
-    """Whether the runs of a scenario on a plant keep the limits of their RMSE, or its median."""
+    """Whether the runs of a scenario on a plant keep the limits of their RMSE, or
+    its median.
+    """
     scenario, plant = group["scenario"].iloc[0], group["plant"].iloc[0]
     ours = select(group, source="virtual", method="ours")
     kept: list[bool] = []
@@ -278,7 +288,9 @@ SHORT_OF = {
 
 
 def _shortfall(group: Frame) -> tuple[float, float]:
-    """How much our fractions, means over runs, fall short of what they should be: worst, all."""
+    """How much our fractions, means over runs, fall short of what they should be:
+    worst, all.
+    """
     ours = select(group, method="ours")
     found = [
         best - select(ours, metric=name, source=source)["value"].mean()
@@ -325,7 +337,8 @@ def _read() -> dict[str, GroupTable]:
 
 
 TABLES: Mapping[str, GroupTable] = _read()
-"""In order, by the name in `metrics.csv`; a new kind of number gets its table in `tables.toml`."""
+"""In order, by the name in `metrics.csv`; a new kind of number gets its table in
+`tables.toml`."""
 
 
 def target_table(rows: Iterable[Row]) -> ResultTable:
@@ -400,7 +413,8 @@ SUMMED = ("published", "published-best-K", "ours")
 def summary_table(rows: Sequence[Row]) -> ResultTable:
     """The `HEADLINES` these rows have something for, the bad ones first.
 
-    Bad is a line with a missed target, then one in which ours is no better than published.
+    Bad is a line with a missed target, then one in which ours is no better than
+    published.
     """
     frame = frame_of(rows)
     met: dict[tuple[str, str, str], bool] = {}
@@ -447,7 +461,9 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
 
 
 def _compared(line: Headline, wanted: Frame) -> tuple[list[str], bool]:
-    """Cells of all methods, the worst run of ours, and whether ours is better than the others."""
+    """Cells of all methods, the worst run of ours, and whether ours is better than
+    the others.
+    """
     kind = metric(line.metric)
     column = Column("", line.form, is_fraction=kind.best == 1.0, has_interval=True)
     cells, errors, worst = [], [], ""

@@ -1,10 +1,12 @@
-"""Every limit this toolkit has set itself, the published numbers, and how runs are judged.
+"""Every limit this toolkit has set itself, the published numbers, and how runs are
+judged.
 
-Columns of `targets.csv`: `metric`, `plant` and `source` as in the results; `scenarios` are names or
-groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the metric's unit;
-`statistic` of all runs must keep them; `relative_to` says that they hold for the ratio to the
-published method in the same run (``published where reported``: a run in which that method has no
-such number is left out); `what` is one line for people. All targets are for the method ``ours``.
+Columns of `targets.csv`: `metric`, `plant` and `source` as in the results; `scenarios`
+are names or groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the
+metric's unit; `statistic` of all runs must keep them; `relative_to` says that they hold
+for the ratio to the published method in the same run (``published where reported``: a
+run in which that method has no such number is left out); `what` is one line for people.
+All targets are for the method ``ours``.
 """
 
 import math
@@ -102,23 +104,25 @@ OBSERVER_COST_RATIOS, SENSOR_COST_RATIOS, CHAIN_COST_RATIOS = (
     (3.0, 4.6),
     (4.5, 8.0),
 )
-"""Most that an update may cost, relative to the bare Pinocchio calls it needs: where the arithmetic
-is compiled, and in plain Python."""
+"""Most that an update may cost, relative to the bare Pinocchio calls it needs: where
+the arithmetic is compiled, and in plain Python."""
 ESTIMATED_VELOCITY_COST_RATIO = 5.0
 """The same of a chain that must estimate the velocities, compiled."""
 MEAN_TICK_RATIO = 1.25
-"""Most that the mean update may cost, relative to the median: work is spread over updates."""
+"""Most that the mean update may cost, relative to the median: work is spread over
+updates."""
 SOAK_COST_RATIO = 1.1
 """Most an update may cost after a million, relative to one at the start."""
 SOAK_GROWTH_KB = 100.0
-"""Most that Python may hold more after a million updates: a tenth of a byte each. What layers found
-meanwhile and caches that fill late need is below it."""
+"""Most that Python may hold more after a million updates: a tenth of a byte each. What
+layers found meanwhile and caches that fill late need is below it."""
 
 PUBLISHED_RMSE_N: Mapping[str, float] = {
     "gel-70-constant": 0.2444,
     "stack-glove-constant": 0.285,
 }
-"""Ferro et al., Figure 5: virtual against real F/T sensor on a real LWR 4+, by scenario [N]."""
+"""Ferro et al., Figure 5: virtual against real F/T sensor on a real LWR 4+, by
+scenario [N]."""
 
 
 class PublishedFriction(NamedTuple):
@@ -167,7 +171,8 @@ def evaluate(
 def judged_values(
     target: Target, by_kind: Mapping[tuple[str, ...], Mapping[RowKey, Row]]
 ) -> dict[RowKey, float]:
-    """What a target looks at, by row: values, or their ratios to the published method's.
+    """What a target looks at, by row: values, or their ratios to the published
+    method's.
 
     A value that is undefined by its metric's definition does not count unless all are.
     """
@@ -236,9 +241,9 @@ class Comparison(NamedTuple):
 def compare_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Comparison]:
     """Compare two runs; rows are matched by all but value and unit, the old ones first.
 
-    A row that is missing or not finite in the new run is a failure, whatever it was before; only
-    a value that its metric leaves undefined may stay so. A metric that `metrics.csv` does not list
-    must not change at all.
+    A row that is missing or not finite in the new run is a failure, whatever it was
+    before; only a value that its metric leaves undefined may stay so. A metric that
+    `metrics.csv` does not list must not change at all.
     """
     before = {row.key: row for row in old}
     after = {row.key: row for row in new}
@@ -275,7 +280,8 @@ def _change(metric: str, old: Row | None, new: Row | None) -> Change:
         return Change.SAME
     if kind is None or kind.is_regression(old.value, new.value):
         return Change.WORSE
-    # The same tolerance both ways: what would not count as worse does not count as better.
+    # The same tolerance both ways: what would not count as worse does not count as
+    # better.
     return Change.BETTER if kind.is_regression(new.value, old.value) else Change.SAME
 
 

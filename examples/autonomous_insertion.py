@@ -1,6 +1,7 @@
 """The needle stops by itself once it has left the first layer.
 
-A simulated arm stands in for yours; see `needleforce.control.ports`. Not a medical device.
+A simulated arm stands in for yours; see `needleforce.control.ports`. Not a medical
+device.
 """
 
 from groundtruth.rig_arm import SimulatedArm

@@ -14,7 +14,8 @@ arm = simulate("gel-25-constant", "clean")  # one gel, a well-kept LWR 4+
 
 
 def read_arm():
-    """Time [s], positions [rad], velocities [rad/s] (or None) and torques [Nm] of every tick."""
+    """Time [s], positions [rad], velocities [rad/s] (or None) and torques [Nm] of
+    every tick."""
     sent = arm.signals
     yield from zip(
         sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True

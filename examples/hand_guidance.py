@@ -1,6 +1,7 @@
 """A hand on the needle's hub leads the arm, which feels it through its joint torques.
 
-The simulated arm stands in for yours; see `needleforce.control.ports.Arm`. Not a medical device.
+The simulated arm stands in for yours; see `needleforce.control.ports.Arm`. Not a
+medical device.
 """
 
 import math

@@ -1,4 +1,5 @@
-"""A robot that estimates external torque itself: tare, wrench and layers from that torque."""
+"""A robot that estimates external torque itself: tare, wrench and layers from that
+torque."""
 
 import numpy as np
 

@@ -1,6 +1,7 @@
 """The needle turns about its entry point while the tip draws a circle.
 
-The simulated arm stands in for yours; see `needleforce.control.ports.Arm`. Not a medical device.
+The simulated arm stands in for yours; see `needleforce.control.ports.Arm`. Not a
+medical device.
 """
 
 import math

@@ -1,7 +1,7 @@
 """A hand on a haptic device drives the needle and feels the force at its tip.
 
-Emulated arm, hand and device stand in for yours; see `needleforce.control.ports`. Not a medical
-device.
+Emulated arm, hand and device stand in for yours; see `needleforce.control.ports`. Not a
+medical device.
 """
 
 from groundtruth.rig_arm import SimulatedArm

@@ -1,4 +1,5 @@
-"""An insertion in the browser page beside its loop: a plan names the layers, a rupture moves it."""
+"""An insertion in the browser page beside its loop: a plan names the layers, a
+rupture moves it."""
 
 from groundtruth import simulate
 from needleforce import InsertionSession

@@ -1,12 +1,15 @@
-"""The simulated ground truth: arm, needle, tissue and sensors, which the estimators never see.
+"""The simulated ground truth: arm, needle, tissue and sensors, which the estimators
+never see.
 
-Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a second;
-`simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors read. In closed loop
-`rig_arm.SimulatedArm` takes joint velocities, one sample at a time.
+Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a
+second; `simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors
+read. In closed loop `rig_arm.SimulatedArm` takes joint velocities, one sample at a
+time.
 
-Reading order: `scenarios` (what is simulated), `tissue` (the laws), `materials` and `plant_model`
-(every number and its source), `simulation` (both simulations and their results), then `arm_plant`
-and `arm_control`; for the closed loop `rig_arm`, `rig_contacts`, `rig_operator`.
+Reading order: `scenarios` (what is simulated), `tissue` (the laws), `materials` and
+`plant_model` (every number and its source), `simulation` (both simulations and their
+results), then `arm_plant` and `arm_control`; for the closed loop `rig_arm`,
+`rig_contacts`, `rig_operator`.
 """
 
 from groundtruth.errors import GroundTruthError

@@ -1,9 +1,10 @@
 """Drive the simulated arm along a motion and record what is true at each tick.
 
-The inner position loop is torque feed-forward and a stiff, mass-weighted PD, held over each tick:
-tau = tau_ff + M (w^2 e + 2 w de). The mass matrix makes all directions of the arm equally fast,
-whatever its posture. The loop reads the true joint state: it runs inside the robot on the fine
-motor encoders, while the noise of a plant model belongs to what the robot's interface reports.
+The inner position loop is torque feed-forward and a stiff, mass-weighted PD, held over
+each tick: tau = tau_ff + M (w^2 e + 2 w de). The mass matrix makes all directions of
+the arm equally fast, whatever its posture. The loop reads the true joint state: it runs
+inside the robot on the fine motor encoders, while the noise of a plant model belongs to
+what the robot's interface reports.
 """
 
 from collections.abc import Callable
@@ -19,8 +20,8 @@ from groundtruth.plant_model import TICK_s
 from groundtruth.tissue import TissueForce
 
 BANDWIDTH_rad_s = 200.0
-"""Natural frequency of the loop, critically damped: stiff enough that the few newtons of a rupture
-move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
+"""Natural frequency of the loop, critically damped: stiff enough that the few newtons
+of a rupture move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
 MASS_TICKS = (
     10  # For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most
@@ -33,7 +34,9 @@ _OF_JOINTS = ("q_rad", "dq_rad_s", "tau_Nm", "joint_friction_Nm")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmTrace:
-    """True signals of n ticks of an arm with m joints; row k belongs to the tick's start."""
+    """True signals of n ticks of an arm with m joints; row k belongs to the tick's
+    start.
+    """
 
     q_rad: Array  # shape (n, m), as the next two
     dq_rad_s: Array
@@ -69,8 +72,8 @@ def drive(
 ) -> ArmTrace:
     """Place the arm at the start of a motion and let the controller follow it, n ticks.
 
-    The model of the true arm gives the feed-forward; `progress` gets the fraction done, 0 to 1.
-    `PlantError` if the arm has lost the motion.
+    The model of the true arm gives the feed-forward; `progress` gets the fraction done,
+    0 to 1. `PlantError` if the arm has lost the motion.
     """
     feed_forward, mass = _dynamics_along(model, motion)
     ticks, joints = feed_forward.shape
@@ -111,7 +114,9 @@ def drive(
 
 
 def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array]:
-    """Feed-forward torque, shape (n, 7), and mass matrices, shape (ceil(n / MASS_TICKS), 7, 7)."""
+    """Feed-forward torque, shape (n, 7), and mass matrices, shape (ceil(n /
+    MASS_TICKS), 7, 7).
+    """
     # At the middle of each tick: a torque held over it sets the mean acceleration.
     q, dq = motion
     middles = zip(

@@ -1,4 +1,6 @@
-"""What the arm is commanded: the needle's straight line in joint space, and free joint motion."""
+"""What the arm is commanded: the needle's straight line in joint space, and free
+joint motion.
+"""
 
 import numpy as np
 import pinocchio as pin
@@ -11,9 +13,9 @@ from groundtruth.scenarios import Scenario
 from urdf import Robot
 
 LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
-"""Where every run of the LWR starts, once `needle_down` has made it exactly vertical: elbow
-bent and out of the vertical plane, tip 0.29 m above the base. Condition number of the Jacobian
-8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
+"""Where every run of the LWR starts, once `needle_down` has made it exactly vertical:
+elbow bent and out of the vertical plane, tip 0.29 m above the base. Condition number of
+the Jacobian 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
 
 FREE_MOTION_s = (
     20.0  # Length of the joint motion after the tare stroke where there is no tissue
@@ -24,8 +26,8 @@ _TOLERANCE = 1e-12
 _ITERATIONS = 50
 _MAX_CONDITION = 30.0
 
-# Incommensurate slow sines of the free motion: peak speeds near 0.5 rad/s; no two periods with a
-# small common multiple within a run.
+# Incommensurate slow sines of the free motion: peak speeds near 0.5 rad/s; no two
+# periods with a small common multiple within a run.
 _AMPLITUDE_rad = np.array([0.55, 0.40, 0.50, 0.45, 0.50, 0.45, 0.40])
 _FREQUENCY_Hz = np.array([0.11, 0.13, 0.12, 0.14, 0.15, 0.16, 0.18])
 _REST_s = 1.0
@@ -36,18 +38,18 @@ JointMotion = tuple[
     Array, Array
 ]  # Positions [rad] and velocities [rad/s], (n + 1, 7) each
 InsertionPath = tuple[BSpline, pin.SE3]
-"""A straight line of the tool frame along its own z axis: joint positions (7,) as a function of
-travel in m, and where the tool frame is in the base at travel zero.
+"""A straight line of the tool frame along its own z axis: joint positions (7,) as a
+function of travel in m, and where the tool frame is in the base at travel zero.
 
-Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves the line by
-less than a nanometre."""
+Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves
+the line by less than a nanometre."""
 
 
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
     """Turn a posture, tip kept in place, until the tool's z axis points straight down.
 
-    It must do so within 90 degrees. `MotionError` if the posture cannot be reached, or lies outside
-    the limits or near a singularity.
+    It must do so within 90 degrees. `MotionError` if the posture cannot be reached, or
+    lies outside the limits or near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, posture_rad)
@@ -67,10 +69,10 @@ def insertion_path(
 ) -> InsertionPath:
     """Plan the straight line along the tool's z axis, orientation kept.
 
-    It is valid from the smallest to the largest travel, counted from the start, and one knot
-    beyond. Each knot takes the smallest joint step from its neighbour, so the redundancy is
-    resolved by least motion. `MotionError` if the line leaves the workspace or the joint limits, or
-    comes near a singularity.
+    It is valid from the smallest to the largest travel, counted from the start, and one
+    knot beyond. Each knot takes the smallest joint step from its neighbour, so the
+    redundancy is resolved by least motion. `MotionError` if the line leaves the
+    workspace or the joint limits, or comes near a singularity.
     """
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, start_rad)
@@ -126,7 +128,9 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
 
 
 def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
-    """Move all joints about a posture by slow sines; the first and the last second are at rest."""
+    """Move all joints about a posture by slow sines; the first and the last second
+    are at rest.
+    """
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     moving_s = duration_s - 2.0 * _REST_s
     moving = np.clip(time - _REST_s, 0.0, moving_s)
@@ -142,17 +146,20 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
-    """Plan a scenario's line from the LWR's posture at the start straight down; `MotionError`."""
+    """Plan a scenario's line from the LWR's posture at the start straight down;
+    `MotionError`.
+    """
     start = needle_down(robot, np.array(LWR_POSTURE_rad))
     motion = scenario.motion
     return insertion_path(robot, start, (0.0, motion.deepest_m - motion.start_m))
 
 
 def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
-    """Sample a scenario's motion at the controller's ticks: q(s(t)) and dq/ds ds/dt, travel s.
+    """Sample a scenario's motion at the controller's ticks: q(s(t)) and dq/ds ds/dt,
+    travel s.
 
-    A scenario without layers keeps its tare stroke; a motion of all joints then takes the place
-    of the insertion.
+    A scenario without layers keeps its tare stroke; a motion of all joints then takes
+    the place of the insertion.
     """
     motion = scenario.motion
     end_s = motion.duration_s if scenario.layers else motion.tare_end_s

@@ -25,18 +25,20 @@ except ModuleNotFoundError:  # The needle without an arm does not need it.
 
 
 SUBSTEPS = 4
-"""Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance of a moving
-arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with four), so the number is set
-by the tissue: four per tick follow the release of a rupture."""
+"""Physics steps per tick. Runge-Kutta steps of fourth order close the momentum balance
+of a moving arm to 7e-7 Nm at any number of them (semi-implicit Euler: 6e-4 Nm with
+four), so the number is set by the tissue: four per tick follow the release of a
+rupture."""
 SUBSTEP_s = TICK_s / SUBSTEPS
 
-# The second link table of the LWR 4+: the end point of the plant's model error, so that no
-# estimator is evaluated on an arm that has exactly its own numbers (the nominal table of the
-# ``urdf`` package is a fit to KUKA's own interface data).
+# The second link table of the LWR 4+: the end point of the plant's model error, so that
+# no estimator is evaluated on an arm that has exactly its own numbers (the nominal
+# table of the ``urdf`` package is a fit to KUKA's own interface data).
 #
-# Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR MATLAB
-# simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia about the com.
-#  mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
+# Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR
+# MATLAB simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia
+# about the com.
+# mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
 _CAD_TABLE = (
     (
         2.7,
@@ -115,10 +117,12 @@ _CAD_TABLE = (
 
 
 def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia, ...]:
-    """Blend the links of the bare LWR 4+ with the CAD table: phi = (1 - a) phi_nominal + a phi_CAD.
+    """Blend the links of the bare LWR 4+ with the CAD table: phi = (1 - a) phi_nominal
+    + a phi_CAD.
 
-    Physically consistent 10-vectors form a convex set: a blend of two consistent links is one.
-    Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside [0, 1].
+    Physically consistent 10-vectors form a convex set: a blend of two consistent links
+    is one. Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside
+    [0, 1].
     """
     require_fraction(PlantModelError, cad_fraction=cad_fraction)
     links = []
@@ -165,7 +169,9 @@ class PlantBodies:
 def lwr_bodies(
     tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator
 ) -> PlantBodies:
-    """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and kinematics."""
+    """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and
+    kinematics.
+    """
     robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
@@ -201,14 +207,14 @@ def _placement(robot: Robot, frame: str) -> pin.SE3:
 def arm_model(bodies: PlantBodies, substep_s: float) -> Any:
     """Build the MuJoCo model of the arm: truth and estimator share no dynamics code.
 
-    Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies beyond the
-    F/T sensor's measuring plane; and the massless ``tip``, so that a force on it acts at the
-    needle's tip. No geometry, contacts, joint limits, damping, armature or friction: the torque
-    of a joint is the link-side torque its sensor reads. Friction of the bearings, which no sensor
-    reads, is added by `ArmPlant`.
+    Bodies: one per joint; ``sensor``, rigid on the flange; ``needle``, all that lies
+    beyond the F/T sensor's measuring plane; and the massless ``tip``, so that a force
+    on it acts at the needle's tip. No geometry, contacts, joint limits, damping,
+    armature or friction: the torque of a joint is the link-side torque its sensor
+    reads. Friction of the bearings, which no sensor reads, is added by `ArmPlant`.
 
-    The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes, what the
-    arm exerts on the needle body: everything beyond the measuring plane.
+    The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes,
+    what the arm exerts on the needle body: everything beyond the measuring plane.
     """
     robot, spec = bodies.kinematics, mujoco.MjSpec()
     without = mujoco.mjtDisableBit
@@ -248,12 +254,12 @@ def _add_body(
 
 
 STRIBECK_PEAK = 1.5
-"""Friction at the onset of sliding over that of fast sliding. Chosen; with it one Coulomb level
-meets both errors published for the real arm."""
+"""Friction at the onset of sliding over that of fast sliding. Chosen; with it one
+Coulomb level meets both errors published for the real arm."""
 STRIBECK_SPEED_rad_s = 0.05
-"""Speed over which the peak falls off. Chosen between the joint speeds of an insertion (0.005
-rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction than the insertion
-meets."""
+"""Speed over which the peak falls off. Chosen between the joint speeds of an insertion
+(0.005 rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction
+than the insertion meets."""
 PRESLIDING_rad = (
     1e-4  # Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm
 )
@@ -262,7 +268,9 @@ PRESLIDING_rad = (
 def bearings(
     plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator
 ) -> "BearingFriction | None":
-    """The bearings of an arm with these effort limits, shape (n,); None without friction."""
+    """The bearings of an arm with these effort limits, shape (n,); None without
+    friction.
+    """
     if plant_model.joint_coulomb == 0.0 and not any(
         plant_model.joint_viscous_Nms_per_rad
     ):
@@ -271,18 +279,20 @@ def bearings(
 
 
 class BearingFriction:
-    """Friction torque of all joint bearings, one physics step at a time, from rest without load.
+    """Friction torque of all joint bearings, one physics step at a time, from rest
+    without load.
 
-    The sensor sits between gear and link; the bearing that carries the link runs beside it, from
-    link to link, so its friction does not pass through the sensor:
+    The sensor sits between gear and link; the bearing that carries the link runs beside
+    it, from link to link, so its friction does not pass through the sensor:
 
         sensor torque + tissue torque + friction torque = M ddq + C dq + g.
 
-    It is against the joint's motion. A momentum observer takes it for an external torque: while a
-    needle goes in it looks like tissue that pushes back, and it changes sign in withdrawal.
-    An insertion turns the joints by 5 mrad/s and ends in rest, so standstill decides. MuJoCo's
-    ``frictionloss`` creeps under load and has no Stribeck peak; the bristle of the LuGre model
-    (Canudas de Wit et al. 1995) holds a joint at rest elastically, for ever, up to the peak.
+    It is against the joint's motion. A momentum observer takes it for an external
+    torque: while a needle goes in it looks like tissue that pushes back, and it changes
+    sign in withdrawal. An insertion turns the joints by 5 mrad/s and ends in rest, so
+    standstill decides. MuJoCo's ``frictionloss`` creeps under load and has no Stribeck
+    peak; the bristle of the LuGre model (Canudas de Wit et al. 1995) holds a joint at
+    rest elastically, for ever, up to the peak.
     """
 
     def __init__(
@@ -296,7 +306,9 @@ class BearingFriction:
         self._bristles = [0.0] * len(limit_Nm)  # in units of the Coulomb level
 
     def step(self, dq_rad_s: Array, dt_s: float) -> Array:
-        """Advance at a held speed, exactly, and return the torque on the links, shape (n,)."""
+        """Advance at a held speed, exactly, and return the torque on the links,
+        shape (n,).
+        """
         torque_Nm = np.empty(len(dq_rad_s))
         joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
         for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(
@@ -314,7 +326,9 @@ class BearingFriction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
-    """What the arm touches: tissue in front of the needle, perhaps a hand at the elbow."""
+    """What the arm touches: tissue in front of the needle, perhaps a hand at the
+    elbow.
+    """
 
     law: Tissue  # one without layers is free air
     surface_in_base_m: Array  # point of the surface that the tip meets, shape (3,)
@@ -329,7 +343,9 @@ class TissueContact:
 def tissue_before(
     needle: pin.SE3, distance_m: float, scenario: Scenario
 ) -> TissueContact:
-    """Lay a scenario's tissue so far in front of the tip of a needle, along its z axis."""
+    """Lay a scenario's tissue so far in front of the tip of a needle, along its z
+    axis.
+    """
     axis = needle.rotation[:, 2].copy()
     return TissueContact(
         law=Tissue(scenario.layers),
@@ -344,14 +360,14 @@ def tissue_before(
 class ArmPlant:
     """MuJoCo arm with a needle, driven by joint torques held over each tick.
 
-    Now, views: joint positions `q_rad` and velocities `dq_rad_s`, shape (7,); where the needle's
-    tip is, `tip_m`, and the needle's axes, `tip_axes`, of which the third points along it, in base
-    axes. Now, too: `axial_jacobian`, speed of the tip along the needle per joint velocity, shape
-    (7,), and `depth_m` below the surface, zero without tissue.
-    At the start of the last tick: `ft_wrench`, the reading of the F/T sensor (force and torque of
-    the environment on the needle, plus weight, minus inertia, in ``ft_sensor`` axes, N and Nm), and
-    `tissue_force`. Mean over that tick: `mean_axial_N` of it, and `friction_Nm` of the bearings on
-    the links, shape (7,).
+    Now, views: joint positions `q_rad` and velocities `dq_rad_s`, shape (7,); where the
+    needle's tip is, `tip_m`, and the needle's axes, `tip_axes`, of which the third
+    points along it, in base axes. Now, too: `axial_jacobian`, speed of the tip along
+    the needle per joint velocity, shape (7,), and `depth_m` below the surface, zero
+    without tissue. At the start of the last tick: `ft_wrench`, the reading of the F/T
+    sensor (force and torque of the environment on the needle, plus weight, minus
+    inertia, in ``ft_sensor`` axes, N and Nm), and `tissue_force`. Mean over that tick:
+    `mean_axial_N` of it, and `friction_Nm` of the bearings on the links, shape (7,).
     """
 
     def __init__(
@@ -361,7 +377,9 @@ class ArmPlant:
         friction: BearingFriction | None = None,
         touching: Sequence[Contact] = (),
     ) -> None:
-        """Compile the true arm, with contacts besides the tissue; `PlantError` without MuJoCo."""
+        """Compile the true arm, with contacts besides the tissue; `PlantError`
+        without MuJoCo.
+        """
         if mujoco is None:
             raise PlantError(
                 "the simulated arm needs the library mujoco: pip install mujoco"
@@ -395,7 +413,9 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state, shape (7,) each, in which all contacts but the tissue begin."""
+        """Put the arm into a state, shape (7,) each, in which all contacts but the
+        tissue begin.
+        """
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
         self._locate()
@@ -405,8 +425,9 @@ class ArmPlant:
     def tick(self, torque_Nm: Array) -> None:
         """Hold a joint torque, shape (7,), for one tick.
 
-        The tissue acts at each substep, along the needle and held over the substep. The Jacobian of
-        the tick's start serves all its substeps: the arm turns by less than 1e-4 rad meanwhile.
+        The tissue acts at each substep, along the needle and held over the substep. The
+        Jacobian of the tick's start serves all its substeps: the arm turns by less than
+        1e-4 rad meanwhile.
         """
         if self._contact.elbow is not None:
             self._elbow_force[:] = self._contact.elbow.at(self._time_s)
@@ -422,8 +443,9 @@ class ArmPlant:
         total = force.axial_N
         self._tip_force[:] = total * back + aside
         self._step()
-        # MuJoCo evaluates its sensors at the state the step starts from, and reports what the arm
-        # exerts on the needle; the reading is what the needle exerts on the arm.
+        # MuJoCo evaluates its sensors at the state the step starts from, and reports
+        # what the arm exerts on the needle; the reading is what the needle exerts on
+        # the arm.
         np.negative(self._data.sensordata, out=self.ft_wrench)
         for _ in range(SUBSTEPS - 1):
             before, speed = speed, float(rate.dot(self.dq_rad_s)) - away
@@ -437,7 +459,9 @@ class ArmPlant:
         self._locate()
 
     def _step(self) -> None:
-        """Step once, with the friction of the bearings and all contacts held over the step."""
+        """Step once, with the friction of the bearings and all contacts held over
+        the step.
+        """
         for point in self._touched:
             point.act(self._time_s, self.dq_rad_s, SUBSTEP_s)
         if self._friction is not None:
@@ -447,7 +471,9 @@ class ArmPlant:
         mujoco.mj_step(self._model, self._data)
 
     def _locate(self) -> None:
-        """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at a stage."""
+        """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at
+        a stage.
+        """
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)
         mujoco.mj_jac(

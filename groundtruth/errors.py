@@ -1,4 +1,5 @@
-"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be caught.
+"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be
+caught.
 
 And the checks of numbers that raise them.
 """
@@ -17,11 +18,15 @@ class GroundTruthError(Exception):
 
 
 class TissueError(GroundTruthError, ValueError):
-    """A layer, membrane or friction that no tissue can have, or an unusable sample for a law."""
+    """A layer, membrane or friction that no tissue can have, or an unusable sample
+    for a law.
+    """
 
 
 class MotionError(GroundTruthError, ValueError):
-    """A motion that cannot be carried out or sampled: no travel, out of reach, no rate."""
+    """A motion that cannot be carried out or sampled: no travel, out of reach, no
+    rate.
+    """
 
 
 class ScenarioError(GroundTruthError, LookupError):
@@ -29,7 +34,9 @@ class ScenarioError(GroundTruthError, LookupError):
 
 
 class PlantModelError(GroundTruthError, ValueError):
-    """An unknown plant model, a noise that cannot be, or link tables that cannot be blended."""
+    """An unknown plant model, a noise that cannot be, or link tables that cannot be
+    blended.
+    """
 
 
 class PlantError(GroundTruthError, RuntimeError):
@@ -43,7 +50,9 @@ def _requirement(is_met: Callable[[float], bool], wanted: str) -> Callable[..., 
         names: str = "",
         **values: float,
     ) -> None:
-        """Raise `error` unless these fields of the owner, and these values, are what is wanted."""
+        """Raise `error` unless these fields of the owner, and these values, are what
+        is wanted.
+        """
         for name, value in (
             {n: getattr(owner, n) for n in names.split()} | values
         ).items():

@@ -1,4 +1,6 @@
-"""Layers of tissue, their membranes, friction and boundaries: descriptions without state."""
+"""Layers of tissue, their membranes, friction and boundaries: descriptions without
+state.
+"""
 
 import math
 from dataclasses import dataclass
@@ -18,8 +20,8 @@ CUTTING_ONSET_M = (
     1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
 )
 KEPT_FADE_M = 5e-3
-"""Travel over which the tip force kept after an internal rupture fades. Chosen: four diameters. In
-a thinner layer the rest goes with its own rupture."""
+"""Travel over which the tip force kept after an internal rupture fades. Chosen: four
+diameters. In a thinner layer the rest goes with its own rupture."""
 SPEED_ROUNDING_M_S = (
     2e-5  # A power law of speed is linear below: no step follows an infinite slope
 )
@@ -28,7 +30,9 @@ TEXTURE_WAVES = 16
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
-    """Unevenness of a layer at the tip: a sum of waves (rad/m, rad) that depends on the place."""
+    """Unevenness of a layer at the tip: a sum of waves (rad/m, rad) that depends on
+    the place.
+    """
 
     std_N: float
     waves: tuple[tuple[float, float], ...]
@@ -37,7 +41,8 @@ class Texture:
     def drawn(cls, std_N: float, length_m: float, rng: np.random.Generator) -> Self:
         """Draw a texture with correlation exp(-x² / 2 length²) over a distance x."""
         require_positive(TissueError, std_N=std_N, length_m=length_m)
-        # One wave in each quantile of that correlation's spectrum, a normal distribution.
+        # One wave in each quantile of that correlation's spectrum, a normal
+        # distribution.
         quantile = (
             np.arange(TEXTURE_WAVES) + rng.uniform(size=TEXTURE_WAVES)
         ) / TEXTURE_WAVES
@@ -58,10 +63,12 @@ class Texture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Membrane:
-    """A membrane (liver capsule, latex glove) on top of a layer: a spring up to its puncture.
+    """A membrane (liver capsule, latex glove) on top of a layer: a spring up to its
+    puncture.
 
-    Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation / indentation_m:
-    the second-order spring of Okamura, Simone, O'Leary 2004 for the capsule of bovine liver.
+    Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation /
+    indentation_m: the second-order spring of Okamura, Simone, O'Leary 2004 for the
+    capsule of bovine liver.
     """
 
     puncture_N: float  # force at which it ruptures
@@ -76,7 +83,9 @@ class Membrane:
         require_fraction(TissueError, self, "hardening")
 
     def force_N(self, indentation_m: float) -> float:
-        """Force of the intact membrane, pushed in from its place at rest; zero if untouched."""
+        """Force of the intact membrane, pushed in from its place at rest; zero if
+        untouched.
+        """
         if indentation_m <= 0.0:
             return 0.0
         u = indentation_m / self.indentation_m
@@ -87,9 +96,9 @@ class Membrane:
 class ShaftFriction:
     """Friction of one tissue on a needle shaft, per unit of embedded length.
 
-    In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a reversal the
-    tissue first moves along with the shaft: the Coulomb part builds up over `presliding_m`
-    (Dahl's model, see `groundtruth.tissue.bristle_step`).
+    In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a
+    reversal the tissue first moves along with the shaft: the Coulomb part builds up
+    over `presliding_m` (Dahl's model, see `groundtruth.tissue.bristle_step`).
     """
 
     coulomb_N_per_m: float
@@ -117,7 +126,8 @@ class ShaftFriction:
         coulomb_fraction: float,
         presliding_m: float,
     ) -> "ShaftFriction":
-        """Split the friction of steady sliding at one speed into Coulomb and viscous part.
+        """Split the friction of steady sliding at one speed into Coulomb and viscous
+        part.
 
         `TissueError` if the fraction is outside 0 to 1, or a value is not physical.
         """
@@ -133,7 +143,9 @@ class ShaftFriction:
         )
 
     def sliding_N_per_m(self, speed_m_s: float) -> float:
-        """Friction per length in steady sliding; it has the sign of the speed, zero at rest."""
+        """Friction per length in steady sliding; it has the sign of the speed, zero
+        at rest.
+        """
         if speed_m_s == 0.0:
             return 0.0
         return math.copysign(self.coulomb_N_per_m, speed_m_s) + self.rising_N_per_m(
@@ -141,7 +153,9 @@ class ShaftFriction:
         )
 
     def rising_N_per_m(self, speed_m_s: float) -> float:
-        """The part of the friction per length that grows with speed, with the speed's sign."""
+        """The part of the friction per length that grows with speed, with the
+        speed's sign.
+        """
         viscous = self.viscous_Ns_per_m2 * speed_m_s
         if self.speed_exponent == 1.0:
             return viscous
@@ -164,9 +178,10 @@ class ShaftFriction:
 class Layer:
     """What a needle meets between two ruptures.
 
-    The tip force grows with the penetration up to `exit_force_N`, at which the far end ruptures. A
-    fraction of it is a constant cutting force, the rest elastic: the chord of that at the end is
-    steeper by `stiffening` than the slope at the start, 0.1 for 10 %.
+    The tip force grows with the penetration up to `exit_force_N`, at which the far end
+    ruptures. A fraction of it is a constant cutting force, the rest elastic: the chord
+    of that at the end is steeper by `stiffening` than the slope at the start, 0.1 for
+    10 %.
     """
 
     name: str  # for tables and legends
@@ -207,11 +222,15 @@ class Layer:
 
     @property
     def entry_m(self) -> float:
-        """Depth into the layer at which the tip begins to cut it: the membrane's indentation."""
+        """Depth into the layer at which the tip begins to cut it: the membrane's
+        indentation.
+        """
         return 0.0 if self.membrane is None else self.membrane.indentation_m
 
     def tip_force_N(self, penetration_m: float) -> float:
-        """Elastic and cutting force, not relaxed, after this travel since the tip began to cut."""
+        """Elastic and cutting force, not relaxed, after this travel since the tip
+        began to cut.
+        """
         if penetration_m <= 0.0:
             return 0.0
         cut_m = self.thickness_m - self.entry_m
@@ -234,9 +253,9 @@ class Layer:
 class Interface:
     """The boundary above a layer, or behind the last one.
 
-    A membrane at a boundary backs up the tissue above it: the tip force of the layer above is
-    held while the membrane is pushed in, and both are released together at the puncture. So each
-    boundary gives one rupture.
+    A membrane at a boundary backs up the tissue above it: the tip force of the layer
+    above is held while the membrane is pushed in, and both are released together at the
+    puncture. So each boundary gives one rupture.
     """
 
     depth_m: float  # in undeformed tissue
@@ -249,22 +268,28 @@ class Interface:
     )
 
     def held(self, deepest_m: float) -> float:
-        """Fraction of the force held, 1 to 0, once the tip has been as deep as `deepest_m`."""
+        """Fraction of the force held, 1 to 0, once the tip has been as deep as
+        `deepest_m`.
+        """
         held = 1.0 - self.released(deepest_m)
         kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
         return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
 
     def released(self, deepest_m: float) -> float:
-        """Fraction of the force released, 0 to 1, once the tip has been as deep as `deepest_m`.
+        """Fraction of the force released, 0 to 1, once the tip has been as deep as
+        `deepest_m`.
 
-        A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of `release_m`.
+        A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of
+        `release_m`.
         """
         rest = 1.0 - min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
         return 1.0 - rest * rest
 
 
 def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
-    """All boundaries of a stack, from the surface to the exit: one more than layers, or none."""
+    """All boundaries of a stack, from the surface to the exit: one more than layers,
+    or none.
+    """
     found: list[Interface] = []
     depth = 0.0
     for i, below in enumerate((*layers, None) if layers else ()):

@@ -1,25 +1,28 @@
 """Every calibration number of the tissues, with its reason.
 
-Friction. Table I gives the friction of the paper's three gels as the product B d, measured over
-one constant and one sinusoidal speed profile: 113, 283, 534 Ns/m, for layers 28.2, 37.7 and
-32.2 mm thick (the authors' own gels). At 2.3 mm/s that is 0.26, 0.65 and 1.23 N.
+Friction. Table I gives the friction of the paper's three gels as the product B d,
+measured over one constant and one sinusoidal speed profile: 113, 283, 534 Ns/m, for
+layers 28.2, 37.7 and 32.2 mm thick (the authors' own gels). At 2.3 mm/s that is 0.26,
+0.65 and 1.23 N.
 
-Coulomb fraction. The two profiles of Table I pass the far end of a gel at 2.3 and about 3 mm/s and
-differ by 7-12 % of the mean: purely viscous friction would give the same B at both, purely Coulomb
-friction B values 25-30 % apart. Two fifths Coulomb fit, and leave after a sinusoidal exit the
-remaining force the paper describes (Fig. 9). Real liver (de Jong 2017, 19 insertions at 5 mm/s to
-85 mm, where the force is mostly friction) loses 20 % within a second of the stop: four fifths
-Coulomb.
+Coulomb fraction. The two profiles of Table I pass the far end of a gel at 2.3 and about
+3 mm/s and differ by 7-12 % of the mean: purely viscous friction would give the same B
+at both, purely Coulomb friction B values 25-30 % apart. Two fifths Coulomb fit, and
+leave after a sinusoidal exit the remaining force the paper describes (Fig. 9). Real
+liver (de Jong 2017, 19 insertions at 5 mm/s to 85 mm, where the force is mostly
+friction) loses 20 % within a second of the stop: four fifths Coulomb.
 
-Relaxation. Over the 60 s hold the same recordings fall to 37 % of the force before the stop
-(median), that is to 0.45 of the part that does not depend on speed. For the gels there is no
-recording: it is assumed that a set gel creeps far less than tissue.
+Relaxation. Over the 60 s hold the same recordings fall to 37 % of the force before the
+stop (median), that is to 0.45 of the part that does not depend on speed. For the gels
+there is no recording: it is assumed that a set gel creeps far less than tissue.
 
-Presliding. On the reversal of the same recordings 63 % of the change is done after 0.9 mm.
+Presliding. On the reversal of the same recordings 63 % of the change is done after 0.9
+mm.
 
-Tip force. Fig. 8: the 70 % gel peaks at 2.5-3 N, half of it gone within a second after the exit.
-1.4 N at the tip and 1.23 N of friction make 2.6 N. The others follow with the friction; a tenth of
-the tip force is cutting, the rest elastic, its chord 10 % steeper at the end than at the start.
+Tip force. Fig. 8: the 70 % gel peaks at 2.5-3 N, half of it gone within a second after
+the exit. 1.4 N at the tip and 1.23 N of friction make 2.6 N. The others follow with the
+friction; a tenth of the tip force is cutting, the rest elastic, its chord 10 % steeper
+at the end than at the start.
 """
 
 from dataclasses import replace
@@ -35,7 +38,8 @@ TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
 """B d of each gel (isinglass per cent), offline column."""
 GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the authors
 GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
-"""At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig. 8."""
+"""At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig.
+8."""
 GEL_COULOMB_FRACTION = 0.4
 GEL_PRESLIDING_M = (
     0.2e-3  # a fraction of a needle diameter: gel sticks little to a wet shaft
@@ -65,7 +69,9 @@ def _layer(
     friction: ShaftFriction,
     **others: Any,
 ) -> Layer:
-    """A layer with what all materials have in common; of organic tissue but for the others."""
+    """A layer with what all materials have in common; of organic tissue but for the
+    others.
+    """
     others.setdefault("release_m", TISSUE_RELEASE_M)
     others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
     return Layer(
@@ -80,7 +86,9 @@ def _layer(
 
 
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
-    """One of the paper's gels, of 25, 50 or 70 % (else `TissueError`), in a membrane, if any."""
+    """One of the paper's gels, of 25, 50 or 70 % (else `TissueError`), in a
+    membrane, if any.
+    """
     if percent not in GEL_THICKNESS_M:
         raise TissueError(
             f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %"
@@ -122,17 +130,20 @@ def soft_tissue_friction(
 
 
 GLOVE = Membrane(puncture_N=1.0, indentation_m=4e-3, hardening=0.6, release_m=0.5e-3)
-"""Latex of a glove under a blunt needle: around a newton, stretched by a few millimetres."""
+"""Latex of a glove under a blunt needle: around a newton, stretched by a few
+millimetres."""
 
 BOVINE_CAPSULE = Membrane(
     puncture_N=1.43, indentation_m=11.2e-3, hardening=1.0, release_m=0.5e-3
 )
-"""Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing afterwards."""
+"""Okamura 2004: contact at 8 mm, puncture at 19.2 mm with 1.43 N, almost nothing
+afterwards."""
 
 PHANTOM_CAPSULE = Membrane(
     puncture_N=0.6, indentation_m=4e-3, hardening=0.5, release_m=0.4e-3
 )
-"""Synthetic skin around the liver of an abdominal phantom: thinner than a real capsule."""
+"""Synthetic skin around the liver of an abdominal phantom: thinner than a real
+capsule."""
 
 
 BOVINE_LIVER = _layer(
@@ -142,7 +153,8 @@ BOVINE_LIVER = _layer(
     soft_tissue_friction(LIVER_FRICTION_N_PER_M, TABLE_I_SPEED_M_S),
     membrane=BOVINE_CAPSULE,
 )
-"""A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in Fig. 13."""
+"""A slice of bovine liver behind its capsule, 32 mm: 9 s from puncture to exit in
+Fig. 13."""
 
 _PHANTOM_LIVER = soft_tissue_friction(LIVER_FRICTION_N_PER_M, ABDOMEN_SPEED_M_S)
 ABDOMEN = (

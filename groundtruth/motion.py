@@ -1,4 +1,6 @@
-"""How the needle moves in a scenario: rest, tare stroke, insertion, rest, withdrawal, rest."""
+"""How the needle moves in a scenario: rest, tare stroke, insertion, rest,
+withdrawal, rest.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,14 +13,14 @@ from numpy.typing import ArrayLike
 from groundtruth.errors import Array, MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
-"""`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`: half a period
-of a sinusoid."""
+"""`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`:
+half a period of a sinusoid."""
 Move = tuple[Profile, float, float]  # profile, duration [s] and travel [m] of a stroke
 
 FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
-"""Length of the tare stroke in free air: about as long as the deepest insertion, since what is
-learnt on it is carried on along the insertion."""
+"""Length of the tare stroke in free air: about as long as the deepest insertion, since
+what is learnt on it is carried on along the insertion."""
 TARE_SPEED_M_S = 25e-3  # Mean, of the tare stroke: excites the arm and is safe in air
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
@@ -31,7 +33,9 @@ TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """A stroke from rest to rest; position and speed are continuous, acceleration is bounded."""
+    """A stroke from rest to rest; position and speed are continuous, acceleration is
+    bounded.
+    """
 
     profile: Profile
     start_s: float
@@ -60,7 +64,9 @@ class Stroke:
         return self.start_m + self.travel_m
 
     def evaluate(self, t_s: Array) -> tuple[Array, Array]:
-        """Position [m] and speed [m/s] at any times; outside the stroke at its ends, at rest."""
+        """Position [m] and speed [m/s] at any times; outside the stroke at its ends,
+        at rest.
+        """
         s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
             done, rate = (
@@ -92,8 +98,8 @@ class Stroke:
 class Motion:
     """Position of the needle tip along the insertion axis over time.
 
-    Zero is the undeformed surface of the tissue; negative is above it, in free air. Before the
-    first stroke and after the last the needle rests.
+    Zero is the undeformed surface of the tissue; negative is above it, in free air.
+    Before the first stroke and after the last the needle rests.
     """
 
     strokes: tuple[Stroke, ...]  # contiguous in time and position
@@ -160,7 +166,9 @@ class Motion:
 def chain_strokes(
     start_m: float, moves: Sequence[Move], *, ramp_fraction: float = 0.1
 ) -> tuple[Stroke, ...]:
-    """Strokes one after the other, the first at time zero; `MotionError` as of `Stroke`."""
+    """Strokes one after the other, the first at time zero; `MotionError` as of
+    `Stroke`.
+    """
     strokes: list[Stroke] = []
     time, place = 0.0, start_m
     for profile, duration, travel in moves:
@@ -178,8 +186,8 @@ def protocol(
 ) -> Motion:
     """The whole protocol around the strokes of an insertion.
 
-    The last of them is the one that withdraws, over all they travel. Without a tare stroke the
-    needle rests as long as three of the usual ones would take.
+    The last of them is the one that withdraws, over all they travel. Without a tare
+    stroke the needle rests as long as three of the usual ones would take.
     """
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
     tare: list[Move] = [
@@ -208,10 +216,11 @@ def protocol(
 
 
 def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> Motion:
-    """The protocol with an insertion at constant speed between smooth ramps, down to a depth.
+    """The protocol with an insertion at constant speed between smooth ramps, down to a
+    depth.
 
-    It begins and the withdrawal ends at the standoff above the surface. `MotionError` if a value is
-    not positive, or the travel is too short to reach the speed.
+    It begins and the withdrawal ends at the standoff above the surface. `MotionError`
+    if a value is not positive, or the travel is too short to reach the speed.
     """
     require_positive(
         MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m
@@ -232,9 +241,9 @@ def sinusoidal_motion(
 ) -> Motion:
     """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
 
-    In and out take one period, the rest between them aside. Contact happens inside the stroke, at
-    the standoff below its start. `MotionError` if a value is not positive, or the stroke does not
-    reach the surface.
+    In and out take one period, the rest between them aside. Contact happens inside the
+    stroke, at the standoff below its start. `MotionError` if a value is not positive,
+    or the stroke does not reach the surface.
     """
     require_positive(
         MotionError, stroke_m=stroke_m, frequency_hz=frequency_hz, standoff_m=standoff_m

@@ -1,10 +1,10 @@
 """The plant models of the simulated arm: every number and its reason in one place.
 
-A plant model says how far the simulated arm is from the model that the estimator has (links,
-payload), and how large the errors of its sensors are. From the fact sheets of the real arm: torque
-noise floor 0.03 % of the joint limit, torque sensor linearity better than 0.5 % of range, harmonic
-drives 160:1 (J1-J4) and 100:1 (J5-J7), 1 kHz, no velocity in the interface. "Limit" below is a
-joint's effort limit, 176 to 38 Nm.
+A plant model says how far the simulated arm is from the model that the estimator has
+(links, payload), and how large the errors of its sensors are. From the fact sheets of
+the real arm: torque noise floor 0.03 % of the joint limit, torque sensor linearity
+better than 0.5 % of range, harmonic drives 160:1 (J1-J4) and 100:1 (J5-J7), 1 kHz, no
+velocity in the interface. "Limit" below is a joint's effort limit, 176 to 38 Nm.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -18,7 +18,9 @@ TICK_s = 1e-3  # period of controller and sensors
 
 
 def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
-    """Stationary noise of unit spread and that correlation time from white noise, row by row."""
+    """Stationary noise of unit spread and that correlation time from white noise,
+    row by row.
+    """
     if correlation_s == 0.0:
         return white
     kept = np.exp(-period_s / correlation_s)
@@ -29,7 +31,9 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """Noise, drift since the last zeroing, and steps of the sensor at the needle's base."""
+    """Noise, drift since the last zeroing, and steps of the sensor at the needle's
+    base.
+    """
 
     white_std_N: float = 0.0  # standard deviation of the noise of one sample
     drift_std_N_per_s: float = (
@@ -62,39 +66,42 @@ class ForceNoise:
 MINI45 = ForceNoise(white_std_N=0.01, drift_std_N_per_s=1.5e-4, step_N=1.0 / 256.0)
 """ATI Mini45 SI-145-5 along z, read at 1 kHz as a driver delivers it: averaged.
 
-White: one raw sample at 2 kHz has 0.05 N, the mean over 0.1 s still 0.0155 N (coloured noise). The
-paper found 0.01 N on this sensor (its σ₀), and the liver recordings have 0.007 N above 20 Hz.
-Drift: warmed up, 0.055 N between minute 4 and minute 10 after switching on. Step: the converter's
-1/16 N, averaged over 16 samples that the raw noise dithers.
+White: one raw sample at 2 kHz has 0.05 N, the mean over 0.1 s still 0.0155 N (coloured
+noise). The paper found 0.01 N on this sensor (its σ₀), and the liver recordings have
+0.007 N above 20 Hz. Drift: warmed up, 0.055 N between minute 4 and minute 10 after
+switching on. Step: the converter's 1/16 N, averaged over 16 samples that the raw noise
+dithers.
 """
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantModel:
-    """Everything in which a simulated arm and its sensors differ from the estimator's model.
+    """Everything in which a simulated arm and its sensors differ from the estimator's
+    model.
 
-    Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z in sensor
-    axes. The default of every number is zero: no such error.
+    Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z
+    in sensor axes. The default of every number is zero: no such error.
     """
 
     name: str
 
     cad_fraction: float = 0.0
-    """Fraction a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two published tables of
-    one arm disagree by 1.5 Nm rms at J2; 0.1 of that (0.15 Nm, 0.3 N at the flange) stands for
-    a model identified with care, 0.3 (0.45 Nm, 0.9 N) for one taken over from elsewhere."""
+    """Fraction a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two
+    published tables of one arm disagree by 1.5 Nm rms at J2; 0.1 of that (0.15 Nm, 0.3
+    N at the flange) stands for a model identified with care, 0.3 (0.45 Nm, 0.9 N) for
+    one taken over from elsewhere."""
 
     payload_error: float = 0.0
-    """Relative error of the tool's mass as the estimator knows it; the sign is drawn. 0.02: weighed
-    without its cable; 0.05: from data sheets."""
+    """Relative error of the tool's mass as the estimator knows it; the sign is drawn.
+    0.02: weighed without its cable; 0.05: from data sheets."""
 
     payload_com_spread_m: float = 0.0
-    """Standard deviation, per axis, of the error of the tool's centre of mass: the mass error
-    times the 50 mm size of an F/T sensor with its adapters."""
+    """Standard deviation, per axis, of the error of the tool's centre of mass: the mass
+    error times the 50 mm size of an F/T sensor with its adapters."""
 
     kinematic_error_m: float = 0.0
-    """Standard deviation, per joint and axis, of the error of where the estimator's model has the
-    joint's frame."""
+    """Standard deviation, per joint and axis, of the error of where the estimator's
+    model has the joint's frame."""
 
     kinematic_error_rad: float = 0.0  # the same of how that frame is turned
 
@@ -103,42 +110,49 @@ class PlantModel:
     ) * 7  # noise of one sample: 0.03 % of limit
 
     torque_noise_correlation_s: float = 0.0
-    """Time constant of that noise, zero for white. The source states the 0.03 % after an 8 Hz
-    filter: 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which is kinder."""
+    """Time constant of that noise, zero for white. The source states the 0.03 % after
+    an 8 Hz filter: 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which
+    is kinder."""
 
     torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
-    """Least magnitude of the constant offset; the magnitude is drawn uniformly, the sign too."""
+    """Least magnitude of the constant offset; the magnitude is drawn uniformly, the
+    sign too."""
 
     torque_bias_max_Nm: tuple[float, ...] = (0.0,) * 7
-    """Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7): what an identification of a real
-    LWR 4+ had to attribute to its friction offsets."""
+    """Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7): what an identification
+    of a real LWR 4+ had to attribute to its friction offsets."""
 
     torque_drift_std_per_min: float = 0.0
-    """Standard deviation of the linear drift rate, as a fraction of limit per minute. 1e-4: the
-    zero of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N, 4e-4, in 4 minutes."""
+    """Standard deviation of the linear drift rate, as a fraction of limit per minute.
+    1e-4: the zero of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N,
+    4e-4, in 4 minutes."""
 
     torque_random_walk_std_per_sqrt_min: float = 0.0
-    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the linear
-    part: real drift is not straight, but nearly so over the two minutes of an insertion."""
+    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the
+    linear part: real drift is not straight, but nearly so over the two minutes of an
+    insertion."""
 
     torque_warm_up: float = 0.0
-    """Part of the zero, as a fraction of limit, that fades while the sensor warms up; the sign is
-    drawn. Chosen: 1e-3 over a minute, some times the 4e-4 in 4 minutes of the sensor above."""
+    """Part of the zero, as a fraction of limit, that fades while the sensor warms up;
+    the sign is drawn. Chosen: 1e-3 over a minute, some times the 4e-4 in 4 minutes of
+    the sensor above."""
 
     warm_up_s: float = 60.0  # time constant of that
 
     torque_ripple: float = 0.0
-    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the elliptic wave
-    generator passes the sensor twice per motor turn, sin(2 N q) with gear ratio N. 1e-4, one
-    fiftieth of the 0.5 % linearity, most of which is smooth and calibrated away."""
+    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the
+    elliptic wave generator passes the sensor twice per motor turn, sin(2 N q) with gear
+    ratio N. 1e-4, one fiftieth of the 0.5 % linearity, most of which is smooth and
+    calibrated away."""
 
     torque_hysteresis: float = 0.0
-    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output lags until
-    the torque has moved by this much. 1e-4, one fiftieth of the linearity as well."""
+    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output
+    lags until the torque has moved by this much. 1e-4, one fiftieth of the linearity as
+    well."""
 
     torque_nonlinearity: float = 0.0
-    """Greatest smooth deviation of a torque sensor from a straight line, as a fraction of limit.
-    The data sheet promises less than 0.5 %."""
+    """Greatest smooth deviation of a torque sensor from a straight line, as a fraction
+    of limit. The data sheet promises less than 0.5 %."""
 
     joint_coulomb: float = 0.0
     """Coulomb friction between torque sensor and link, as a fraction of limit, see
@@ -147,49 +161,54 @@ class PlantModel:
     joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7  # viscous friction there
 
     size_spread: float = 1.0
-    """Friction and drift of each joint are drawn within this factor of their stated size."""
+    """Friction and drift of each joint are drawn within this factor of their stated
+    size."""
 
     position_noise_std_rad: float = 0.0
-    """White noise of the reported position. 1e-5: a motor encoder seen through the gear; the
-    absolute sensor on the link (1.75e-4) would be the worst case."""
+    """White noise of the reported position. 1e-5: a motor encoder seen through the
+    gear; the absolute sensor on the link (1.75e-4) would be the worst case."""
 
     position_step_rad: float = 0.0
     """Step to which the position is rounded after the noise; as large as the noise."""
 
     velocity_noise_std_rad_s: float | None = 0.0
-    """White noise of the reported velocity, None if none is reported (as over FRI). 2e-4: an 18-bit
-    motor encoder behind 160:1, a step of 1.5e-7 rad, differenced at the 3 kHz of the joint
-    loop: 1.5e-7 x 3000 / sqrt(6) = 1.8e-4."""
+    """White noise of the reported velocity, None if none is reported (as over FRI).
+    2e-4: an 18-bit motor encoder behind 160:1, a step of 1.5e-7 rad, differenced at the
+    3 kHz of the joint loop: 1.5e-7 x 3000 / sqrt(6) = 1.8e-4."""
 
     clock_jitter_std_s: float = 0.0
-    """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5: stamps taken
-    on arrival by a PC without a tuned real-time kernel."""
+    """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5:
+    stamps taken on arrival by a PC without a tuned real-time kernel."""
 
     ticks_per_sample: int = (
         1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
     )
 
     drop_probability: float = 0.0
-    """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared switch."""
+    """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared
+    switch."""
 
     drop_max_samples: int = 1
     """A loss takes 1 to this many samples in a row, each number equally likely."""
 
     ft_noise_std: tuple[float, ...] = (0.0,) * 6
-    """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of `MINI45`;
-    the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm."""
+    """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of
+    `MINI45`; the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53,
+    0.53, 0.50 mNm."""
 
     ft_noise_correlation_s: float = 0.0  # time constant of that noise, zero for white
 
     ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
-    """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of `MINI45`; the
-    other axes in proportion to their range: 145, 145, 290 N; 5 Nm."""
+    """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of
+    `MINI45`; the other axes in proportion to their range: 145, 145, 290 N; 5 Nm."""
 
 
 def drawn_factors(
     plant_model: PlantModel, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Array:
-    """Factors on stated sizes, equal chance per octave within the plant model's `size_spread`."""
+    """Factors on stated sizes, equal chance per octave within the plant model's
+    `size_spread`.
+    """
     if plant_model.size_spread == 1.0:  # keeps what is drawn afterwards
         return np.ones(shape)
     return plant_model.size_spread ** rng.uniform(-1.0, 1.0, shape)
@@ -256,13 +275,16 @@ DEGRADED = replace(
     drop_max_samples=3,
     ft_noise_std=tuple(2.0 * std for std in _FT_NOISE),
 )
-"""A neglected arm seen through its bare research interface: twice the noise, further errors."""
+"""A neglected arm seen through its bare research interface: twice the noise, further
+errors."""
 
 PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}  # By name
 
 
 def plant_named(plant: PlantModel | str) -> PlantModel:
-    """The plant model of that name, `PlantModelError` if there is none; one is what it is."""
+    """The plant model of that name, `PlantModelError` if there is none; one is what
+    it is.
+    """
     if isinstance(plant, PlantModel):
         return plant
     if plant not in PLANT_MODELS:

@@ -1,11 +1,14 @@
-"""The simulated arm in closed loop: joint velocities in, sensor samples out, one per cycle.
+"""The simulated arm in closed loop: joint velocities in, sensor samples out, one per
+cycle.
 
-The physics, the plant models and the sensors are those of `groundtruth.simulate`; what is new is
-that the motion is not known beforehand. Commands arrive late, and the arm's own loop integrates
-them and follows with the *nominal* model, as a robot does that does not know its own errors.
+The physics, the plant models and the sensors are those of `groundtruth.simulate`; what
+is new is that the motion is not known beforehand. Commands arrive late, and the arm's
+own loop integrates them and follows with the *nominal* model, as a robot does that does
+not know its own errors.
 
-A cycle: `SimulatedArm` reports positions at the cycle's start and the torques held over the tick
-that now begins; the caller answers with `SimulatedArm.send`; the next sample ends the tick.
+A cycle: `SimulatedArm` reports positions at the cycle's start and the torques held over
+the tick that now begins; the caller answers with `SimulatedArm.send`; the next sample
+ends the tick.
 """
 
 from collections import deque
@@ -39,11 +42,13 @@ from urdf import NeedleTool, Robot
 Servo = Literal["stiff", "impedance"]
 
 JOINT_STIFFNESS_Nm = 2000.0
-"""Of the impedance servo, per rad: the most that the real arm's joint impedance mode takes."""
+"""Of the impedance servo, per rad: the most that the real arm's joint impedance mode
+takes."""
 COMMAND_HOLD_s = 5e-3
-"""For so long the arm goes on at its last velocity when commands stay away; then it brakes. Both
-are choices, nothing public says what an LWR does; a Panda stops after 20 missed cycles of 1 ms
-(Polymetis, troubleshooting: `communication_constraints_violation`)."""
+"""For so long the arm goes on at its last velocity when commands stay away; then it
+brakes. Both are choices, nothing public says what an LWR does; a Panda stops after 20
+missed cycles of 1 ms (Polymetis, troubleshooting:
+`communication_constraints_violation`)."""
 BRAKING_rad_s2 = 10.0
 
 
@@ -81,10 +86,11 @@ class ArmTruth(NamedTuple):
 class _Servo:
     """The arm's own loop: integrates the commanded velocity and holds the arm to it.
 
-    A commanded velocity is reached at the end of its tick, at constant acceleration. The torque is
-    the inverse dynamics of that motion, of the nominal arm, plus spring and damper:
-    stiff, M (w^2 e + 2 w de); impedance, K e + D de with the same K at all joints, reduced where a
-    mode of (K, M) would be faster than w, critically damped mode by mode.
+    A commanded velocity is reached at the end of its tick, at constant acceleration.
+    The torque is the inverse dynamics of that motion, of the nominal arm, plus spring
+    and damper: stiff, M (w^2 e + 2 w de); impedance, K e + D de with the same K at all
+    joints, reduced where a mode of (K, M) would be faster than w, critically damped
+    mode by mode.
     """
 
     def __init__(self, robot: Robot, q_rad: Array, kind: Servo) -> None:
@@ -168,7 +174,9 @@ class _Commands:
 
 
 class _OnlineSensors:
-    """The sensors of `groundtruth.sensors`, sample by sample, with the same errors per seed."""
+    """The sensors of `groundtruth.sensors`, sample by sample, with the same errors
+    per seed.
+    """
 
     def __init__(
         self,
@@ -222,10 +230,11 @@ class _OnlineSensors:
 
 
 class SimulatedArm:
-    """A simulated LWR 4+ with a needle that takes joint velocities, and what is true about it.
+    """A simulated LWR 4+ with a needle that takes joint velocities, and what is true
+    about it.
 
-    Iterate over it for the samples: each step is one tick of 1 ms, or more where samples get lost.
-    It ends after the duration that sensor errors were drawn for.
+    Iterate over it for the samples: each step is one tick of 1 ms, or more where
+    samples get lost. It ends after the duration that sensor errors were drawn for.
 
     Attributes:
         robot: The arm as its user knows it.
@@ -249,13 +258,15 @@ class SimulatedArm:
         """Place the arm at rest.
 
         Args:
-            scenario: Its tissue lies under the needle; None for free air. Its motion is not used.
+            scenario: Its tissue lies under the needle; None for free air. Its motion is
+                not used.
             plant: Plant model or its name.
             seed: Of everything drawn; the arm and its sensors are those of `simulate`.
             servo: The arm's own loop.
             latency_s: From `send` to its effect, at least one tick.
             contacts: What touches it; they begin where the arm starts.
-            standoff_m: Height of the tip above the tissue at the start; None for the scenario's.
+            standoff_m: Height of the tip above the tissue at the start; None for the
+                scenario's.
             duration_s: After this time the samples end.
 
         Raises:
@@ -317,9 +328,11 @@ class SimulatedArm:
                 return sample
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity, shape (7,), reached a latency later; False if it is refused.
+        """Command a joint velocity, shape (7,), reached a latency later; False if it is
+        refused.
 
-        Of several in one tick the last counts. The arm refuses numbers that are not finite.
+        Of several in one tick the last counts. The arm refuses numbers that are not
+        finite.
         """
         velocity = np.array(dq_rad_s, dtype=np.float64)
         if self._tick < self._refused_until or not np.isfinite(velocity).all():
@@ -355,7 +368,9 @@ class SimulatedArm:
 
     @property
     def ft_wrench(self) -> Array:
-        """Reading of the reference F/T sensor one tick ago, shape (6,), see `Signals`."""
+        """Reading of the reference F/T sensor one tick ago, shape (6,), see
+        `Signals`.
+        """
         return self._sensors.wrench(max(self._tick - 1, 0), self._plant.ft_wrench)
 
     @property
@@ -364,7 +379,9 @@ class SimulatedArm:
         return np.array(self._depths_m)
 
     def tissue_truth(self) -> TissueTruth:
-        """Forces of the tissue and ruptures of the run so far, at all ticks; `PlantError` at 0."""
+        """Forces of the tissue and ruptures of the run so far, at all ticks;
+        `PlantError` at 0.
+        """
         if not self._forces:
             raise PlantError("nothing has happened yet; iterate over the arm first")
         time = np.arange(len(self._forces), dtype=np.float64) * TICK_s
@@ -379,15 +396,18 @@ class SimulatedArm:
     def inject(
         self, fault: Callable[[ArmSample], ArmSample | None], seconds: float
     ) -> None:
-        """Pass all samples of the coming time through a fault; one that returns None loses them."""
+        """Pass all samples of the coming time through a fault; one that returns None
+        loses them.
+        """
         self._faults.append((self._ticks_ahead(seconds), fault))
 
     def lose(self, what: str, seconds: float) -> None:
         """Lose something for some time from the next sample on.
 
         Args:
-            what: ``q_rad``, ``dq_rad_s`` or ``tau_Nm``, which then read nan; ``sample``, none of
-                which comes; ``command``, none of which arrives, though the arm does not refuse it.
+            what: ``q_rad``, ``dq_rad_s`` or ``tau_Nm``, which then read nan;
+                ``sample``, none of which comes; ``command``, none of which arrives,
+                though the arm does not refuse it.
             seconds: For so long.
 
         Raises:
@@ -435,9 +455,11 @@ class SimulatedArm:
 
 
 def with_kinematic_error(plant_model: PlantModel) -> PlantModel:
-    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3 mrad.
+    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3
+    mrad.
 
-    Where controller and plant have the same kinematics, errors of micrometres mean nothing.
+    Where controller and plant have the same kinematics, errors of micrometres mean
+    nothing.
     """
     return replace(
         plant_model,

@@ -1,8 +1,9 @@
 """What touches the arm in closed loop: a trocar, a wall, a person's hand.
 
-Each contact is a law, motion of one point of the arm in, force out. It acts at every physics step
-of `ArmPlant`; between the arm's ticks its point moves by the Jacobian of the tick's start. Plain
-numbers instead of arrays: there are several of these calls in each tick.
+Each contact is a law, motion of one point of the arm in, force out. It acts at every
+physics step of `ArmPlant`; between the arm's ticks its point moves by the Jacobian of
+the tick's start. Plain numbers instead of arrays: there are several of these calls in
+each tick.
 """
 
 # MuJoCo's names live in a compiled module without stubs.
@@ -33,8 +34,9 @@ GRIPS: dict[str, tuple[str, str]] = {
     "wrist": ("link_6", "link_6"),
     "elbow": ("link_4", "link_4"),
 }
-"""Places that can be touched: the body whose origin it is, and the body that takes the force. The
-hub is the housing between flange and F/T sensor: this does not feel the hand."""
+"""Places that can be touched: the body whose origin it is, and the body that takes the
+force. The hub is the housing between flange and F/T sensor: this does not feel the
+hand."""
 
 
 class PointMotion(NamedTuple):
@@ -97,7 +99,8 @@ def distance_to_axis_m(point_m: ArrayLike, on_axis_m: ArrayLike, axis: Array) ->
 
 @dataclass(slots=True, kw_only=True)
 class Trocar:
-    """Holds the needle elastically where it passes a point, and lets it slide and turn there.
+    """Holds the needle elastically where it passes a point, and lets it slide and turn
+    there.
 
     Attributes:
         behind_tip_m: Where along the needle that point lies when the arm is placed.
@@ -123,7 +126,9 @@ class Trocar:
         self.point_m = add(motion.position_m, motion.axis, -self.behind_tip_m)
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
-        """Spring and damper across the needle, at the point of its axis nearest to the trocar."""
+        """Spring and damper across the needle, at the point of its axis nearest to
+        the trocar.
+        """
         tip, axis = motion.position_m, motion.axis
         along = dot(add(self.point_m, tip, -1.0), axis)
         nearest = add(tip, axis, along)
@@ -136,13 +141,14 @@ class Trocar:
 
 @dataclass(slots=True, kw_only=True)
 class Wall:
-    """A stiff plane across the needle's way, such as bone; it pushes only, and without friction.
+    """A stiff plane across the needle's way, such as bone; it pushes only, and without
+    friction.
 
     Attributes:
         distance_m: From the tip, along the needle, when the arm is placed.
         stiffness_N_per_m: Along the needle.
-        damping_Ns_per_m: While in contact. At 20 kN/m and the 3 kg that the arm has along its
-            needle, 50 is a tenth of critical.
+        damping_Ns_per_m: While in contact. At 20 kN/m and the 3 kg that the arm has
+            along its needle, 50 is a tenth of critical.
         penetration_m: Of the tip now, negative in front of the wall.
     """
 
@@ -154,7 +160,9 @@ class Wall:
     _surface: tuple[Vector3, Vector3] = field(default=(NO_FORCE, NO_FORCE), init=False)
 
     def __post_init__(self) -> None:
-        """Raise `PlantError` for a stiffness or damping that is negative or not finite."""
+        """Raise `PlantError` for a stiffness or damping that is negative or not
+        finite.
+        """
         require_non_negative(PlantError, self, "stiffness_N_per_m damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
@@ -178,13 +186,14 @@ class Wall:
 
 @dataclass(slots=True, kw_only=True)
 class HandOnArm:
-    """A person's hand: a force over time, or a spring and damper that leads along a path.
+    """A person's hand: a force over time, or a spring and damper that leads along a
+    path.
 
     Attributes:
         at: What it has taken hold of.
         force_N: Force over time [s], base axes; None for none.
-        path_m: Where the hand goes over time, relative to where it took hold, base axes; None if
-            it holds nothing.
+        path_m: Where the hand goes over time, relative to where it took hold, base
+            axes; None if it holds nothing.
         stiffness_N_per_m: Of the hand along a path.
         damping_Ns_per_m: Of it, against the motion of the arm.
         applied_N: Force on the arm now, base axes.
@@ -233,12 +242,14 @@ class HandOnArm:
 class TouchedPoint:
     """A point of the arm with the contacts that act on it, in a MuJoCo model.
 
-    Between ticks the point is moved by the Jacobian of the tick's start: the arm turns by less
-    than 1e-3 rad meanwhile, which leaves 0.1 um at a lever of 0.2 m.
+    Between ticks the point is moved by the Jacobian of the tick's start: the arm turns
+    by less than 1e-3 rad meanwhile, which leaves 0.1 um at a lever of 0.2 m.
     """
 
     def __init__(self, model: Any, data: Any, contacts: Sequence[Contact]) -> None:
-        """Bind contacts that all act at the same of `GRIPS`; `locate` comes before all else."""
+        """Bind contacts that all act at the same of `GRIPS`; `locate` comes before
+        all else.
+        """
         point, body = GRIPS[contacts[0].at]
         self._model, self._data, self._contacts = model, data, contacts
         self._point, self._body = model.body(point).id, model.body(body).id
@@ -268,7 +279,8 @@ class TouchedPoint:
         vx, vy, vz, wx, wy, wz = self._jacobian.dot(dq_rad_s).tolist()
         speed, turning = (vx, vy, vz), (wx, wy, wz)
         change = cross(turning, self._now.axis)
-        # At the middle of the step: a force held from its start would feed energy into a spring.
+        # At the middle of the step: a force held from its start would feed energy into
+        # a spring.
         position = add(self._now.position_m, speed, 0.5 * step_s)
         axis = add(self._now.axis, change, 0.5 * step_s)
         motion = PointMotion(position, axis, speed, turning)

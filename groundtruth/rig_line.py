@@ -1,4 +1,6 @@
-"""An emulated line between the two ends of a teleoperation, on which packets are late."""
+"""An emulated line between the two ends of a teleoperation, on which packets are
+late.
+"""
 
 import math
 from collections import deque
@@ -12,7 +14,8 @@ Packet = TypeVar("Packet")
 
 
 class DelayLine(Generic[Packet]):
-    """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of them.
+    """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of
+    them.
 
     The newest that has arrived counts; one that is overtaken is dropped.
 
@@ -37,7 +40,9 @@ class DelayLine(Generic[Packet]):
         self._newest: Packet | None = None
 
     def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
-        """Send a packet, let time pass, and return the newest that has arrived so far."""
+        """Send a packet, let time pass, and return the newest that has arrived so
+        far.
+        """
         self._time_s += dt_s
         late_s = self._delay_s
         if self._rng is not None:

@@ -1,7 +1,8 @@
 """A person at a haptic device: the emulated operator and master of teleoperation.
 
-The hand is a mass on a spring and damper whose other end, the *wish*, moves as the person wants;
-it holds the handle of an impedance device, which reports where that is and shows a force:
+The hand is a mass on a spring and damper whose other end, the *wish*, moves as the
+person wants; it holds the handle of an impedance device, which reports where that is
+and shows a force:
 
     (m_hand + m_device) x'' = k (wish - x) - b x' + f.
 
@@ -35,7 +36,8 @@ class Operator:
     """A person's hand.
 
     Attributes:
-        wish_m: Where the person wants the handle over time [s], device axes, shape (3,).
+        wish_m: Where the person wants the handle over time [s], device axes, shape
+            (3,).
         stiffness_N_per_m: Of the hand about that; a loose grip has 150, a firm one 600.
         mass_kg: Of hand and forearm as far as they move along, 1 to 2.
         damping_Ns_per_m: Of the hand.
@@ -63,16 +65,18 @@ def random_operator(
 
 
 class HapticMaster:
-    """An impedance device in an operator's hand, at 1 kHz; one `read` is one of its cycles.
+    """An impedance device in an operator's hand, at 1 kHz; one `read` is one of its
+    cycles.
 
     Attributes:
         position_m: Where the handle truly is, shape (3,).
         velocity_m_s: Its true velocity, shape (3,).
-        port_energy_J: What the operator has put into the device by now, less what came back: the
-            sum of -f dx, exact for a force held over each cycle. A passive device keeps it from
-            falling below zero.
+        port_energy_J: What the operator has put into the device by now, less what came
+            back: the sum of -f dx, exact for a force held over each cycle. A passive
+            device keeps it from falling below zero.
         least_energy_J: The least of that so far.
-        clutch: Whether the hand's motion counts; set it as the person would press the pedal.
+        clutch: Whether the hand's motion counts; set it as the person would press the
+            pedal.
     """
 
     def __init__(
@@ -89,14 +93,16 @@ class HapticMaster:
             operator: The hand.
             mass_kg: Apparent mass of the device at its handle.
             position_step_m: Resolution of its encoders at the handle, zero for none.
-            speed_filter_s: Time constant of the low-pass that turns positions into velocities.
+            speed_filter_s: Time constant of the low-pass that turns positions into
+                velocities.
         """
         require_positive(PlantError, mass_kg=mass_kg, speed_filter_s=speed_filter_s)
         require_non_negative(PlantError, position_step_m=position_step_m)
         self._operator, self._position_step_m = operator, position_step_m
         mass = operator.mass_kg + mass_kg
         k, b = operator.stiffness_N_per_m / mass, operator.damping_Ns_per_m / mass
-        # Exact over a cycle for a held force: state x, v and the input (k wish + f) / m.
+        # Exact over a cycle for a held force: state x, v and the input (k wish + f) /
+        # m.
         step = expm(
             np.array([[0.0, 1.0, 0.0], [-k, -b, 1.0], [0.0, 0.0, 0.0]]) * TICK_s
         )
@@ -141,7 +147,8 @@ class HapticMaster:
         )
 
     def render(self, force_N: ArrayLike) -> None:
-        """Force on the hand from now on, device axes, shape (3,); none while the device is gone.
+        """Force on the hand from now on, device axes, shape (3,); none while the device
+        is gone.
 
         A force that is not finite switches the motors off.
         """

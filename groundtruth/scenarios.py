@@ -1,8 +1,9 @@
 """The catalogue of scenarios under their permanent names, and random ones.
 
-The catalogue follows Sections II and VI of the paper. Random scenarios draw layers, membranes,
-speed and motion within documented ranges, which span what the catalogue and the real recordings
-show, with room on both sides, so that nothing can be tuned to a dozen curves.
+The catalogue follows Sections II and VI of the paper. Random scenarios draw layers,
+membranes, speed and motion within documented ranges, which span what the catalogue and
+the real recordings show, with room on both sides, so that nothing can be tuned to a
+dozen curves.
 """
 
 import math
@@ -18,7 +19,8 @@ from groundtruth.materials import ABDOMEN, BOVINE_LIVER, GLOVE, TABLE_I_SPEED_M_
 from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
-# What reaches arm and tissue from outside; no estimator learns of it but through the signals.
+# What reaches arm and tissue from outside; no estimator learns of it but through the
+# signals.
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,7 +32,9 @@ class TissueMotion:
     ]  # amplitude [m], frequency [Hz], phase [rad]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Place [m] of the undeformed surface, positive away from the robot, and its speed."""
+        """Place [m] of the undeformed surface, positive away from the robot, and its
+        speed.
+        """
         amplitude, frequency, phase = np.array(self.waves).T
         rate = 2.0 * np.pi * frequency
         angle = np.multiply.outer(np.asarray(t_s, dtype=np.float64), rate) + phase
@@ -91,7 +95,9 @@ class Scenario:
     def with_variation(
         self, change: TissueVariation, rng: np.random.Generator
     ) -> "Scenario":
-        """The same scenario with every layer changed; the generator draws the texture."""
+        """The same scenario with every layer changed; the generator draws the
+        texture.
+        """
         return replace(
             self, layers=tuple(change.layer(layer, rng) for layer in self.layers)
         )
@@ -182,8 +188,8 @@ def scenario(name: str, seed: int = 0) -> Scenario:
     """A catalogued scenario, or one drawn from the seed.
 
     Args:
-        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+`` and one of
-            `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
+        name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+``
+            and one of `VARIATIONS`, in that tissue: ``stack-constant+texture-20mN``.
         seed: Of what is drawn.
 
     Raises:
@@ -226,7 +232,8 @@ COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
 PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
 RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
 EXIT_FORCE_N = (0.15, 2.0)
-"""Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop 0.15-1.4 N."""
+"""Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop
+0.15-1.4 N."""
 CUTTING_FRACTION = (0.0, 0.2)
 STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
@@ -247,7 +254,9 @@ RANDOM_STANDOFF_M = (
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
-    """Draw one to four layers, a speed profile, and membranes on a quarter of the layers."""
+    """Draw one to four layers, a speed profile, and membranes on a quarter of the
+    layers.
+    """
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
     speed = rng.uniform(*(PEAK_SPEED_M_S if sine else SPEED_M_S))
@@ -288,7 +297,8 @@ def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float
 def _layer(
     rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float
 ) -> Layer:
-    # Arguments are drawn in this order: another order gives other scenarios for the same seed.
+    # Arguments are drawn in this order: another order gives other scenarios for the
+    # same seed.
     friction = ShaftFriction.calibrated(
         force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
         reference_speed_m_s=speed_m_s,

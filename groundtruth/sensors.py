@@ -1,7 +1,8 @@
-"""The arm's sensors and wire: torque, position, velocity, wrench, time stamps, lost samples.
+"""The arm's sensors and wire: torque, position, velocity, wrench, time stamps, lost
+samples.
 
-Every function takes true signals at all ticks, a plant model that says how large the errors are,
-and the generator that they are drawn from.
+Every function takes true signals at all ticks, a plant model that says how large the
+errors are, and the generator that they are drawn from.
 """
 
 from itertools import accumulate
@@ -24,7 +25,9 @@ def measured_torque(
     plant_model: PlantModel,
     rng: np.random.Generator,
 ) -> Array:
-    """Link-side joint torques, shape (n, 7), as gauges of these ranges, shape (7,), report them."""
+    """Link-side joint torques, shape (n, 7), as gauges of these ranges, shape (7,),
+    report them.
+    """
     sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
     lagging = tau_Nm
     if plant_model.torque_hysteresis > 0.0:
@@ -79,17 +82,20 @@ class TorqueSensor:
     def reading(
         self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice
     ) -> Array:
-        """What the gauges report at some of the n ticks, shape (7,) or (n, 7) like the arguments.
+        """What the gauges report at some of the n ticks, shape (7,) or (n, 7) like the
+        arguments.
 
-        These are true torques, the same behind the hysteresis, see `backlash`, and true positions.
+        These are true torques, the same behind the hysteresis, see `backlash`, and true
+        positions.
         """
         seen, plant_model = lagging_Nm, self._plant_model
         if plant_model.torque_ripple > 0.0:
             angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + self._phase_rad
             seen = seen + plant_model.torque_ripple * self._limit_Nm * np.sin(angle)
         if plant_model.torque_nonlinearity > 0.0:
-            # A smooth deviation from a straight line, at most 1 for loads from -1 to 1: bow and S,
-            # Chebyshev polynomials of second and third degree, in parts given by the bow.
+            # A smooth deviation from a straight line, at most 1 for loads from -1 to 1:
+            # bow and S, Chebyshev polynomials of second and third degree, in parts
+            # given by the bow.
             load, (size, bow) = tau_Nm / self._limit_Nm, self._bend
             bent = bow * (2.0 * load**2 - 1.0)
             bent = size * (bent + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
@@ -98,9 +104,11 @@ class TorqueSensor:
 
 
 def backlash(signal: Array, half_width: Array) -> Array:
-    """Play operator: the output rests until the input has moved by the half-width, then follows.
+    """Play operator: the output rests until the input has moved by the half-width, then
+    follows.
 
-    It starts on the signal, shape (n, k), and stays within the half-width, shape (k,), of it.
+    It starts on the signal, shape (n, k), and stays within the half-width, shape (k,),
+    of it.
     """
     edges = zip(signal - half_width, signal + half_width, strict=True)
     rows = accumulate(edges, lambda held, edge: held.clip(*edge), initial=signal[0])
@@ -121,7 +129,9 @@ def measured_position(
 def measured_velocity(
     dq_rad_s: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array | None:
-    """Joint velocities, shape (n, 7), with noise; None on an interface that reports none."""
+    """Joint velocities, shape (n, 7), with noise; None on an interface that reports
+    none.
+    """
     std = plant_model.velocity_noise_std_rad_s
     return None if std is None else dq_rad_s + std * rng.standard_normal(dq_rad_s.shape)
 
@@ -145,7 +155,9 @@ def measured_wrench(
 def time_stamps(
     true_s: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Stamps, shape (n,), of samples taken on the tick: the true instants but for clock jitter."""
+    """Stamps, shape (n,), of samples taken on the tick: the true instants but for
+    clock jitter.
+    """
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
     return true_s + np.clip(error, -JITTER_LIMIT * TICK_s, JITTER_LIMIT * TICK_s)
 
@@ -153,7 +165,9 @@ def time_stamps(
 def received_samples(
     count: int, plant_model: PlantModel, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Indices of the samples that arrive of `count` ticks, ascending; first and last always do."""
+    """Indices of the samples that arrive of `count` ticks, ascending; first and last
+    always do.
+    """
     sent = np.arange(0, count, plant_model.ticks_per_sample)
     kept = np.ones(len(sent), dtype=bool)
     starts = np.flatnonzero(rng.random(len(sent)) < plant_model.drop_probability)

@@ -1,7 +1,9 @@
-"""Simulate an insertion: the arm drives the needle through tissue, and its sensors report it.
+"""Simulate an insertion: the arm drives the needle through tissue, and its sensors
+report it.
 
-`simulate` has the arm move the needle; `insert_needle` has the tip follow the motion exactly and
-reads the force at its base. Both return what a robot would give and, apart from it, the truth.
+`simulate` has the arm move the needle; `insert_needle` has the tip follow the motion
+exactly and reads the force at its base. Both return what a robot would give and, apart
+from it, the truth.
 """
 
 from collections.abc import Callable
@@ -28,9 +30,10 @@ from urdf import NeedleTool, Robot
 class Signals(ReadOnlyArrays):
     """What a robot and its F/T sensor give, n samples; all that an estimator may see.
 
-    A row of torques is held from its sample to the next tick (torque alignment ``hold``); at rest
-    it equals the gravity torque. A wrench is that of the environment on the needle plus the
-    needle's weight (so tissue that pushes back lowers z), minus its inertia.
+    A row of torques is held from its sample to the next tick (torque alignment
+    ``hold``); at rest it equals the gravity torque. A wrench is that of the environment
+    on the needle plus the needle's weight (so tissue that pushes back lowers z), minus
+    its inertia.
     """
 
     t_s: Array  # time stamps, shape (n,), increasing; jittered, or with gaps, on some plants
@@ -44,11 +47,13 @@ class Signals(ReadOnlyArrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Truth(TissueTruth):
-    """What was true at the same n samples: of the tissue, see `TissueTruth`, and of the arm.
+    """What was true at the same n samples: of the tissue, see `TissueTruth`, and of the
+    arm.
 
-    Torques of the tissue on the joints and of the bearings on the links, which no torque sensor
-    sees and an observer takes for external, are means over the tick that begins at the sample: what
-    a momentum observer can learn from that sample and the next.
+    Torques of the tissue on the joints and of the bearings on the links, which no
+    torque sensor sees and an observer takes for external, are means over the tick that
+    begins at the sample: what a momentum observer can learn from that sample and the
+    next.
     """
 
     t_s: Array  # true instants of the samples, shape (n,)
@@ -87,7 +92,8 @@ def simulate(
 
     Args:
         scenario: A scenario or its name, see `groundtruth.scenario`.
-        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or ``degraded``.
+        plant: A plant model or the name of one: ``ideal``, ``clean``, ``fri`` or
+            ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
 
@@ -135,7 +141,9 @@ def _sense(
     plant_model: PlantModel,
     seed: SeedSequence,
 ) -> tuple[NDArray[np.intp], Signals]:
-    """Pass the true signals through sensors and wire; each of them has its own stream of noise."""
+    """Pass the true signals through sensors and wire; each of them has its own
+    stream of noise.
+    """
     clock, loss, position, velocity, torque, wrench = map(
         np.random.default_rng, seed.spawn(6)
     )
@@ -178,7 +186,8 @@ def insert_needle(
 
     Args:
         scenario: A scenario or its name, see `groundtruth.scenario`.
-        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the same run.
+        seed: Seed of the sensor noise and of a drawn scenario; the same seed gives the
+            same run.
         rate_hz: Samples per second.
         noise: What the force sensor adds, see `groundtruth.force_noise`.
 

@@ -1,9 +1,11 @@
-"""The law of tissue: depth and speed of the tip in, force out; and the truth of a whole run.
+"""The law of tissue: depth and speed of the tip in, force out; and the truth of a whole
+run.
 
 It has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
-not the law that the published method identifies (equation 3): it shares the geometry with it and,
-at each layer's reference speed, the shaft friction. Our multilayer estimator does share its form
-(cutting onset, release, presliding), so `groundtruth.variations` departs from it.
+not the law that the published method identifies (equation 3): it shares the geometry
+with it and, at each layer's reference speed, the shaft friction. Our multilayer
+estimator does share its form (cutting onset, release, presliding), so
+`groundtruth.variations` departs from it.
 """
 
 import math
@@ -19,8 +21,8 @@ from groundtruth.errors import Array, TissueError
 from groundtruth.layers import Layer, interfaces
 
 RELAXATION_S = 10.0
-"""Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will lose in
-8.5 s (median), the quick loss of viscous friction at the stop included."""
+"""Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will
+lose in 8.5 s (median), the quick loss of viscous friction at the stop included."""
 RECOVERY_M = (
     0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
 )
@@ -32,8 +34,9 @@ UNLOADING_M = (
 class TissueForce(NamedTuple):
     """Force of the tissue on the needle, along its axis.
 
-    A named tuple, not a dataclass: it is made at every physics step. `layer` is 0 above the surface
-    (or before its membrane is punctured), i with the tip in layer i, one more beyond the last.
+    A named tuple, not a dataclass: it is made at every physics step. `layer` is 0 above
+    the surface (or before its membrane is punctured), i with the tip in layer i, one
+    more beyond the last.
     """
 
     axial_N: (
@@ -53,11 +56,13 @@ def no_force(layer_count: int) -> TissueForce:
 
 
 def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
-    """Advance the relaxation of the tip force: it grows with time and fades with travel.
+    """Advance the relaxation of the tip force: it grows with time and fades with
+    travel.
 
-    Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue. Exact step
-    of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed, so any step is
-    stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 % at 2.3 mm/s).
+    Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue.
+    Exact step of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed,
+    so any step is stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 %
+    at 2.3 mm/s).
     """
     rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
     settled = 1.0 / (RELAXATION_S * rate)
@@ -71,12 +76,14 @@ def bristle_step(
     presliding_m: float,
     relaxed_fraction: float,
 ) -> float:
-    """Advance the deflection of the shaft's bristles: Dahl's presliding, with relaxation.
+    """Advance the deflection of the shaft's bristles: Dahl's presliding, with
+    relaxation.
 
-    Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) / presliding
-    (Dahl 1968, exponent 1); time lets a deflection beyond 1 - relaxed_fraction sink to that. Both
-    act at once and the step is their exact solution: it cannot leave [-1, 1], whatever its size.
-    The Coulomb force is `coulomb * bristle`; a long rest loses the relaxed fraction of it.
+    Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) /
+    presliding (Dahl 1968, exponent 1); time lets a deflection beyond 1 -
+    relaxed_fraction sink to that. Both act at once and the step is their exact
+    solution: it cannot leave [-1, 1], whatever its size. The Coulomb force is `coulomb
+    * bristle`; a long rest loses the relaxed fraction of it.
     """
     pull = abs(travel_m) / presliding_m
     target = math.copysign(pull, travel_m)
@@ -115,19 +122,22 @@ class Tissue:
         """Advance by one step and return the force at its end.
 
         Args:
-            depth_m: Travel of the tip since first contact, at the end of the step; negative above.
+            depth_m: Travel of the tip since first contact, at the end of the step;
+                negative above.
             speed_m_s: Speed of the tip, positive inwards.
             dt_s: Length of the step.
 
         Raises:
-            TissueError: A value is not finite or `dt_s` is not positive; the state is unchanged.
+            TissueError: A value is not finite or `dt_s` is not positive; the state is
+                unchanged.
         """
         if not (math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0):
             raise TissueError(
                 f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: "
                 "a tissue needs finite numbers and dt_s above zero; its state is unchanged"
             )
-        # The first step says where the needle is, not how far it came: no presliding yet.
+        # The first step says where the needle is, not how far it came: no presliding
+        # yet.
         travel = 0.0 if self._depth_m is None else depth_m - self._depth_m
         self._depth_m = depth_m
         self._deepest_m = max(self._deepest_m, depth_m)
@@ -158,7 +168,9 @@ class Tissue:
         return TissueForce(tip + friction, tip, friction, layer, per_layer)
 
     def _fresh_tip_N(self, depth_m: float) -> float:
-        """Tip force of unrelaxed tissue: what the front holds, and what a rupture still holds."""
+        """Tip force of unrelaxed tissue: what the front holds, and what a rupture
+        still holds.
+        """
         boundaries, ruptured, deepest = self.interfaces, self._ruptured, self._deepest_m
         back = (deepest - depth_m) / UNLOADING_M
         force = 0.0
@@ -178,14 +190,17 @@ class Tissue:
     def _layer_friction_N(
         self, depth_m: float, speed_m_s: float, count: int
     ) -> tuple[float, ...]:
-        """Friction of each layer on the length of shaft in it; only the first `count` hold any."""
+        """Friction of each layer on the length of shaft in it; only the first
+        `count` hold any.
+        """
         found = [0.0] * len(self.layers)
         for i in range(count):
             entry = self.interfaces[i]
             friction = self.layers[i].friction
             embedded = min(depth_m, self.interfaces[i + 1].depth_m) - entry.depth_m
             if entry.membrane is not None:
-                # The pushed-in tissue springs back along the shaft while the membrane ruptures.
+                # The pushed-in tissue springs back along the shaft while the membrane
+                # ruptures.
                 embedded *= entry.released(self._deepest_m)
             embedded = friction.gripped_m(embedded, self.layers[i].thickness_m)
             coulomb = friction.coulomb_N_per_m * self._bristles[i]
@@ -209,9 +224,9 @@ class ReadOnlyArrays:
 class Rupture:
     """One boundary that ruptures under the advancing tip.
 
-    The visible drop is the fall of the axial force from the onset to its least value before the
-    end: smaller than `drop_N` where the next layer or its friction already pushes, a little larger
-    where the needle slows down meanwhile.
+    The visible drop is the fall of the axial force from the onset to its least value
+    before the end: smaller than `drop_N` where the next layer or its friction already
+    pushes, a little larger where the needle slows down meanwhile.
     """
 
     onset_s: float  # the release begins; between samples, by interpolation
@@ -250,7 +265,9 @@ class TissueTruth(ReadOnlyArrays):
 def collect_truth(
     law: Tissue, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
-    """Return the ground truth of a run: true depths at n times, and the law's n answers."""
+    """Return the ground truth of a run: true depths at n times, and the law's n
+    answers.
+    """
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
     contact_s = _first_crossing_s(t_s, depth_m, 0.0) if law.layers else np.nan
@@ -269,7 +286,9 @@ def collect_truth(
 
 
 def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
-    """Time at which a signal first reaches a level from below, by linear interpolation; or nan."""
+    """Time at which a signal first reaches a level from below, by linear
+    interpolation; or nan.
+    """
     reached = np.flatnonzero(signal >= level)
     if reached.size == 0:
         return float("nan")
@@ -280,7 +299,9 @@ def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
 def _ruptures(
     law: Tissue, t_s: Array, depth_m: Array, tip_N: Array, layer_friction_N: Array
 ) -> Iterator[Rupture]:
-    """The ruptures in the order they happen, timed from the depth the needle went through."""
+    """The ruptures in the order they happen, timed from the depth the needle went
+    through.
+    """
     friction_N = layer_friction_N.sum(axis=1)
     axial_N = tip_N + friction_N
     for above, boundary in enumerate(law.interfaces):

@@ -1,7 +1,8 @@
-"""An analytic torso of ellipsoids: what a scan of it shows, and where a path crosses what.
+"""An analytic torso of ellipsoids: what a scan of it shows, and where a path crosses
+what.
 
-Stands in for a CT in tests, benchmarks and the demonstration without data. Points are in the
-patient's frame LPS (x to the left, y to the back, z to the head), in metres.
+Stands in for a CT in tests, benchmarks and the demonstration without data. Points are
+in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
 """
 
 from collections.abc import Sequence
@@ -38,13 +39,17 @@ class Ellipsoid:
         return (np.asarray(points_m, float) - self.centre_m) @ self.axes / self.radii_m
 
     def distance_m(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance of points close to the surface, to first order, positive outside."""
+        """Signed distance of points close to the surface, to first order, positive
+        outside.
+        """
         ball = self.scaled(points_m)
         level = np.linalg.norm(ball, axis=-1)
         return level * (level - 1.0) / np.linalg.norm(ball / self.radii_m, axis=-1)
 
     def depths_m(self, entry_m: ArrayLike, direction: ArrayLike) -> tuple[float, ...]:
-        """Where the line from a point along a unit vector crosses it: two depths, or none."""
+        """Where the line from a point along a unit vector crosses it: two depths, or
+        none.
+        """
         start = self.scaled(entry_m)
         step = np.asarray(direction, float) @ self.axes / self.radii_m
         a, b, c = step @ step, start @ step, start @ start - 1.0
@@ -94,7 +99,8 @@ class Torso:
     def voxels(
         self, shape: tuple[int, ...], origin_m: ArrayLike, axes_m: ArrayLike
     ) -> NDArray[np.uint8]:
-        """Label every voxel with the number, from 1, of the last shape that holds its centre.
+        """Label every voxel with the number, from 1, of the last shape that holds its
+        centre.
 
         Args:
             shape: Voxels along each axis.
@@ -130,11 +136,14 @@ _SHAPES = (
     ("vessel", (-38, 4, 42), (6, 5, 48), (12, 55, 0)),
     ("lesion", (-70, -22, 38), (13, 11, 12), (0, 0, 30)),
 )
-"""Sizes of a slender adult; the liver is on the right, which is the side of negative x."""
+"""Sizes of a slender adult; the liver is on the right, which is the side of negative
+x."""
 
 
 def analytic_torso(rng: np.random.Generator | None = None) -> Torso:
-    """Build the torso, or with a generator a variation: sizes by 5 %, places by 3 mm, 5 degrees."""
+    """Build the torso, or with a generator a variation: sizes by 5 %, places by 3
+    mm, 5 degrees.
+    """
     shapes = []
     for name, centre_mm, radii_mm, turn_deg in _SHAPES:
         centre, radii = (

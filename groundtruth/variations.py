@@ -1,8 +1,9 @@
 """Tissues outside the law that our multilayer estimator assumes, each with its source.
 
-A catalogued layer has a nearly linear tip force that is released at once and altogether, friction
-in proportion to the embedded length, no texture, and half of its force in friction. The estimator
-assumes the same. A variation changes one of these in every layer, and nothing else.
+A catalogued layer has a nearly linear tip force that is released at once and
+altogether, friction in proportion to the embedded length, no texture, and half of its
+force in friction. The estimator assumes the same. A variation changes one of these in
+every layer, and nothing else.
 """
 
 from dataclasses import dataclass, replace
@@ -35,7 +36,9 @@ class TissueVariation:
     )
 
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
-        """The layer under this variation, its texture drawn; `TissueError` if it is too thin."""
+        """The layer under this variation, its texture drawn; `TissueError` if it is
+        too thin.
+        """
         friction, tip_N = layer.friction, layer.exit_force_N
         coulomb, viscous = friction.coulomb_N_per_m, friction.viscous_Ns_per_m2
         if self.speed_exponent != 1.0:
@@ -73,8 +76,9 @@ class TissueVariation:
         return replace(layer, **change)
 
 
-# "Liver": 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett": needles in
-# tissue ex vivo (Barnett, Lee, Moore 2015): 61 % of the force tears, 18 spreads, 21 is friction.
+# "Liver": 19 insertions into real liver at 5 mm/s to 85 mm (de Jong 2017). "Barnett":
+# needles in tissue ex vivo (Barnett, Lee, Moore 2015): 61 % of the force tears, 18
+# spreads, 21 is friction.
 VARIATIONS = {
     # Liver: 15 to 19 mN within 3 mm.
     "texture-15mN": TissueVariation(texture_N=15e-3),
@@ -91,10 +95,11 @@ VARIATIONS = {
     # Liver: 2.5 falls inside one organ. That force stays, and how much, is chosen.
     "kept-30": TissueVariation(kept_fraction=0.3),
     "kept-60": TissueVariation(kept_fraction=0.6),
-    # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm: friction
-    # with length^0.7, where the insertion force grows with the length.
+    # Liver: pull-out over insertion force falls from 0.95 at 20 mm to 0.65 at 78 mm:
+    # friction with length^0.7, where the insertion force grows with the length.
     "length-0.6": TissueVariation(length_exponent=0.6),
-    # Table I: from 2.3 to 3 mm/s the gels' friction rises by 7 to 12 %: speed^0.25 to ^0.43.
+    # Table I: from 2.3 to 3 mm/s the gels' friction rises by 7 to 12 %: speed^0.25 to
+    # ^0.43.
     "speed-0.3": TissueVariation(speed_exponent=0.3),
     # Barnett: 21 %. Liver: 65 to 95 %.
     "friction-20": TissueVariation(friction_fraction=0.2),
@@ -106,10 +111,11 @@ VARIATIONS = {
 def random_variation(rng: np.random.Generator) -> TissueVariation:
     """Draw the law of one layer within the ranges of the named variations.
 
-    A plateau, kept force and a power law of speed are kinds, not degrees: one layer in four, in
-    two, in four has them.
+    A plateau, kept force and a power law of speed are kinds, not degrees: one layer in
+    four, in two, in four has them.
     """
-    # Arguments are drawn in this order: another order gives other tissues for the same seed.
+    # Arguments are drawn in this order: another order gives other tissues for the same
+    # seed.
     return TissueVariation(
         texture_N=rng.uniform(1e-3, 20e-3),
         release_m=float(np.exp(rng.uniform(*np.log((0.1e-3, 2e-3))))),

@@ -1,15 +1,17 @@
 """Online identification of needle-tissue interaction; knows nothing of robots.
 
-From depth, speed and axial force: ruptures as they happen, stiffness and friction of each layer,
-the enhanced force without the friction of the layers traversed, and the force at the tip.
+From depth, speed and axial force: ruptures as they happen, stiffness and friction of
+each layer, the enhanced force without the friction of the layers traversed, and the
+force at the tip.
 
     identifier = Identifier()                       # or Identifier(PUBLISHED)
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
-Reading order: `identifier`, `sample_filter`; the published method in `published_identifier`; the
-multi-layer method, a switching filter, in `hypothesis_filter` (one history), `hypothesis_bank`,
-`switching_update` (every sample), `switching_identifier` (every block), `speed_trend`,
-`rupture_report`; known layers in `offline`.
+Reading order: `identifier`, `sample_filter`; the published method in
+`published_identifier`; the multi-layer method, a switching filter, in
+`hypothesis_filter` (one history), `hypothesis_bank`, `switching_update` (every sample),
+`switching_identifier` (every block), `speed_trend`, `rupture_report`; known layers in
+`offline`.
 """
 
 from identification.config import (

@@ -22,7 +22,9 @@ def _is_finite(value: object) -> bool:
 
 
 def _check_values(config: object, of_any_sign: tuple[str, ...] = ()) -> None:
-    """Refuse a setting that is not a finite number, or that may not be zero or below and is."""
+    """Refuse a setting that is not a finite number, or that may not be zero or below
+    and is.
+    """
     for name in config.__slots__:  # type: ignore[attr-defined]
         value = getattr(config, name)
         if name == "check":
@@ -48,8 +50,8 @@ class CheckConfig:
     gap_s: float = (
         0.25  # an interval longer than this, and than ten usual ones, is a gap
     )
-    # Change of depth beyond what speed explains that counts as a jump; a needle at a surgical
-    # 100 mm/s moves a tenth of this between samples at 1 kHz.
+    # Change of depth beyond what speed explains that counts as a jump; a needle at a
+    # surgical 100 mm/s moves a tenth of this between samples at 1 kHz.
     jump_m: float = 1e-3
     sign_memory_s: float = (
         0.2  # memory of the travel from depth and from speed that are compared
@@ -68,7 +70,9 @@ class CheckConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MultilayerConfig:
-    """Settings of the multi-layer method; its physical priors stand where they are used."""
+    """Settings of the multi-layer method; its physical priors stand where they are
+    used.
+    """
 
     alarm_probability: float = 0.98  # of one more rupture, at which an alarm is raised
     check: CheckConfig = field(default_factory=CheckConfig)
@@ -87,7 +91,8 @@ MULTILAYER = MultilayerConfig()  # For simulated and real, F/T and virtual senso
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PublishedConfig:
-    """Everything the published identification needs; the defaults are the published values.
+    """Everything the published identification needs; the defaults are the published
+    values.
 
     Settings of Section VI and of the authors' framework.
     """
@@ -101,8 +106,8 @@ class PublishedConfig:
         0.075  # beta; below -beta a rupture is expected
     )
     derivative_rise_N_per_s: float = 0.025  # how much beta grows at each detection
-    # Of the derivative's low-pass. Not published: at this value 10 mN of noise leave 0.05 N/s, just
-    # below beta.
+    # Of the derivative's low-pass. Not published: at this value 10 mN of noise leave
+    # 0.05 N/s, just below beta.
     derivative_time_constant_s: float = 0.2
     reset_frequency_Hz: float = 40.0  # f_CR of the covariance resetting
     drop_travel_m: float = (
@@ -114,13 +119,15 @@ class PublishedConfig:
     least_speed_m_s: float = (
         1e-4  # below it T_drop has no meaning and no rupture is detected
     )
-    # Reset windows kept per layer before neighbours are merged (27 minutes of one layer merge to
-    # half the reset frequency four times).
+    # Reset windows kept per layer before neighbours are merged (27 minutes of one layer
+    # merge to half the reset frequency four times).
     most_windows: int = 4096
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
-        """Raise `InvalidConfigError` unless values are positive and sigma1 exceeds sigma0."""
+        """Raise `InvalidConfigError` unless values are positive and sigma1 exceeds
+        sigma0.
+        """
         if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
             raise InvalidConfigError(
                 f"unknown model {self.model!r}; choose 'ml' or 'kv'"

@@ -1,10 +1,12 @@
 """Noise levels of the force, part by part: white, coloured, heartbeat, breathing.
 
-Learnt from second differences of the force at lags of 10 ms to 1.3 s: a straight line does not show
-in them, and each part shows most at lags near its own time scale. A part gets what the faster ones
-leave; motion of the tissue only what they seldom leave by chance, or noise would pass for motion.
+Learnt from second differences of the force at lags of 10 ms to 1.3 s: a straight line
+does not show in them, and each part shows most at lags near its own time scale. A part
+gets what the faster ones leave; motion of the tissue only what they seldom leave by
+chance, or noise would pass for motion.
 
-Over travel the differences show texture, an error of the law: some of it may be friction.
+Over travel the differences show texture, an error of the law: some of it may be
+friction.
 """
 
 import math
@@ -36,8 +38,9 @@ _FINE, _COARSE, _LEAST_SEEN = (
 )  # texture's lags, 2**2 and 2**4 steps; least differences
 _MEDIAN = 0.455  # Median of a squared standard normal; few of the differences contain a rupture
 _CHANCE = (4.6, 8.0)
-"""About 1.6 standard errors of a median of n squares of such differences of white and of coloured
-noise, relative to its size and times the root of n: motion of the tissue must show beyond it."""
+"""About 1.6 standard errors of a median of n squares of such differences of white and
+of coloured noise, relative to its size and times the root of n: motion of the tissue
+must show beyond it."""
 
 
 @compiled
@@ -62,7 +65,9 @@ def oscillation(
 
 @compiled
 def smooth_walk(travel: float, length: float) -> tuple[float, float, float, float]:
-    """Transition of a critically damped value and its slope (Matern 3/2), row by row."""
+    """Transition of a critically damped value and its slope (Matern 3/2), row by
+    row.
+    """
     reach = travel / length
     decay = math.exp(-reach)
     slope = -decay * reach / length
@@ -73,10 +78,11 @@ def smooth_walk(travel: float, length: float) -> tuple[float, float, float, floa
 def transitions(
     dt_s: float, travel: float, length: float, variances: tuple[float, float, float]
 ) -> Array:
-    """How heartbeat, breathing and an error that lasts for a length go on, shape (3, 7).
+    """How heartbeat, breathing and an error that lasts for a length go on, shape (3,
+    7).
 
-    Of each the transition, row by row, and the covariance of the noise that leaves its stationary
-    variances as they are: of its value, of both, of its rate.
+    Of each the transition, row by row, and the covariance of the noise that leaves its
+    stationary variances as they are: of its value, of both, of its rate.
     """
     found = np.zeros((3, 7))
     for part in range(3):
@@ -98,7 +104,9 @@ def transitions(
 
 
 def _difference(part: int, lag_s: float) -> float:
-    """Variance of a second difference of a part (0 to 3), or of the law's error (4), of one."""
+    """Variance of a second difference of a part (0 to 3), or of the law's error (4),
+    of one.
+    """
 
     def likeness(lag_s: float) -> float:
         if part < 2:
@@ -150,7 +158,9 @@ class DisturbanceLevels(NamedTuple):
         return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
 
     def beside(self, tissue: TissueMotion, time_s: float) -> "DisturbanceLevels":
-        """The levels with what remains of heartbeat and breathing once the motion is known."""
+        """The levels with what remains of heartbeat and breathing once the motion is
+        known.
+        """
         if not tissue.is_known:
             return self
         heart, breath, part = tissue.limits(time_s)
@@ -167,7 +177,9 @@ class DisturbanceLevels(NamedTuple):
     def with_force(
         self, force: float, dt_s: float, speed: float
     ) -> "DisturbanceLevels":
-        """Use a block's mean force, less what changes of speed added [N], at a speed [mm/s]."""
+        """Use a block's mean force, less what changes of speed added [N], at a speed
+        [mm/s].
+        """
         total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
         step = _TEXTURE_MM if self.is_texture else STEP_S
         if filled < step * (1.0 - 1e-6):
@@ -186,9 +198,12 @@ class DisturbanceLevels(NamedTuple):
         return DisturbanceLevels(past, count, squares, seen, levels, *rest)
 
     def law_error(self, force: float, noise: float) -> float:
-        """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and noise."""
+        """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and
+        noise.
+        """
         variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
-        # Friction lies between none and all of the force, so no deviation exceeds half of that.
+        # Friction lies between none and all of the force, so no deviation exceeds half
+        # of that.
         return min(
             math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0)), 0.5 * abs(force)
         )

@@ -1,4 +1,6 @@
-"""Errors of `identification`: one base, leaves that are also the built-in kind they refine."""
+"""Errors of `identification`: one base, leaves that are also the built-in kind they
+refine.
+"""
 
 
 class IdentificationError(Exception):
@@ -10,8 +12,12 @@ class InvalidConfigError(IdentificationError, ValueError):
 
 
 class InvalidLogError(IdentificationError, ValueError):
-    """A recording cannot be identified: empty, wrong shapes, non-finite or unordered."""
+    """A recording cannot be identified: empty, wrong shapes, non-finite or
+    unordered.
+    """
 
 
 class InvalidSnapshotError(IdentificationError, ValueError):
-    """A snapshot does not belong to the identifier it is restored into, or is damaged."""
+    """A snapshot does not belong to the identifier it is restored into, or is
+    damaged.
+    """

@@ -1,10 +1,10 @@
 """What an identifier reports: per sample, per rupture and per layer.
 
-Clock and depth zero are the caller's. Every ``*_s`` here is on the clock of `Identifier.update`:
-its argument ``time_s`` where the caller passes one, else the sum of the ``dt_s`` since the reset.
-Every depth counts from the zero of the caller's ``depth_m``; `Rupture.contact_depth_m` is the
-depth of the first contact with tissue from the same zero, so that a travel in tissue is a
-difference of the two.
+Clock and depth zero are the caller's. Every ``*_s`` here is on the clock of
+`Identifier.update`: its argument ``time_s`` where the caller passes one, else the sum
+of the ``dt_s`` since the reset. Every depth counts from the zero of the caller's
+``depth_m``; `Rupture.contact_depth_m` is the depth of the first contact with tissue
+from the same zero, so that a travel in tissue is a difference of the two.
 """
 
 from dataclasses import dataclass
@@ -38,7 +38,9 @@ class SampleStatus(Enum):
 
 
 class RuptureState(Enum):
-    """Where the identifier stands with respect to a rupture (the authors' framework)."""
+    """Where the identifier stands with respect to a rupture (the authors'
+    framework).
+    """
 
     NO_RUPTURE = "no rupture"
     EXPECTED = "expected"
@@ -58,15 +60,17 @@ class Rupture:
     depth_m: float  # depth at that instant
     force_N: float  # axial force at that instant
     speed_m_s: float  # speed at that instant
-    # That the tissue ruptured there and it is no chance of the signal, 0 to 1; of a retracted one,
-    # what is left of it.
+    # That the tissue ruptured there and it is no chance of the signal, 0 to 1; of a
+    # retracted one, what is left of it.
     probability: float
     is_final: bool = (
         False  # whether it is settled: while False it may still be retracted
     )
-    # Depth of first contact: found by the multi-layer method, known beforehand in `published`.
+    # Depth of first contact: found by the multi-layer method, known beforehand in
+    # `published`.
     contact_depth_m: float
-    # That it was partial and not the layer's end, None where the method does not distinguish them.
+    # That it was partial and not the layer's end, None where the method does not
+    # distinguish them.
     partial_rupture_probability: float | None = None
 
 
@@ -74,18 +78,19 @@ class Rupture:
 class LayerEstimate:
     """A layer that has been traversed, as known now.
 
-    The multi-layer method reports a layer twice: provisionally, a millimetre after its rupture,
-    and finally, some millimetres later. A field with ``_std_`` in its name is the standard
-    deviation of the one before it, None where the method states none (`published`); one that ends
-    in ``_identified`` is whether the data determine the value.
+    The multi-layer method reports a layer twice: provisionally, a millimetre after its
+    rupture, and finally, some millimetres later. A field with ``_std_`` in its name is
+    the standard deviation of the one before it, None where the method states none
+    (`published`); one that ends in ``_identified`` is whether the data determine the
+    value.
 
     The values are those at the rupture's speed.
     """
 
     layer: int  # number from 1
-    # Whether the measurement of its rupture has ended: False in a provisional estimate, which a
-    # final one follows unless the alarm is retracted. `Identifier.layers` goes on refining final
-    # estimates with what later layers reveal about their friction.
+    # Whether the measurement of its rupture has ended: False in a provisional estimate,
+    # which a final one follows unless the alarm is retracted. `Identifier.layers` goes
+    # on refining final estimates with what later layers reveal about their friction.
     is_final: bool
     start_depth_m: float  # depth at which it begins
     thickness_m: float  # d_i, travel from there to its rupture
@@ -100,9 +105,9 @@ class LayerEstimate:
     friction_identified: bool
     friction_N: float  # friction of this layer on the shaft at its rupture, B_i d_i v
     friction_std_N: float | None = None
-    # Per embedded length the part of the friction that does not depend on speed, and the part in
-    # proportion to it; None for `published`, which knows viscous friction only. Identified where
-    # the motion separated the two.
+    # Per embedded length the part of the friction that does not depend on speed, and
+    # the part in proportion to it; None for `published`, which knows viscous friction
+    # only. Identified where the motion separated the two.
     coulomb_N_per_m: float | None = None
     coulomb_std_N_per_m: float | None = None
     coulomb_identified: bool = False
@@ -114,31 +119,38 @@ class LayerEstimate:
 class Estimate(NamedTuple):
     """State of knowledge after one sample. Every number is finite.
 
-    A named tuple, unlike the others: it is made anew at every sample, and a frozen dataclass of as
-    many fields takes ten times as long. Change a field with ``_replace``.
+    A named tuple, unlike the others: it is made anew at every sample, and a frozen
+    dataclass of as many fields takes ten times as long. Change a field with
+    ``_replace``.
 
     Fields with ``_std_`` and ``_identified`` in their names are as in `LayerEstimate`.
 
     Attributes:
         time_s: Time of the sample on the caller's clock.
-        status: What became of the sample; anything but `OK` and `TIME_GAP` was not used.
+        status: What became of the sample; anything but `OK` and `TIME_GAP` was not
+            used.
         rupture_state: State of the rupture machine.
-        in_contact: Whether the needle has met the first layer (and not lost contact again).
-        layer: Number of the layer the tip is in, from 1; 0 in free air in front of the tissue.
-        enhanced_force_N: Axial force less the friction of the layers already traversed. Its
-            deviation, as that of the tip force, holds the noise of the force too.
-        tip_force_N: Axial force less all friction of the shaft; in tissue never negative.
-        shaft_friction_N: All shaft friction; opposes motion, negative during withdrawal.
+        in_contact: Whether the needle has met the first layer (and not lost contact
+            again).
+        layer: Number of the layer the tip is in, from 1; 0 in free air in front of the
+            tissue.
+        enhanced_force_N: Axial force less the friction of the layers already traversed.
+            Its deviation, as that of the tip force, holds the noise of the force too.
+        tip_force_N: Axial force less all friction of the shaft; in tissue never
+            negative.
+        shaft_friction_N: All shaft friction; opposes motion, negative during
+            withdrawal.
         predicted_force_N: Axial force the model expected at this sample.
         stiffness_N_per_m: K of the current layer.
-        friction_Ns_per_m2: B of the current layer, at the present speed (for `kv` in Ns/m).
-        cumulative_friction_Ns_per_m: Sum of B_j d_j over the traversed layers, at the speed of
-            their ruptures.
+        friction_Ns_per_m2: B of the current layer, at the present speed (for `kv` in
+            Ns/m).
+        cumulative_friction_Ns_per_m: Sum of B_j d_j over the traversed layers, at the
+            speed of their ruptures.
         rupture: The rupture raised by this sample, or None.
-        identified_layer: The layer whose friction was identified at this sample, provisionally or
-            finally (see `LayerEstimate.is_final`), or None.
-        retracted: The rupture, raised before, that this sample showed to be a false alarm (the
-            force came back; its layer goes on and is not listed), or None.
+        identified_layer: The layer whose friction was identified at this sample,
+            provisionally or finally (see `LayerEstimate.is_final`), or None.
+        retracted: The rupture, raised before, that this sample showed to be a false
+            alarm (the force came back; its layer goes on and is not listed), or None.
     """
 
     time_s: float
@@ -167,7 +179,9 @@ class Estimate(NamedTuple):
 
     @property
     def has_events(self) -> bool:
-        """Whether this sample raised a rupture, identified a layer or retracted an alarm."""
+        """Whether this sample raised a rupture, identified a layer or retracted an
+        alarm.
+        """
         return not (self.rupture is self.identified_layer is self.retracted is None)
 
     def without_events(self) -> "Estimate":
@@ -189,7 +203,8 @@ class Events(NamedTuple):
 
 
 Sample = tuple[float, float, float, float, float, float, float, float, float, float]
-"""A checked sample as a method gets it; every number is finite: time on the caller's clock, see
-`Identifier.update`; interval since the previous sample that was used, positive; depth, jumps
-removed; its rate; standard deviations of the noise of both; axial force; the standard deviation of
-its slow error; the depth before it was filtered; time since the reset, which never goes back."""
+"""A checked sample as a method gets it; every number is finite: time on the caller's
+clock, see `Identifier.update`; interval since the previous sample that was used,
+positive; depth, jumps removed; its rate; standard deviations of the noise of both;
+axial force; the standard deviation of its slow error; the depth before it was filtered;
+time since the reset, which never goes back."""

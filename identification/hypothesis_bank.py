@@ -1,8 +1,9 @@
 """The bank: hypotheses of which ruptures there have been, weighed by their evidence.
 
-At every small step of fresh travel the likeliest hypothesis of each kind has children, one for each
-event that may have happened there. Those that the force speaks against are dropped; so are the
-least likely, class by class, since what an event was may show only at the next one.
+At every small step of fresh travel the likeliest hypothesis of each kind has children,
+one for each event that may have happened there. Those that the force speaks against are
+dropped; so are the least likely, class by class, since what an event was may show only
+at the next one.
 """
 
 import math
@@ -19,7 +20,8 @@ from needleforce.jit import Matrix, Vector, compiled
 STEP_MM = 0.02  # least travel between new hypotheses
 HAZARD = 0.02  # prior rate of ruptures per mm of travel
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
-"""Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2 mm."""
+"""Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up
+to 2 mm."""
 PARTIAL_RELEASES_MM = np.array(
     [0.5, 1.5]
 )  # the same of a partial rupture: in liver 0.5 to 2 mm
@@ -33,8 +35,9 @@ MEMBRANE_FRACTION = 0.15  # prior number of membranes met under a layer, per rup
 MEMBRANE_STEP_MM = 0.25  # travel between hypotheses of a membrane met
 LEAST_MM = 1.2  # least travel between two ruptures: about a needle diameter
 QUOTAS = (60, 8, 16, 6)
-"""Most hypotheses kept: with a recent event, a membrane just met, older events, older membranes.
-What an event was shows only some tenths of a millimetre later; until then it is protected."""
+"""Most hypotheses kept: with a recent event, a membrane just met, older events, older
+membranes. What an event was shows only some tenths of a millimetre later; until then it
+is protected."""
 KEPT = sum(QUOTAS)
 CAPACITY = KEPT + 120  # with the children of two steps, before they are pruned
 NEGLIGIBLE = -30.0  # a hypothesis with a smaller logarithm of its weight is dropped
@@ -62,7 +65,9 @@ class Bank(NamedTuple):
 
     @property
     def damage(self) -> str:
-        """What is wrong with the arrays, if anything; checked before compiled code reads them."""
+        """What is wrong with the arrays, if anything; checked before compiled code
+        reads them.
+        """
         n, last = len(self.log_weights), (law.UNKNOWNS, law.UNKNOWNS)
         shapes = ((n, law.UNKNOWNS), (n, *last), (n,), (n, law.FACTS), (n, law.RECORDS))
         if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
@@ -120,7 +125,9 @@ def first_bank() -> Bank:
 
 
 class BankMemory:
-    """Memory of a bank that changes in place; pruning copies what it keeps into a second one."""
+    """Memory of a bank that changes in place; pruning copies what it keeps into a
+    second one.
+    """
 
     def __init__(self, bank: Bank) -> None:
         shapes = [(CAPACITY, *part.shape[1:]) for part in bank]
@@ -143,9 +150,11 @@ class BankMemory:
     def spawn(
         self, place: Place, before: float, tissue_speed: float, reported: int
     ) -> None:
-        """Add hypotheses of what may have happened since the last call, at depth `before`.
+        """Add hypotheses of what may have happened since the last call, at depth
+        `before`.
 
-        `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms so far.
+        `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms
+        so far.
         """
         facts, log_weights = self.bank.facts, self.bank.log_weights
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
@@ -154,7 +163,8 @@ class BankMemory:
             before / MEMBRANE_STEP_MM
         )
         scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
-        # A release can be over within a block, so the force it fell from is the block's before.
+        # A release can be over within a block, so the force it fell from is the block's
+        # before.
         moment = (*scene, time_s, tissue_speed, place.before, float(reported))
         for k in parents:
             happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
@@ -181,7 +191,9 @@ class BankMemory:
 def _events(
     fact: list[float], place: Place, chance: float, is_membrane_due: bool
 ) -> Iterator[tuple[int, float, bool, Array, float]]:
-    """What may happen: event, what the tip is in then, if force stays, release lengths, chance."""
+    """What may happen: event, what the tip is in then, if force stays, release
+    lengths, chance.
+    """
     kind = fact[law.KIND]
     if kind == law.AIR:
         if fact[law.RUPTURES]:
@@ -215,7 +227,9 @@ def _events(
 def _parents(
     log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int, int]
 ) -> Rows:
-    """The likeliest of each kind whose last release is over: until then its nature is open."""
+    """The likeliest of each kind whose last release is over: until then its nature
+    is open.
+    """
     release, length, kind, is_held = places
     kinds = 2.0 * facts[:, kind] + facts[:, is_held]
     may = depth > facts[:, release] + np.maximum(facts[:, length], 0.3)
@@ -230,7 +244,9 @@ def _parents(
 def _ranked(
     log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int]
 ) -> tuple[Rows, Vector]:
-    """Rows of the likeliest, within the quota of each class, best first, and their log weights."""
+    """Rows of the likeliest, within the quota of each class, best first, and their
+    log weights.
+    """
     tip, kind, membrane = places
     is_pushed = facts[:, kind] == membrane
     is_old = depth - facts[:, tip] >= np.where(is_pushed, 1.5, 0.4)

@@ -2,18 +2,21 @@
 
 Given such a history the axial force is linear in twenty unknowns:
 
-    f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v + d + e
+    f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v +
+    d + e
 
-with o the offset; C, V Coulomb and viscous friction of the layers traversed; R the tip force being
-released, L the part of it by which its release is longer than assumed, U the part that stays and
-fades later, T the force held or needed to cut, K, H stiffness and its growth; c, b friction per
-length of shaft in the layer; d disturbances: coloured sensor noise, heartbeat, breathing, error of
-this law. Known are the presliding deflection w (1 when sliding inwards), the speed v, the travel x
-of the tip and the length y of shaft in the layer; e is white. An event (contact, rupture) is a
-linear map of the unknowns that leaves the force as it is.
+with o the offset; C, V Coulomb and viscous friction of the layers traversed; R the tip
+force being released, L the part of it by which its release is longer than assumed, U
+the part that stays and fades later, T the force held or needed to cut, K, H stiffness
+and its growth; c, b friction per length of shaft in the layer; d disturbances: coloured
+sensor noise, heartbeat, breathing, error of this law. Known are the presliding
+deflection w (1 when sliding inwards), the speed v, the travel x of the tip and the
+length y of shaft in the layer; e is white. An event (contact, rupture) is a linear map
+of the unknowns that leaves the force as it is.
 
-So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991), and how
-well it predicts the force is the evidence for it. Lengths are in mm, speeds in mm/s, forces in N.
+So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer
+1991), and how well it predicts the force is the evidence for it. Lengths are in mm,
+speeds in mm/s, forces in N.
 """
 
 import math
@@ -31,19 +34,21 @@ from needleforce.jit import (
     compiled_or,
 )
 
-# Indices of the unknowns. LEFT: friction [N] of the layer that the last rupture ended, of the shaft
-# since the rupture reported before; EARLIER: the same for that earlier rupture.
+# Indices of the unknowns. LEFT: friction [N] of the layer that the last rupture ended,
+# of the shaft since the rupture reported before; EARLIER: the same for that earlier
+# rupture.
 OFFSET, COULOMB, VISCOUS, RELEASED, LONGER, HELD, STIFFNESS, STIFFENING, KEPT = range(9)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(9, 13)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(13, 20)
 UNKNOWNS, FACTS, RECORDS = 20, 10, 16
 _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
-# Indices of a hypothesis's facts: what the tip is in (AIR, LAYER, MEMBRANE); depths [mm] at which
-# the layer's friction (ROOT) and tip force (TIP) begin; depth and length of the last release [mm];
-# whether HELD is held force, not cutting; whether the prior of friction's fraction was applied;
-# number of ruptures, at most one more than were reported; force of the layer before [N], until its
-# release has been checked; whether the layer was entered through a membrane.
+# Indices of a hypothesis's facts: what the tip is in (AIR, LAYER, MEMBRANE); depths
+# [mm] at which the layer's friction (ROOT) and tip force (TIP) begin; depth and length
+# of the last release [mm]; whether HELD is held force, not cutting; whether the prior
+# of friction's fraction was applied; number of ruptures, at most one more than were
+# reported; force of the layer before [N], until its release has been checked; whether
+# the layer was entered through a membrane.
 (
     KIND,
     ROOT,
@@ -58,12 +63,14 @@ _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before th
 ) = range(10)
 AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
 CONTACT, EXIT, PARTIAL, MEETING = range(4)
-"""Events: contact, end of a layer or membrane, partial rupture, membrane met under a layer."""
+"""Events: contact, end of a layer or membrane, partial rupture, membrane met under a
+layer."""
 
-# Indices of a hypothesis's record, for reports: time, depth, speed and force of the last rupture,
-# whether it was partial; start, end and friction of the shaft since the rupture reported before;
-# stiffness, Coulomb and viscous friction per length of its last part, each with its variance; depth
-# of the first contact; least force since the last rupture.
+# Indices of a hypothesis's record, for reports: time, depth, speed and force of the
+# last rupture, whether it was partial; start, end and friction of the shaft since the
+# rupture reported before; stiffness, Coulomb and viscous friction per length of its
+# last part, each with its variance; depth of the first contact; least force since the
+# last rupture.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
 PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = (
     5,
@@ -75,10 +82,12 @@ PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = (
 )
 
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
-"""Memory for hypotheses, a row each: means, covariances, log weights, facts, records."""
+"""Memory for hypotheses, a row each: means, covariances, log weights, facts,
+records."""
 Scene = tuple[float, float, float]  # depth, speed and presliding deflection
 Moment = tuple[float, float, float, float, float, float, float]
-"""A scene; time, standard deviation of the tissue's own speed, force, ruptures reported."""
+"""A scene; time, standard deviation of the tissue's own speed, force, ruptures
+reported."""
 Event = tuple[
     int, float, bool
 ]  # which; what the tip is in after it; if some of its force stays
@@ -87,39 +96,46 @@ CUTTING_ONSET_MM = (
     1.0  # Travel until a new layer's cutting force is full: a needle's diameter
 )
 LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
-"""Relative error of the linear law; its correlation length [mm]; the fraction of this error that
-friction of the layers traversed has, which depends on the motion alone."""
+"""Relative error of the linear law; its correlation length [mm]; the fraction of this
+error that friction of the layers traversed has, which depends on the motion alone."""
 CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
-"""Prior cutting force and its deviation [N]; its growth per growth of the stiffness [mm]."""
+"""Prior cutting force and its deviation [N]; its growth per growth of the stiffness
+[mm]."""
 OFFSET_WALK = 1e-6  # random walk of the sensor's zero, variance per time [N²/s]
 KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
-"""Fraction of a tip force that stays after its rupture, its deviation, and the travel over which it
-fades: chosen, between the 30 and 60 % that partial ruptures in liver suggest."""
+"""Fraction of a tip force that stays after its rupture, its deviation, and the travel
+over which it fades: chosen, between the 30 and 60 % that partial ruptures in liver
+suggest."""
 NO_RELEASE, NEVER = (
     -1e9,
     -1e8,
 )  # depth that means "no release"; every release is deeper than NEVER
 SHAPE_ERROR, SHAPE_MM, ONSET_ERROR = 0.08, 0.02, 0.1
-"""Relative error of a release's shape, its correlation length [mm]; the same of a cutting onset."""
+"""Relative error of a release's shape, its correlation length [mm]; the same of a
+cutting onset."""
 LENGTH_ERROR = (
     0.12  # prior deviation of a release length's logarithm, between those assumed
 )
 TEMPER = 0.5  # exponent of the likelihood: errors of the law are alike from one block to the next
 FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves little
 SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
-"""Prior growth of the force in a layer and its deviation [N/mm]; deviation of H [N/mm²]."""
+"""Prior growth of the force in a layer and its deviation [N/mm]; deviation of H
+[N/mm²]."""
 NO_FORCE, NO_SLOPE = 0.02, 0.002
-"""Deviation with which a negative cutting force or friction [N], stiffness [N/mm], is set to 0."""
+"""Deviation with which a negative cutting force or friction [N], stiffness [N/mm],
+is set to 0."""
 FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
-"""Prior part of friction in that growth (half: not known), its deviation; at this speed [mm/s]."""
+"""Prior part of friction in that growth (half: not known), its deviation; at this
+speed [mm/s]."""
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
 LEAST_DROP, LEAST_WEIGHT = (
     0.12,
     1e-3,
 )  # fraction of force a rupture releases; weight in an answer
 COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 1.4
-"""Speed of equal Coulomb and viscous friction [mm/s], and the deviation of its logarithm, a factor
-of 4: chosen, no measurement is known. The simulated gels have 1.5, the liver 20."""
+"""Speed of equal Coulomb and viscous friction [mm/s], and the deviation of its
+logarithm, a factor of 4: chosen, no measurement is known. The simulated gels have 1.5,
+the liver 20."""
 
 
 @compiled_or(lambda spread, row: spread @ row)
@@ -148,7 +164,9 @@ def _measure(
     error: float,
     variance: float,
 ) -> None:
-    """Kalman update: error and variance of a measurement, `cross` its covariance with unknowns."""
+    """Kalman update: error and variance of a measurement, `cross` its covariance
+    with unknowns.
+    """
     for i in range(UNKNOWNS):
         gain = cross[i] / variance
         mean[i] += gain * error
@@ -158,7 +176,9 @@ def _measure(
 
 @compiled_or(lambda change, matrix: (change @ matrix).T)
 def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
-    """Transpose of a product, most of whose first factor is zero; twice it maps a covariance."""
+    """Transpose of a product, most of whose first factor is zero; twice it maps a
+    covariance.
+    """
     found = np.zeros((UNKNOWNS, UNKNOWNS))
     for i in range(UNKNOWNS):
         for j in range(UNKNOWNS):
@@ -176,7 +196,9 @@ def _turn_plain(spreads: Any, n: int, at: int, turn: Any) -> None:
 
 @compiled_or(_turn_plain)
 def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
-    """Map two neighbouring unknowns of n hypotheses by a 2x2 transition, `turn`'s first numbers."""
+    """Map two neighbouring unknowns of n hypotheses by a 2x2 transition, `turn`'s
+    first numbers.
+    """
     a, b, c, d = turn[0], turn[1], turn[2], turn[3]
     for k in range(n):
         for j in range(UNKNOWNS):
@@ -202,7 +224,8 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
     released = (1.0 - gone) ** 2
     travel, length = max(depth - fact[TIP], 0.0), max(depth - fact[ROOT], 0.0)
     if fact[IS_PUNCTURED] > 0.0:
-        # Tissue that the membrane had pushed in springs back along the shaft with the release.
+        # Tissue that the membrane had pushed in springs back along the shaft with the
+        # release.
         length *= 1.0 - released
     onset = min(travel / CUTTING_ONSET_MM, 1.0)
     row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = (
@@ -227,10 +250,11 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
 def predict(
     store: Store, n: int, held: float, dt_s: float, colour: Vector, turns: Matrix
 ) -> None:
-    """Move the unknowns of n hypotheses on by a block; see `disturbance_levels.transitions`.
+    """Move the unknowns of n hypotheses on by a block; see
+    `disturbance_levels.transitions`.
 
-    `held` is the variance added to the cutting force, `colour` the decay of the sensor's coloured
-    noise over the block, and its variance.
+    `held` is the variance added to the cutting force, `colour` the decay of the
+    sensor's coloured noise over the block, and its variance.
     """
     mean, spread, is_tissue = store[0][:n], store[1][:n], store[3][:n, KIND] != AIR
     mean[:, COLOUR] *= colour[0]
@@ -257,7 +281,9 @@ def predict(
 def correct(
     store: Store, n: int, scene: Scene, force: float, block: tuple[float, float, float]
 ) -> None:
-    """Update n hypotheses with a block's force; `block`: travel, variance, deviation of depth."""
+    """Update n hypotheses with a block's force; `block`: travel, variance, deviation
+    of depth.
+    """
     (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = (
         store,
         block,
@@ -285,7 +311,9 @@ def correct(
 
 @compiled
 def friction_fraction(speed: float) -> tuple[float, float, float]:
-    """Friction's fraction of the force's growth at a speed, its deviation, Coulomb's part of it."""
+    """Friction's fraction of the force's growth at a speed, its deviation, Coulomb's
+    part of it.
+    """
     odds = FRACTION / (1.0 - FRACTION)
     odds *= (COULOMB_SPEED + speed) / (COULOMB_SPEED + FRACTION_SPEED)
     fraction = odds / (1.0 + odds)
@@ -301,7 +329,9 @@ def _add_prior(
     kind: float,
     is_partial: bool,
 ) -> None:
-    """Add what is known beforehand of a layer or a membrane; a partial rupture keeps friction."""
+    """Add what is known beforehand of a layer or a membrane; a partial rupture keeps
+    friction.
+    """
     if kind != LAYER:
         if kind == MEMBRANE:
             mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
@@ -336,7 +366,8 @@ def after_event(
     event: Event,
     passed: float,
 ) -> tuple[Vector, Matrix]:
-    """Mean and covariance of a hypothesis after an event, which leaves the force as it is.
+    """Mean and covariance of a hypothesis after an event, which leaves the force as it
+    is.
 
     `passed` is the length of shaft that entered the layer since the last event.
     """
@@ -372,7 +403,8 @@ def after_event(
         change[HELD if what == MEETING else RELEASED] = tip
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
-    # A membrane met ends a layer before its puncture does; a rupture not reported ends none.
+    # A membrane met ends a layer before its puncture does; a rupture not reported ends
+    # none.
     if fact[RUPTURES] <= reported and (
         was == LAYER or (what == EXIT and fact[IS_HELD] == 0.0)
     ):
@@ -402,7 +434,9 @@ def add_children(
     releases: Vector,
     chance: float,
 ) -> None:
-    """Write, from row n on, what hypothesis k becomes by an event, one for each release length."""
+    """Write, from row n on, what hypothesis k becomes by an event, one for each
+    release length.
+    """
     means, spreads, log_weights, facts, records = store
     (what, becomes, _), (depth, speed, _, time_s, _, force, reported) = event, moment
     fact, record, was = facts[k].copy(), records[k].copy(), facts[k, KIND]
@@ -470,7 +504,9 @@ def _condition(
 def _judge_fraction(
     mean: WrittenVector, spread: WrittenMatrix, speed: float, is_due: bool
 ) -> bool:
-    """Apply the prior of friction's fraction of the force's growth, once that growth is known."""
+    """Apply the prior of friction's fraction of the force's growth, once that growth
+    is known.
+    """
     row = np.zeros(UNKNOWNS)
     row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
     slope, variance = np.dot(row, mean), np.dot(row, _times(spread, row))
@@ -493,7 +529,9 @@ def _judge_fraction(
 
 @compiled
 def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float:
-    """Set to zero what is negative but cannot be; returns the change of the log weight."""
+    """Set to zero what is negative but cannot be; returns the change of the log
+    weight.
+    """
     added = 0.0
     for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
         variance, value = max(spread[at, at], 0.0), mean[at]
@@ -508,7 +546,9 @@ def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float
 def weigh(
     store: Store, n: int, place: tuple[float, float, float, float], is_advancing: bool
 ) -> None:
-    """Lower weights of what no tissue does; `place`: depth, speed, length of block, force noise."""
+    """Lower weights of what no tissue does; `place`: depth, speed, length of block,
+    force noise.
+    """
     means, spreads, log_weights, facts, _ = store
     depth, speed, dt_s, noise = place
     for k in range(n):
@@ -542,10 +582,11 @@ def shaft_mixture(
 ) -> tuple[Any, ...]:
     """Friction of the shaft at a place: mixture of all hypotheses but the least likely.
 
-    Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the whole
-    shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); the probability that tissue
-    has been met, and its depth; and the tip force of the likeliest hypothesis. The means are of the
-    `trusted`, with their weights, the covariance is of all hypotheses around those means.
+    Returns mean and covariance of the offset, C, V, Coulomb and viscous friction of the
+    whole shaft, c, b and the stiffness at the tip, shapes (8,) and (8, 8); the
+    probability that tissue has been met, and its depth; and the tip force of the
+    likeliest hypothesis. The means are of the `trusted`, with their weights, the
+    covariance is of all hypotheses around those means.
     """
     means, spreads, _, facts, records = store
     found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))

@@ -20,10 +20,10 @@ _METHODS: dict[type, Any] = {
     MultilayerConfig: SwitchingMethod,
     PublishedConfig: PublishedMethod,
 }
-"""By the type of their settings. A method gets checked samples only: ``update`` uses one, and
-returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of a sample at zero
-depth, speed and force; ``state``, an immutable tree, is all that it remembers, ``restore`` goes on
-from one, bit for bit."""
+"""By the type of their settings. A method gets checked samples only: ``update`` uses
+one, and returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of
+a sample at zero depth, speed and force; ``state``, an immutable tree, is all that it
+remembers, ``restore`` goes on from one, bit for bit."""
 _EVENTS = -len(Events._fields)
 _NO_EVENTS = Events()[:]
 
@@ -38,10 +38,12 @@ class Snapshot(NamedTuple):
 
 
 class Identifier:
-    """Finds ruptures and identifies stiffness and friction of each layer, sample by sample.
+    """Finds ruptures and identifies stiffness and friction of each layer, sample by
+    sample.
 
-    Depth grows into the tissue, speed is its rate, force is positive when tissue pushes back.
-    Depths in what it reports have the zero of the depths it is given, see `estimate`.
+    Depth grows into the tissue, speed is its rate, force is positive when tissue pushes
+    back. Depths in what it reports have the zero of the depths it is given, see
+    `estimate`.
     """
 
     __copy__ = deepcopy  # A shallow copy would share what every sample changes
@@ -99,21 +101,22 @@ class Identifier:
     ) -> Estimate:
         """Use one sample.
 
-        A sample that cannot be trusted (see `SampleStatus`) is reported and skipped: the estimate
-        then repeats the last one with the new status.
+        A sample that cannot be trusted (see `SampleStatus`) is reported and skipped:
+        the estimate then repeats the last one with the new status.
 
         Args:
             depth_m: Travel of the tip along the insertion axis [m].
-            speed_m_s: Rate of depth [m/s]; None where nobody measures it: it is then estimated
-                from the depths.
+            speed_m_s: Rate of depth [m/s]; None where nobody measures it: it is then
+                estimated from the depths.
             force_N: Axial force, positive when tissue pushes back [N].
             dt_s: Time since the previous sample [s].
-            time_s: Time of the sample on the clock on which estimates and events are to be
-                reported [s]; None for the sum of ``dt_s`` since the reset.
-            force_std_N: Standard deviation of the force's slow error, as a virtual sensor states it
-                [N]. What it grows by after the contact is no part of the friction, and widens its
-                deviation; while the needle accelerates, a force counts the less the larger it is.
-                What is no number, below zero or beyond any plausible force counts as not stated.
+            time_s: Time of the sample on the clock on which estimates and events are to
+                be reported [s]; None for the sum of ``dt_s`` since the reset.
+            force_std_N: Standard deviation of the force's slow error, as a virtual
+                sensor states it [N]. What it grows by after the contact is no part of
+                the friction, and widens its deviation; while the needle accelerates, a
+                force counts the less the larger it is. What is no number, below zero or
+                beyond any plausible force counts as not stated.
         """
         is_measured = speed_m_s is not None
         speed = speed_m_s if is_measured else 0.0
@@ -158,8 +161,8 @@ class Identifier:
         """Resume where `snapshot` was taken, bit for bit.
 
         Raises:
-            InvalidSnapshotError: Not a snapshot, one of another configuration, or a damaged one.
-                Nothing has then changed.
+            InvalidSnapshotError: Not a snapshot, one of another configuration, or a
+                damaged one. Nothing has then changed.
         """
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
@@ -170,7 +173,9 @@ class Identifier:
         self.resume(snapshot)
 
     def resume(self, snapshot: Snapshot) -> None:
-        """As `restore`, of a snapshot this identifier has taken itself, which needs no check."""
+        """As `restore`, of a snapshot this identifier has taken itself, which needs
+        no check.
+        """
         self._method.restore(snapshot.state)
         self._samples = working_copy(snapshot.samples)
         self._last = snapshot.last
@@ -210,7 +215,9 @@ class Identifier:
 
 
 def _in_callers_depth(event: Any, shift_m: float) -> Any:
-    """An event with the jumps that were removed from the depth: in the caller's depth."""
+    """An event with the jumps that were removed from the depth: in the caller's
+    depth.
+    """
     if event is None or shift_m == 0.0:
         return event
     if isinstance(event, LayerEstimate):
@@ -223,13 +230,15 @@ def _in_callers_depth(event: Any, shift_m: float) -> Any:
 
 
 def check_state(state: Any, initial: Any, place: str = "state") -> None:
-    """Refuse a damaged state, before compiled code reads beyond its arrays or a solver fails.
+    """Refuse a damaged state, before compiled code reads beyond its arrays or a solver
+    fails.
 
     `initial` is the state before the first sample, or None where it has no such part.
 
     Raises:
-        InvalidSnapshotError: A part is of another type, an array of another kind or shape, or the
-            covariance of a recursive least squares not positive semi-definite.
+        InvalidSnapshotError: A part is of another type, an array of another kind or
+            shape, or the covariance of a recursive least squares not positive
+            semi-definite.
     """
     if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
         _check_array(state, initial, place)

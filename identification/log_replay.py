@@ -19,7 +19,9 @@ _LEAST_GAP_S = 0.25
 
 
 class SignCheck:
-    """Checks for a flipped sign or a wrong unit in a recording, any number of rows at a time."""
+    """Checks for a flipped sign or a wrong unit in a recording, any number of rows
+    at a time.
+    """
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
@@ -29,7 +31,9 @@ class SignCheck:
         self._least_N, self._largest_N = np.inf, -np.inf
 
     def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
-        """Take further rows: columns of shape (n,), with gaps; a speed if one was recorded."""
+        """Take further rows: columns of shape (n,), with gaps; a speed if one was
+        recorded.
+        """
         before = self._last_m if self._last_m.size else depth_m[:1]
         change = np.diff(depth_m, prepend=before)
         self._last_m = depth_m[-1:]
@@ -87,7 +91,8 @@ _REPORTED = (
     SampleStatus.SPEED_SIGN,
     SampleStatus.TIME_RANGE,
 )
-"""What nobody has reported of a row before; who read the log has reported a NaN or a late stamp."""
+"""What nobody has reported of a row before; who read the log has reported a NaN or a
+late stamp."""
 
 HEAD_ROWS = 200  # the usual time step is the median over so many first rows
 
@@ -114,7 +119,9 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far, how many were rejected, and gaps."""
+        """Suspicions about signs and units of all rows so far, how many were
+        rejected, and gaps.
+        """
         rejected = (
             f"rows that were rejected: {self._rejected[status]} ({status.value})"
             for status in _REPORTED
@@ -134,8 +141,8 @@ class ReplayStream:
     ) -> list[Estimate]:
         """Estimates of further rows, columns as `replay` takes them, shape (n,).
 
-        The first call must bring `HEAD_ROWS` rows, or all that there are. The very first ``dt_s``
-        is not read.
+        The first call must bring `HEAD_ROWS` rows, or all that there are. The very
+        first ``dt_s`` is not read.
         """
         dt_s = np.array(dt_s)
         if not self._gap_s:
@@ -179,18 +186,20 @@ def replay(
 ) -> Replay:
     """Run the identifier over a recording, sample by sample.
 
-    Rows that cannot be used (gaps, time running backwards) are reported in their estimate's
-    status, not dropped. Where a clock may have been set, give ``dt_s``. Estimates, ruptures and
-    layers are on the clock of ``t_s`` and count depth from the zero of ``depth_m``.
+    Rows that cannot be used (gaps, time running backwards) are reported in their
+    estimate's status, not dropped. Where a clock may have been set, give ``dt_s``.
+    Estimates, ruptures and layers are on the clock of ``t_s`` and count depth from the
+    zero of ``depth_m``.
 
     Args:
         t_s: Time stamps [s], shape (n,).
         depth_m: Tip depth, growing into the tissue [m], shape (n,).
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
-        speed_m_s: Rate of depth [m/s]; estimated from depth, see `Identifier.update`, if None.
+        speed_m_s: Rate of depth [m/s]; estimated from depth, see `Identifier.update`,
+            if None.
         config: `MULTILAYER`, `PUBLISHED` or a variant.
-        dt_s: Time since the latest row that advanced [s], shape (n,), not positive for a row that
-            does not; None to count from the latest stamp.
+        dt_s: Time since the latest row that advanced [s], shape (n,), not positive for
+            a row that does not; None to count from the latest stamp.
 
     Raises:
         InvalidLogError: Empty or ragged columns.

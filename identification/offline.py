@@ -1,4 +1,5 @@
-"""Offline identification of known layers (Section II): force models, regressors, least squares.
+"""Offline identification of known layers (Section II): force models, regressors, least
+squares.
 
 Resisting force is positive here; the paper's minus signs are part of that convention.
 """
@@ -14,15 +15,17 @@ from identification.errors import InvalidConfigError, InvalidLogError
 from identification.estimate import Array
 
 RANK_TOLERANCE = 1e-3
-"""Singular values of the scaled columns below this fraction of the largest count as zero: a
-difference between columns under 0.1 % is smaller than any linear tissue model is right."""
+"""Singular values of the scaled columns below this fraction of the largest count as
+zero: a difference between columns under 0.1 % is smaller than any linear tissue model
+is right."""
 _FREE_FRACTION = 0.05
 _BLOCKS = 60
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerSpan:
-    """Where and when one layer acts on the needle, known beforehand in the offline analysis.
+    """Where and when one layer acts on the needle, known beforehand in the offline
+    analysis.
 
     Without a membrane it ruptures as the tip leaves it; with one earlier or later.
     """
@@ -33,7 +36,9 @@ class LayerSpan:
     rupture_s: float  # instant t_r at which the layer stops pushing back elastically
 
     def __post_init__(self) -> None:
-        """Raise `InvalidConfigError` unless thickness is positive and times are ordered."""
+        """Raise `InvalidConfigError` unless thickness is positive and times are
+        ordered.
+        """
         values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
         if not np.all(np.isfinite(values)):
             raise InvalidConfigError(f"layer span has non-finite values: {values}")
@@ -55,12 +60,14 @@ def regression_matrix(
     layers: Sequence[LayerSpan],
     model: Model = "ml",
 ) -> Array:
-    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5), the l layers as entered.
+    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5), the l layers as
+    entered.
 
-    phi_K of equation (4) is dz_i between entry and rupture, zero elsewhere. phi_B is, from entry
-    on, for `ml` embedded length times speed: dz_i inside the layer and d_i beyond it, which is (4);
-    during withdrawal it shrinks, which (4) leaves open. For `kv` it is the speed, as long as the
-    tip is deeper than the entry. Columns have shape (n,).
+    phi_K of equation (4) is dz_i between entry and rupture, zero elsewhere. phi_B is,
+    from entry on, for `ml` embedded length times speed: dz_i inside the layer and d_i
+    beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open. For
+    `kv` it is the speed, as long as the tip is deeper than the entry. Columns have
+    shape (n,).
 
     Returns:
         Shape (n, 2 l); parameters in the order K_1, B_1, ..., K_l, B_l.
@@ -94,8 +101,9 @@ def solve_least_squares(
     Autocorrelated residuals are allowed for in the standard deviations.
 
     Returns:
-        The solution of minimum norm in scaled columns, shape (p,); standard deviations, infinite
-        where the data leave a parameter free; where they do not; rank of the scaled matrix.
+        The solution of minimum norm in scaled columns, shape (p,); standard deviations,
+        infinite where the data leave a parameter free; where they do not; rank of the
+        scaled matrix.
     """
     scale = np.linalg.norm(matrix, axis=0)
     safe = np.where(scale > 0, scale, 1.0)
@@ -103,7 +111,8 @@ def solve_least_squares(
     inverse = np.linalg.pinv(scaled, rcond=RANK_TOLERANCE)
     solution = inverse @ target
     residual, squared = target - scaled @ solution, inverse @ inverse.T
-    # Sandwich covariance over contiguous blocks: residuals of tissue are far from white.
+    # Sandwich covariance over contiguous blocks: residuals of tissue are far from
+    # white.
     edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)
     scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
     covariance = squared @ (scores.T @ scores) @ squared
@@ -144,7 +153,9 @@ def read_column(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfflineLayer:
-    """One layer identified offline; standard deviations are infinite where not identified."""
+    """One layer identified offline; standard deviations are infinite where not
+    identified.
+    """
 
     stiffness_N_per_m: float  # K_i
     stiffness_std_N_per_m: float
@@ -178,9 +189,10 @@ def identify_offline(
 ) -> OfflineIdentification:
     """Identify stiffness and friction of known layers, equations (4) to (6).
 
-    At constant speed the columns of one layer are proportional as long as the tip is inside it:
-    only data beyond its rupture separate its stiffness from its friction. Where they are missing
-    both are marked as not identified; the values given are then the minimum-norm choice.
+    At constant speed the columns of one layer are proportional as long as the tip is
+    inside it: only data beyond its rupture separate its stiffness from its friction.
+    Where they are missing both are marked as not identified; the values given are then
+    the minimum-norm choice.
 
     Args:
         t_s: Increasing time [s], shape (n,).

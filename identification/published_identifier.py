@@ -1,9 +1,9 @@
 """The published method: equations (2), (3) and (7) to (12), sample by sample.
 
-A window between two covariance resets maps the estimate linearly, theta_k = A_k theta_{k-1} + c_k:
-RLS with lambda = 1 is a regularised least squares, theta = (Psi_0^-1 + S)^-1 (Psi_0^-1 theta_prev +
-b) with S = sum phi phi' and b = sum phi f. A re-run over a layer (Section III-B) needs S and b of
-each window, not its samples.
+A window between two covariance resets maps the estimate linearly, theta_k = A_k
+theta_{k-1} + c_k: RLS with lambda = 1 is a regularised least squares, theta = (Psi_0^-1
++ S)^-1 (Psi_0^-1 theta_prev + b) with S = sum phi phi' and b = sum phi f. A re-run over
+a layer (Section III-B) needs S and b of each window, not its samples.
 """
 
 import math
@@ -36,16 +36,18 @@ Rls = tuple[
     float, float, float, float, float
 ]  # K, B, covariance Psi[0, 0], Psi[0, 1], Psi[1, 1]
 Sums = tuple[float, float, float, float, float, float, float]
-"""Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K f, phi_B f;
-and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative friction."""
+"""Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K
+f, phi_B f; and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative
+friction."""
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _OF_FORCE, _OF_SPEED = slice(3, 5), slice(5, 7)
 Setting = tuple[bool, float, float, float, float, float]
-"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least speed."""
-# Places in the memory. What the samples change: an `Rls`; the `Sums` since the last covariance
-# reset and the time since; g_k of (9); time and mean speed in the layer; filtered derivative; the
-# last force, whether there is one, the one before; time since the detection; phi' theta + B_d v
-# before the last sample was used.
+"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least
+speed."""
+# Places in the memory. What the samples change: an `Rls`; the `Sums` since the last
+# covariance reset and the time since; g_k of (9); time and mean speed in the layer;
+# filtered derivative; the last force, whether there is one, the one before; time since
+# the detection; phi' theta + B_d v before the last sample was used.
 _RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = (
     0,
     2,
@@ -56,8 +58,8 @@ _RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = (
     15,
 )
 _DERIVATIVE, _FORCE, _HAS_FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 22)
-# What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the derivative,
-# T_drop, ruptures detected; number of the rupture machine's state.
+# What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the
+# derivative, T_drop, ruptures detected; number of the rupture machine's state.
 _START_M, _CUMULATIVE, _BETA, _DROP_S, _RUPTURES, _STATE, _SIZE = range(22, 29)
 NO_WINDOWS = np.empty(
     (0, len(NO_SUMS))
@@ -75,7 +77,9 @@ class RupturedLayer(NamedTuple):
 
     @property
     def damage(self) -> str:
-        """What is wrong with a restored one, if anything; checked before compiled code reads it."""
+        """What is wrong with a restored one, if anything; checked before compiled
+        code reads it.
+        """
         shape = np.shape(self.windows)
         return (
             ""
@@ -152,7 +156,9 @@ class PublishedMethod:
         return (state, *outputs, *(events or (None, None)), None)
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
-        """Use one sample: what to report of it, from the rupture state to the events."""
+        """Use one sample: what to report of it, from the rupture state to the
+        events.
+        """
         motion = sample[1], sample[2], sample[3], sample[6]
         at, is_full, is_news, outputs = published_step(
             motion, self._memory, self._setting
@@ -179,10 +185,12 @@ class PublishedMethod:
         self._memory[_SUMS:_DECISION] = [0.0] * (_DECISION - _SUMS)
 
     def _open_layer(self, sample: Sample) -> Rupture:
-        """A rupture is detected: the next layer begins here and now (d_i of Section III).
+        """A rupture is detected: the next layer begins here and now (d_i of Section
+        III).
 
-        f(t_r) of (10) is the last force before the alarming sample, which may have dropped already.
-        So may those of its whole reset window: the layer's re-run is without it.
+        f(t_r) of (10) is the last force before the alarming sample, which may have
+        dropped already. So may those of its whole reset window: the layer's re-run is
+        without it.
         """
         m, config = self._memory, self._config
         time_s, _, depth_m, speed_m_s, *_ = sample
@@ -212,10 +220,12 @@ class PublishedMethod:
         return rupture
 
     def _identify(self, ruptured: RupturedLayer, force_N: float) -> LayerEstimate:
-        """After T_drop = k_v / v identify the layer, (10) to (12), and take its friction out.
+        """After T_drop = k_v / v identify the layer, (10) to (12), and take its
+        friction out.
 
-        The sums of the layer after it are corrected for the friction now known, so its estimate
-        goes on as if that friction had been subtracted from the rupture onwards.
+        The sums of the layer after it are corrected for the friction now known, so its
+        estimate goes on as if that friction had been subtracted from the rupture
+        onwards.
         """
         m, rupture, known = (
             self._memory,
@@ -262,13 +272,16 @@ class PublishedMethod:
 
 @compiled
 def _regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Pair:
-    """Columns (phi_K, phi_B): (dz, dz v) for `ml`, equation (3); (dz, v) for `kv`, (2)."""
+    """Columns (phi_K, phi_B): (dz, dz v) for `ml`, equation (3); (dz, v) for `kv`,
+    (2).
+    """
     return layer_depth_m, (layer_depth_m * speed_m_s if is_ml else speed_m_s)
 
 
 @compiled
 def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
-    """Use one force sample: equations (7) and (8) with lambda = 1, written out for two columns.
+    """Use one force sample: equations (7) and (8) with lambda = 1, written out for two
+    columns.
 
     Returns the estimate after the sample, and the error e_k = f_k - phi_k' theta_{k-1}.
     """
@@ -298,7 +311,9 @@ def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
 
 
 def cusum_constants(sigma0_N: float, sigma1_N: float) -> Pair:
-    """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation (9)."""
+    """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation
+    (9).
+    """
     var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
 
@@ -313,14 +328,18 @@ def cusum_step(decision: float, error_N: float, drift: float) -> float:
 def derivative_step(
     derivative_N_per_s: float, change_N: float, dt_s: float, time_constant_s: float
 ) -> float:
-    """First-order low-pass of df/dt (Section III-B); exact for a force linear over the step."""
+    """First-order low-pass of df/dt (Section III-B); exact for a force linear over
+    the step.
+    """
     keep = math.exp(-dt_s / time_constant_s)
     return keep * derivative_N_per_s + (1.0 - keep) * change_N / dt_s
 
 
 @compiled
 def published_outputs(motion: Motion, m: Vector, setting: Setting) -> Outputs:
-    """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to the events."""
+    """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to
+    the events.
+    """
     (_, depth_m, speed_m_s, force_N), cumulative = motion, m[_CUMULATIVE]
     depth, friction = max(depth_m - m[_START_M], 0.0), m[_RLS + 1]
     in_contact = depth > 0.0 or m[_RUPTURES] > 0.0
@@ -352,10 +371,11 @@ def _next_state(m: Vector, threshold: float, reset_Hz: float, is_watching: bool)
 def published_step(
     motion: Motion, m: WrittenVector, setting: Setting
 ) -> tuple[int, bool, bool, Outputs]:
-    """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state machine.
+    """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state
+    machine.
 
-    Returns the number of the rupture machine's state, whether the reset window is full, whether
-    that state is a new one, and what to report if neither is.
+    Returns the number of the rupture machine's state, whether the reset window is full,
+    whether that state is a new one, and what to report if neither is.
     """
     (dt_s, depth_m, speed_m_s, force_N), before = motion, int(m[_STATE])
     is_ml, drift, threshold, reset_Hz, constant_s, least_m_s = setting
@@ -426,8 +446,8 @@ def reweighted_friction_variance(
 def append_window(windows: Array, sums: Sums, most: int) -> Array:
     """Add a closed window; beyond ``most`` neighbours are added up.
 
-    That halves their number and bounds memory in an endless layer: the re-run then resets half as
-    often over that stretch. An odd last window stays alone.
+    That halves their number and bounds memory in an endless layer: the re-run then
+    resets half as often over that stretch. An odd last window stays alone.
     """
     grown = np.vstack((windows, sums))
     if len(grown) > most:
@@ -439,11 +459,12 @@ def append_window(windows: Array, sums: Sums, most: int) -> Array:
 
 @compiled
 def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
-    """The estimate after all windows, as by a re-run from zero over their samples up to rounding.
+    """The estimate after all windows, as by a re-run from zero over their samples up to
+    rounding.
 
-    Each window begins with covariance diag(variances). Its map is written without an inverse of
-    that or of S, so collinear columns and zero variances are harmless:
-    theta + Psi_0 (I + S Psi_0)^-1 (b - S theta).
+    Each window begins with covariance diag(variances). Its map is written without an
+    inverse of that or of S, so collinear columns and zero variances are harmless: theta
+    + Psi_0 (I + S Psi_0)^-1 (b - S theta).
     """
     k = b = 0.0
     p, q = variances

@@ -1,7 +1,8 @@
-"""What the bank says: the shaft's friction at one depth, ruptures, and layers traversed.
+"""What the bank says: the shaft's friction at one depth, ruptures, and layers
+traversed.
 
-Every answer is a mixture over the hypotheses: its mean is their mean, and where they differ its
-standard deviation is wider than that of each.
+Every answer is a mixture over the hypotheses: its mean is their mean, and where they
+differ its standard deviation is wider than that of each.
 """
 
 import math
@@ -20,23 +21,25 @@ from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
-"""Least released force for an alarm: in standard deviations of a block's force, and in newtons (two
-thirds of the least rupture seen in real liver)."""
+"""Least released force for an alarm: in standard deviations of a block's force, and in
+newtons (two thirds of the least rupture seen in real liver)."""
 _VISIBLE = (
     0.3  # Fraction of it by which the force must have fallen: else it only grows slower
 )
 _LATE_S = 0.5  # If an alarm comes later than this, the force must still be lower
 _EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
-"""Falls, as fractions of the force: one, and one per second [1/s], that no robot makes by braking
-before its speed is known; and one that counts as large."""
+"""Falls, as fractions of the force: one, and one per second [1/s], that no robot makes
+by braking before its speed is known; and one that counts as large."""
 _SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
-"""Lag of the speed: at least; per ratio of the filter's noise of depth and of speed; at most."""
+"""Lag of the speed: at least; per ratio of the filter's noise of depth and of speed;
+at most."""
 _LEAST_SLOWED = (
     0.02  # fraction of the speed lost below which it is noise of the filtered speed
 )
 _SLOWED, _SLOWED_FAR = 3.0, 2.0
-"""Largest relative fall that braking explains, per fraction of the speed lost: more than 1, since
-the speed is late and travel shows its mean. The second is for a large fall."""
+"""Largest relative fall that braking explains, per fraction of the speed lost: more
+than 1, since the speed is late and travel shows its mean. The second is for a large
+fall."""
 _STEADY = 0.9  # of the usual speed; slower, friction's dependence on the speed may look like a fall
 _LEAST_TRUSTED = (
     1e-6  # Probability of all hypotheses that the answer's mean may rest on
@@ -56,7 +59,9 @@ _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 
 
 class Evidence(NamedTuple):
-    """The bank, the probability of each of its n hypotheses, and how many ruptures each counts."""
+    """The bank, the probability of each of its n hypotheses, and how many ruptures
+    each counts.
+    """
 
     bank: Bank
     weights: Array  # probabilities, shape (n,)
@@ -64,9 +69,11 @@ class Evidence(NamedTuple):
 
 
 def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
-    """Evidence of the bank after the last of `known` alarms; `alarm` is None before the first.
+    """Evidence of the bank after the last of `known` alarms; `alarm` is None before the
+    first.
 
-    A hypothesis whose last rupture lies clearly before the alarm's counts as denying that one.
+    A hypothesis whose last rupture lies clearly before the alarm's counts as denying
+    that one.
     """
     before_mm = -math.inf if alarm is None else _MM * alarm.depth_m - LEAST_MM
     ruptures, rupture_mm = bank.facts[:, law.RUPTURES], bank.records[:, law.RUPTURE_MM]
@@ -83,11 +90,13 @@ def answer_at(
     counts: tuple[int, int],
     speed: float,
 ) -> Array:
-    """Friction of the shaft at a place, for the samples that follow; see `switching_update`.
+    """Friction of the shaft at a place, for the samples that follow; see
+    `switching_update`.
 
-    `counts` are ruptures the hypotheses were reported to have, and layers left; the last rupture
-    was at a speed [mm/s], 0 before the first. A rupture that is not reported and may be a needle
-    that slowed down does not count: a hand that feels the tip's force vanish for it pushes.
+    `counts` are ruptures the hypotheses were reported to have, and layers left; the
+    last rupture was at a speed [mm/s], 0 before the first. A rupture that is not
+    reported and may be a needle that slowed down does not count: a hand that feels the
+    tip's force vanish for it pushes.
     """
     scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
     reported, known = counts
@@ -126,7 +135,9 @@ def _evaluate(
         tuple[int, int, int, int], tuple[int, int], tuple[int, int, int], int
     ],
 ) -> tuple[float, float, int]:
-    """The first three numbers of an `Evaluation`; `now`: time, force, least fall that is clear."""
+    """The first three numbers of an `Evaluation`; `now`: time, force, least fall
+    that is clear.
+    """
     (means, facts, records, weights, ruptures), (time_s, force, least) = parts, now
     (
         (released, kept, held, offset),
@@ -142,7 +153,8 @@ def _evaluate(
     fallen = np.minimum(
         fallen, records[:, before] - means[:, offset]
     )  # At most all of the force
-    # If the force is higher again, a late hypothesis of a rupture is rather a change of the tissue.
+    # If the force is higher again, a late hypothesis of a rupture is rather a change of
+    # the tissue.
     is_undone = (time_s - records[:, rupture_s] > _LATE_S) & (
         records[:, before] <= force
     )
@@ -171,7 +183,8 @@ def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
 
 
 def speed_lag(depth_std: float, speed_std: float) -> float:
-    """By how much the speed may be late [s], from the noise that the travel filter leaves in both.
+    """By how much the speed may be late [s], from the noise that the travel filter
+    leaves in both.
 
     Their ratio is about the time constant of the filter.
     """
@@ -188,8 +201,9 @@ def may_be_braking(
 ) -> bool:
     """Whether a needle that slows down could explain the fall of the force.
 
-    Friction falls with the speed at once, but the speed is known late. So a relatively small fall
-    waits until the speed would show braking, and counts only if it exceeds what that explains.
+    Friction falls with the speed at once, but the speed is known late. So a relatively
+    small fall waits until the speed would show braking, and counts only if it exceeds
+    what that explains.
     """
     record, offset = (
         bank.records[evaluation.pick],
@@ -225,7 +239,8 @@ def rupture_of(
 ) -> Rupture:
     """The last rupture of hypothesis `pick`.
 
-    `alarm` is the time on the caller's clock, the depth [m] and the time since the reset.
+    `alarm` is the time on the caller's clock, the depth [m] and the time since the
+    reset.
     """
     record = evidence.bank.records[pick]
     since_s, ruptures = (
@@ -249,7 +264,9 @@ def rupture_of(
 
 
 def _weights_of(evidence: Evidence, known: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Probabilities of those with `known` ruptures, of others 0; which push a membrane; (n,)."""
+    """Probabilities of those with `known` ruptures, of others 0; which push a
+    membrane; (n,).
+    """
     facts = evidence.bank.facts
     is_meeting = (facts[:, law.KIND] == law.MEMBRANE) & (facts[:, law.IS_HELD] > 0.0)
     return np.where(evidence.ruptures == known, evidence.weights, 0.0), is_meeting
@@ -258,9 +275,11 @@ def _weights_of(evidence: Evidence, known: int) -> tuple[Array, NDArray[np.bool_
 def friction_left(
     evidence: Evidence, known: int, force_variance: float, *, before: bool = False
 ) -> tuple[float, float] | None:
-    """Friction of the layer that the last rupture ended, or of the one `before`, and its deviation.
+    """Friction of the layer that the last rupture ended, or of the one `before`, and
+    its deviation.
 
-    None where other hypotheses are likelier than those that know of this rupture as the last.
+    None where other hypotheses are likelier than those that know of this rupture as the
+    last.
     """
     bank, (weights, is_meeting) = evidence.bank, _weights_of(evidence, known)
     if before:
@@ -279,7 +298,8 @@ def friction_left(
 def layer_left(
     evidence: Evidence, rupture: Rupture, known: int, friction: tuple[float, float]
 ) -> LayerEstimate | None:
-    """The layer, or the part of one, that the last rupture ended, with the friction it left.
+    """The layer, or the part of one, that the last rupture ended, with the friction it
+    left.
 
     None where no hypothesis knows of it.
     """
@@ -324,7 +344,8 @@ def _friction(
 ) -> dict[str, float | bool]:
     """Fields of a layer that its friction and its deviation [N] say.
 
-    `own` are the friction known before, and its Coulomb and viscous part: those keep their ratio.
+    `own` are the friction known before, and its Coulomb and viscous part: those keep
+    their ratio.
     """
     (mean, std), (before, coulomb, viscous) = friction, own
     mean = max(mean, 0.0)
@@ -342,7 +363,9 @@ def _friction(
 
 
 def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEstimate:
-    """The same layer with its friction known better; Coulomb and viscous part in proportion."""
+    """The same layer with its friction known better; Coulomb and viscous part in
+    proportion.
+    """
     own = layer.friction_N, layer.coulomb_N_per_m or 0.0, layer.viscous_Ns_per_m2 or 0.0
     speed = layer.rupture.speed_m_s
     return replace(layer, **_friction((friction, std), own, layer.thickness_m, speed))

@@ -1,10 +1,11 @@
 """From raw samples to depth and speed of the tip: a check, then a Kalman filter.
 
-The filter's state is depth and speed, driven by white acceleration. Every sample measures the
-depth, and the speed where the robot reports it. The noise of either is learnt from the distance of
-a sample to the line between its neighbours: a needle does not leave that line within milliseconds.
-Noise of filtered positions, or of a coarse encoder, is smooth, and so is that of a speed made from
-them: it is learnt from the scatter of means over 16 ms.
+The filter's state is depth and speed, driven by white acceleration. Every sample
+measures the depth, and the speed where the robot reports it. The noise of either is
+learnt from the distance of a sample to the line between its neighbours: a needle does
+not leave that line within milliseconds. Noise of filtered positions, or of a coarse
+encoder, is smooth, and so is that of a speed made from them: it is learnt from the
+scatter of means over 16 ms.
 """
 
 import math
@@ -18,26 +19,29 @@ from identification.estimate import SampleStatus
 from needleforce.jit import WrittenVector, compiled
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
-"""Types that Python or numpy would convert to a float although they are no measurements."""
+"""Types that Python or numpy would convert to a float although they are no
+measurements."""
 LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
-"""Time steps outside this range are wrong units or garbage; quotients or sums would overflow."""
+"""Time steps outside this range are wrong units or garbage; quotients or sums would
+overflow."""
 LARGEST_MOTION = (
     1e3  # no needle is as deep [m] or as fast [m/s]; powers of larger numbers overflow
 )
 _ACCELERATION_M2_PER_S3 = 2e-7
-"""Spectral density of the acceleration: the speed changes by half a millimetre per second in 0.1 s,
-one standard deviation. Starts and stops are quicker, see `_density`."""
+"""Spectral density of the acceleration: the speed changes by half a millimetre per
+second in 0.1 s, one standard deviation. Starts and stops are quicker, see `_density`."""
 _MEMORY_S = 2.0  # memory of the learnt noise
 _FIRST, _CLIP = 50.0, 9.0
-"""After so many values a square is clipped to so many times the learnt variance: more is motion or
-a slip, not noise."""
+"""After so many values a square is clipped to so many times the learnt variance: more
+is motion or a slip, not noise."""
 _LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
 _RISE_S = 8.0
-"""Smooth noise: length of a block, blocks before it counts, memory of the least scatter. Motion of
-the needle adds to the scatter of means, so the least counts (minimum statistics, Martin 2001)."""
+"""Smooth noise: length of a block, blocks before it counts, memory of the least
+scatter. Motion of the needle adds to the scatter of means, so the least counts (minimum
+statistics, Martin 2001)."""
 _HASTE_S = 0.05  # averaging time of the standardised innovations
 _SIGNIFICANT = (
     4.0  # squared mean innovation, over its variance, that chance does not explain
@@ -48,16 +52,18 @@ _MOST_SURPRISE = (
 _GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
 _FASTEST_M_S = 0.1  # assumed speed of a needle in a gap, where its motion is not seen
 _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
-"""Of the state at the first sample: 0.1 mm, and a tenth of a metre per second, squared."""
+"""Of the state at the first sample: 0.1 mm, and a tenth of a metre per second,
+squared."""
 
 STATUSES = tuple(SampleStatus)  # in the order of their numbers; those used come first
 _OK, _TIME_GAP, _NOT_A_SCALAR, _NOT_FINITE, _TIME_NOT_FORWARD = range(5)
 _DEPTH_JUMP, _SPEED_SIGN, _FORCE_RANGE, _TIME_RANGE, _MOTION_RANGE = range(5, 10)
 LAST_USED = _TIME_GAP
 
-# Indices of the memory. Of the check: time since the start, smoothed time step; last finite depth,
-# of a sample used or rejected; sum of all jumps removed; recent travel by depth and by speed; time
-# since that last depth, whether there is one, and time from the last sample used to it.
+# Indices of the memory. Of the check: time since the start, smoothed time step; last
+# finite depth, of a sample used or rejected; sum of all jumps removed; recent travel by
+# depth and by speed; time since that last depth, whether there is one, and time from
+# the last sample used to it.
 (
     TIME,
     _USUAL_DT,
@@ -69,23 +75,26 @@ LAST_USED = _TIME_GAP
     _HAS_DEPTH,
     _REJECTED,
 ) = range(9)
-# Of the filter: its state and covariance; the part of the covariance that is due to noise of the
-# samples alone; means of the latest standardised innovations of depth and of a measured speed.
+# Of the filter: its state and covariance; the part of the covariance that is due to
+# noise of the samples alone; means of the latest standardised innovations of depth and
+# of a measured speed.
 _DEPTH, _SPEED, _VAR_DEPTH, _COVARIANCE, _VAR_SPEED = range(9, 14)
 _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 19)
-# Noise of depth and speed, and of their means: five numbers each. Block of means being filled: its
-# length, the number of its samples, the sums of depth and speed. Least variances of the means.
+# Noise of depth and speed, and of their means: five numbers each. Block of means being
+# filled: its length, the number of its samples, the sums of depth and speed. Least
+# variances of the means.
 OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
 _FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
 LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
 SAMPLE_MEMORY = 45
-# The five numbers of a noise: variance of single samples, number of values it rests on; the last
-# value, the one before, and the time between them, 0 while there are none.
+# The five numbers of a noise: variance of single samples, number of values it rests on;
+# the last value, the one before, and the time between them, 0 while there are none.
 _VARIANCE, _SEEN, _LAST, _BEFORE, _LAST_DT = range(5)
 
 Limits = tuple[float, float, float, float, float]  # The fields of `CheckConfig`
 Motion = tuple[float, float, float, float]
-"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves in each."""
+"""Depth [m], speed [m/s] and the standard deviation that noise of the samples leaves
+in each."""
 
 
 def check_limits(config: CheckConfig) -> Limits:
@@ -121,7 +130,9 @@ def _check_motion(
     m: WrittenVector,
     limits: Limits,
 ) -> tuple[int, float]:
-    """Compare depth with speed; returns the status and the time since the last sample used."""
+    """Compare depth with speed; returns the status and the time since the last
+    sample used.
+    """
     gap_s, jump_m, sign_memory_s, sign_travel_m, _ = limits
     # Of the time since the last depth, and since the last sample that was used.
     dt = dt_s + m[_PENDING]
@@ -137,7 +148,8 @@ def _check_motion(
     if is_jump:
         m[SHIFT] += surprise
     elif has_depth and dt <= gap and is_measured:
-        # The speed now says nothing about travel during a gap, or before the first depth.
+        # The speed now says nothing about travel during a gap, or before the first
+        # depth.
         by_depth, by_speed = by_depth + change, by_speed + speed * dt
     is_contrary = (
         by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
@@ -182,11 +194,12 @@ def _check_numbers(
 def learn_noise(
     memory: WrittenVector, at: int, value: float, dt_s: float, least: float
 ) -> None:
-    """Learn from one value, `dt_s` after the last one, the noise whose numbers begin at `at`.
+    """Learn from one value, `dt_s` after the last one, the noise whose numbers begin at
+    `at`.
 
-    With weights a, 1 - a of its neighbours the middle of three values is off their line by
-    1 + a^2 + (1 - a)^2 times the variance of one. Three equal values are those of a needle at rest,
-    or rounded: they say nothing.
+    With weights a, 1 - a of its neighbours the middle of three values is off their line
+    by 1 + a^2 + (1 - a)^2 times the variance of one. Three equal values are those of a
+    needle at rest, or rounded: they say nothing.
     """
     variance, seen = memory[at + _VARIANCE], memory[at + _SEEN]
     last, before, last_dt = (
@@ -208,7 +221,9 @@ def learn_noise(
 
 @compiled
 def _density(memory: WrittenVector, gain: float) -> float:
-    """Spectral density of the acceleration: larger where innovations show a start or a stop."""
+    """Spectral density of the acceleration: larger where innovations show a start or
+    a stop.
+    """
     surprise = max(abs(memory[_SURPRISE]), abs(memory[_SPEED_SURPRISE]))
     haste = max(surprise * surprise * (2.0 - gain) / gain / _SIGNIFICANT, 1.0) ** 2
     return haste * _ACCELERATION_M2_PER_S3
@@ -216,7 +231,9 @@ def _density(memory: WrittenVector, gain: float) -> float:
 
 @compiled
 def _measure(m: WrittenVector, k: int, value: float, noise: float) -> float:
-    """Use a measurement of depth (k = 0) or speed (1); returns the standardised innovation."""
+    """Use a measurement of depth (k = 0) or speed (1); returns the standardised
+    innovation.
+    """
     own, other, n_own, n_other = (
         _VAR_DEPTH + 2 * k,
         _VAR_SPEED - 2 * k,
@@ -241,7 +258,9 @@ def _measure(m: WrittenVector, k: int, value: float, noise: float) -> float:
 
 @compiled
 def _noise(memory: WrittenVector, single: int, least: int, dt_s: float) -> float:
-    """Variance of white noise as strong as this one: of smooth noise a block is one sample."""
+    """Variance of white noise as strong as this one: of smooth noise a block is one
+    sample.
+    """
     return max(memory[single + _VARIANCE], memory[least] * _BLOCK_S / dt_s)
 
 
@@ -249,7 +268,9 @@ def _noise(memory: WrittenVector, single: int, least: int, dt_s: float) -> float
 def _learn_smooth_noise(
     memory: WrittenVector, at: int, least: int, value: float, dt_s: float, floor: float
 ) -> None:
-    """Learn from a block's mean the noise whose numbers begin at `at`, and its least variance."""
+    """Learn from a block's mean the noise whose numbers begin at `at`, and its least
+    variance.
+    """
     learn_noise(memory, at, value, dt_s, floor)
     variance, last = (
         memory[at + _VARIANCE],
@@ -343,12 +364,14 @@ def take_sample(
 ) -> tuple[int, float, float, float, Motion]:
     """Check one raw sample and, if it can be used, filter its depth and speed.
 
-    Depth, speed, force and time step are as `Identifier.update` takes them; a speed that is not
-    measured is the last estimate, which contradicts no depth. Time runs on over a rejected sample
-    as long as its time step is valid: a dropped force does not shift the clock.
+    Depth, speed, force and time step are as `Identifier.update` takes them; a speed
+    that is not measured is the last estimate, which contradicts no depth. Time runs on
+    over a rejected sample as long as its time step is valid: a dropped force does not
+    shift the clock.
 
-    Returns the status as index in `STATUSES`; of a valid sample the time since the one used before
-    [s]; the time since the start; the depth less the jumps removed; the motion.
+    Returns the status as index in `STATUSES`; of a valid sample the time since the one
+    used before [s]; the time since the start; the depth less the jumps removed; the
+    motion.
     """
     speed = speed_m_s if is_measured else memory[_SPEED]
     number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0

@@ -1,9 +1,11 @@
-"""The speed that the law takes: of the depth, over half a second where it changes slowly.
+"""The speed that the law takes: of the depth, over half a second where it changes
+slowly.
 
-Noise of a regressor passes for knowledge (errors in variables): where the speed hardly changes, a
-thousand forces of a few mN find in jitter of 0.02 mm/s that friction is the same at all speeds. So
-a slower Kalman filter (depth, speed, acceleration; white jerk) follows the depth, quicker where its
-innovations keep their sign: at a start, a stop, a reversal.
+Noise of a regressor passes for knowledge (errors in variables): where the speed hardly
+changes, a thousand forces of a few mN find in jitter of 0.02 mm/s that friction is the
+same at all speeds. So a slower Kalman filter (depth, speed, acceleration; white jerk)
+follows the depth, quicker where its innovations keep their sign: at a start, a stop, a
+reversal.
 """
 
 import math
@@ -15,13 +17,15 @@ from needleforce.jit import Vector, compiled
 
 _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
 _MEMORY_S, _MOST_SURPRISE, _SIGNIFICANT = 0.2, 5.0, 16.0
-"""Time over which innovations are averaged; standard deviations that one of them counts at most;
-square of such a mean, in units of its variance, from which on the filter is quicker."""
+"""Time over which innovations are averaged; standard deviations that one of them counts
+at most; square of such a mean, in units of its variance, from which on the filter is
+quicker."""
 _WIDEST, _LOST, _HASTY = 4.0, 12.0, 2.0
-"""Standard deviations of the filtered speed's noise by which the trend may lie beside it, less
-where it must be quick; from which on, as after a hard stop, it begins anew; and the mean innovation
-with which it does, so that it is quick at first."""
-# Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed innovation.
+"""Standard deviations of the filtered speed's noise by which the trend may lie beside
+it, less where it must be quick; from which on, as after a hard stop, it begins anew;
+and the mean innovation with which it does, so that it is quick at first."""
+# Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed
+# innovation.
 _SPEED, _SPREAD, _SURPRISE, _SIZE = 1, slice(3, 12), 12, 13
 
 NO_TREND = np.zeros(_SIZE)
@@ -34,9 +38,9 @@ def follow_speed(
 ) -> tuple[float, Array]:
     """Speed for the law at the next block's mean depth [mm] and filtered speed [mm/s].
 
-    `noise` holds the standard deviations that `sample_filter` leaves in both. It says how noisy the
-    depth is: of white noise of density r a steady filter of bandwidth w leaves the variances
-    1.06 r w in the depth and 0.354 r w³ in the speed.
+    `noise` holds the standard deviations that `sample_filter` leaves in both. It says
+    how noisy the depth is: of white noise of density r a steady filter of bandwidth w
+    leaves the variances 1.06 r w in the depth and 0.354 r w³ in the speed.
 
     Returns the speed, and the trend, of shape (13,); before the first block it is zero.
     """

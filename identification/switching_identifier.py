@@ -1,9 +1,10 @@
 """The switching filter over time: blocks of samples, ruptures, layers, answers.
 
-A block's work is spread over samples: the one that fills it lets every hypothesis use its force;
-the next reports ruptures; the one after that begins hypotheses of new events and drops the least
-likely. Where a rupture is raised, or a layer is due, one more comes between. Where the needle does
-not advance, the one that fills a block reports as well. One more may look for moving tissue.
+A block's work is spread over samples: the one that fills it lets every hypothesis use
+its force; the next reports ruptures; the one after that begins hypotheses of new events
+and drops the least likely. Where a rupture is raised, or a layer is due, one more comes
+between. Where the needle does not advance, the one that fills a block reports as well.
+One more may look for moving tissue.
 """
 
 import math
@@ -49,10 +50,11 @@ _TURNED = 0.3  # What a reversal leaves instead of 1, as a rest does: it is over
 _SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
 _GAP_S = 0.25  # A longer block is a gap: what it says is not used
 _USUAL_S, _USUAL_MM = 10.0, 3.0
-"""The usual speed is the highest of so much time and travel: the approach may be quick."""
+"""The usual speed is the highest of so much time and travel: the approach may be
+quick."""
 _CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
-"""Advancing means faster than this [mm/s] and than a part of the usual speed; new hypotheses want
-more of it: at a stop the force falls without any rupture."""
+"""Advancing means faster than this [mm/s] and than a part of the usual speed; new
+hypotheses want more of it: at a stop the force falls without any rupture."""
 _CHANNEL_MM = (
     0.02  # Behind the deepest point by more than this and the noise: in its own channel
 )
@@ -185,7 +187,9 @@ class SwitchingMethod:
         return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def update(self, sample: Sample) -> tuple[Any, ...]:
-        """Use one sample: what to report of it, from the rupture state to the events."""
+        """Use one sample: what to report of it, from the rupture state to the
+        events.
+        """
         arm_m_s = sample[3]
         if self._tissue.is_known:
             time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
@@ -245,7 +249,8 @@ class SwitchingMethod:
             self._tissue.worked(clock_s),
         )
         if self._tissue.fit is not before.fit:
-            # The needle stays where it is in the tissue that is now known to be elsewhere.
+            # The needle stays where it is in the tissue that is now known to be
+            # elsewhere.
             by_mm = before.at(clock_s)[0] - self._tissue.at(clock_s)[0]
             samples.shift_depth(self._memory, by_mm / _MM)
             self._deepest, self._spawned = self._deepest + by_mm, self._spawned + by_mm
@@ -301,7 +306,8 @@ class SwitchingMethod:
         )
         if (is_advancing or not is_met) and not is_gap:
             self._resumed *= math.exp(-fresh / _RESUMED_MM)
-            # A force that is being released is no noise, nor is what the speed does; beats are.
+            # A force that is being released is no noise, nor is what the speed does;
+            # beats are.
             force = place.force - by_speed
             is_release, levels = self._is_open and not self._is_series, self._levels
             levels = (
@@ -309,7 +315,8 @@ class SwitchingMethod:
             )
             self._levels, left = levels, levels.beside(self._tissue, clock_s)
             place = place._replace(noise=left.noise)
-            # A speed is as late as its filter: where it changes it is off by a block's change.
+            # A speed is as late as its filter: where it changes it is off by a block's
+            # change.
             law_std = math.hypot(2.0 * speed_std, own - last.speed)
             _learn(bank, place, left, self._resumed, (depth_std, law_std, by_motion))
             law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
@@ -328,14 +335,17 @@ class SwitchingMethod:
             )
 
     def _pause(self, place: Place, fresh: float, *, is_gap: bool) -> None:
-        """A block from which nothing is learnt: after a gap, at rest, in a channel already cut."""
+        """A block from which nothing is learnt: after a gap, at rest, in a channel
+        already cut.
+        """
         self._levels, self._texture = (
             self._levels.restarted(),
             self._texture.restarted(),
         )
         if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
-            # The needle went on: something may have happened half way or near the end, dated alike,
-            # so that either may prove right without taking back an alarm. The next block prunes.
+            # The needle went on: something may have happened half way or near the end,
+            # dated alike, so that either may prove right without taking back an alarm.
+            # The next block prunes.
             end_s, store = place.time_s + 0.5 * place.dt_s, self._bank.store
             for ago_s in (0.5 * place.dt_s, 0.1 * place.dt_s):
                 scene = place.depth - place.speed * ago_s, place.speed, place.deflection
@@ -348,7 +358,8 @@ class SwitchingMethod:
             store[4][is_new, law.RUPTURE_S] = end_s - ago_s
             store[4][is_new, law.RUPTURE_MM] = scene[0]
             return
-        # Tissue that overtakes a needle which goes on turns its friction, but relaxes nothing.
+        # Tissue that overtakes a needle which goes on turns its friction, but relaxes
+        # nothing.
         rate = self._tissue.at(place.time_s)[1] if self._tissue.is_known else -math.inf
         is_rest = is_gap or place.speed + rate < _HALF * place.usual_speed
         self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
@@ -363,7 +374,8 @@ class SwitchingMethod:
         own, self._trend = follow_speed(trend, *around, noise, place.dt_s)
         if not tissue.is_known:
             return own
-        # The tissue's speed is an estimate as well: only what noise does not explain is a change.
+        # The tissue's speed is an estimate as well: only what noise does not explain is
+        # a change.
         deadband = _DEADBAND * noise[1]
         return min(max(self._place.speed, own - rate - deadband), own - rate + deadband)
 
@@ -377,7 +389,9 @@ class SwitchingMethod:
 
     @property
     def _is_series(self) -> bool:
-        """Whether the last alarm came so soon after another that a heart may have raised both."""
+        """Whether the last alarm came so soon after another that a heart may have
+        raised both.
+        """
         if self._alarm is None:
             return False
         before = [
@@ -388,7 +402,9 @@ class SwitchingMethod:
         return bool(before) and self._alarm.time_s - before[-1] < _SERIES_S
 
     def _report(self, sample: Sample) -> None:
-        """Raise or take back an alarm, report the layer left, answer for the next samples."""
+        """Raise or take back an alarm, report the layer left, answer for the next
+        samples.
+        """
         place, alarm = self._place, self._alarm
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         found = reports.count_ruptures(evidence, self._ruptures, place)
@@ -409,7 +425,8 @@ class SwitchingMethod:
             )
             return
         if alarm is not None and found.fewer > _TAKEN_BACK:
-            # The force has come back: no rupture was there but for what is left of its probability.
+            # The force has come back: no rupture was there but for what is left of its
+            # probability.
             gone = replace(alarm, probability=1.0 - found.fewer)
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
@@ -427,7 +444,9 @@ class SwitchingMethod:
         self._answer = working_copy(answer)
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:
-        """Whether the needle advances, and far enough since a stop, which lets the force fall."""
+        """Whether the needle advances, and far enough since a stop, which lets the
+        force fall.
+        """
         since_mm = self._place.depth - float(bank.records[pick, law.RUPTURE_MM])
         resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
         return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)
@@ -444,7 +463,8 @@ class SwitchingMethod:
         self._ruptures = int(evidence.ruptures[found.pick])
         self._rupture_state = RuptureState.DETECTED
         self._events = Events(self._alarm, identified)
-        # Every beat may raise an alarm until it is known: then the window has to grow across them.
+        # Every beat may raise an alarm until it is known: then the window has to grow
+        # across them.
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample[-1])
 
@@ -454,18 +474,23 @@ class SwitchingMethod:
         return is_far and not self._is_open and not self.layers[-1].is_final
 
     def _is_layer_due(self, alarm: Rupture) -> bool:
-        """Whether the layer left is reported or revised now, so far behind its rupture."""
+        """Whether the layer left is reported or revised now, so far behind its
+        rupture.
+        """
         if self._is_open:
             return self._place.depth / _MM - alarm.depth_m >= _PROVISIONAL_M
         is_revised = self._place.time_s % _REVISE_S < self._place.dt_s
         return is_revised or self._is_final(alarm)
 
     def _report_layer(self, alarm: Rupture, force_std: float) -> None:
-        """Report the layer that the last rupture ended, provisional or final, or revise it."""
+        """Report the layer that the last rupture ended, provisional or final, or
+        revise it.
+        """
         layers, is_open = self.layers, self._is_open
         is_due = self._is_final(alarm)
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
-        # What the force's slow error grew by since the air is in the friction, and the law's.
+        # What the force's slow error grew by since the air is in the friction, and the
+        # law's.
         grown = (
             max(force_std**2 - self._force_std_in_air**2, 0.0)
             + self._place.law_error**2
@@ -505,7 +530,9 @@ def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
 
 
 def _block(time_s: float, memory: Array, before: float) -> tuple[Place, Noise]:
-    """Means of a block that is full; noise of depth, speed, force by motion; the next begins."""
+    """Means of a block that is full; noise of depth, speed, force by motion; the
+    next begins.
+    """
     *sums, _, _, _, _, jitter, speed_noise, _, _, _ = np.array(memory).tolist()
     filled, z, v, w, force, raw, by_motion = sums
     memory[: len(sums)] = [0.0] * len(sums)
@@ -574,7 +601,9 @@ def _learn(
 
 
 def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
-    """Standard deviation of the speed at which tissue moves by itself [mm/s], as its force says."""
+    """Standard deviation of the speed at which tissue moves by itself [mm/s], as its
+    force says.
+    """
     best, fact = bank.likeliest
     travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
     slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel

@@ -12,36 +12,38 @@ from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 
 _MM = 1e3
 _BLOCK_S, _BLOCK_MM, _LEAST_S = 0.01, 0.06, 0.002
-"""A block ends after a travel well below any release, or after a time; both are enough to average
-the noise of single samples."""
+"""A block ends after a travel well below any release, or after a time; both are enough
+to average the noise of single samples."""
 _PRESLIDING_MM = 0.3
-"""Travel over which friction turns after a reversal: gel clings for a fifth, soft tissue for half a
-millimetre."""
+"""Travel over which friction turns after a reversal: gel clings for a fifth, soft
+tissue for half a millimetre."""
 _DEADBAND, _LEAST_DEADBAND_M = 3.0, 2e-5
-"""Standard deviations of the depth, and least travel, within which the needle may not have moved:
-an arm's joints have play, and a filtered depth swings past a sudden stop."""
+"""Standard deviations of the depth, and least travel, within which the needle may not
+have moved: an arm's joints have play, and a filtered depth swings past a sudden stop."""
 _REST_SPEED, _REST_S = 0.1, 8.5
 """Slower than this [mm/s] the needle rests; real liver loses its force in that time."""
 _RELAXED, _UNKNOWN = 0.6, 0.3
-"""Part of the friction lost in a long rest, as of the whole force in real liver (19 holds of 60 s);
-and standard deviation of that part, and of friction while presliding turns."""
+"""Part of the friction lost in a long rest, as of the whole force in real liver (19
+holds of 60 s); and standard deviation of that part, and of friction while presliding
+turns."""
 _UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
 _UNLOADING_MM = 0.5  # travel over which its force goes on the way
 _MASS_KG, _JITTER, _ACCELERATION_S, _INERTIA_S = 10.0, 3.0, 0.03, 0.2
-"""Masses are known roughly, and inertia is taken out with another lag than the force has: so a
-virtual force is uncertain where the arm accelerates. Mass that the needle is taken to have there at
-most (an LWR's along it: 3 to 4 kg in the insertions, below 10 kg in nine of ten postures);
-deviations of the speed's noise that are no acceleration; the time over which that is measured, and
-the one for which it is remembered."""
+"""Masses are known roughly, and inertia is taken out with another lag than the force
+has: so a virtual force is uncertain where the arm accelerates. Mass that the needle is
+taken to have there at most (an LWR's along it: 3 to 4 kg in the insertions, below 10 kg
+in nine of ten postures); deviations of the speed's noise that are no acceleration; the
+time over which that is measured, and the one for which it is remembered."""
 IDENTIFIED = 0.25  # A value is identified if its standard deviation is no more of it
 _TINY = 1e-12
 _NOWHERE_M = -1e9  # deepest point before the first sample
 
-# Places in the memory. Length of the block being filled, and integrals over it: of depth [m s],
-# speed [m], presliding deflection [s], force [N s], unfiltered depth [m s] and variance of force by
-# motion [N² s]. That deflection, -1 to 1; depth less the jitter of its measurement; how far
-# friction may have let go at rest, 0 to 1; deepest point so far; noise of the last depth and speed;
-# the arm's speed with a lag; square of the force that accelerates it, at most; that variance now.
+# Places in the memory. Length of the block being filled, and integrals over it: of
+# depth [m s], speed [m], presliding deflection [s], force [N s], unfiltered depth [m s]
+# and variance of force by motion [N² s]. That deflection, -1 to 1; depth less the
+# jitter of its measurement; how far friction may have let go at rest, 0 to 1; deepest
+# point so far; noise of the last depth and speed; the arm's speed with a lag; square of
+# the force that accelerates it, at most; that variance now.
 FILLED, DEPTH_SUM, SPEED_SUM, DEFLECTION_SUM, FORCE_SUM, RAW_SUM, BY_MOTION_SUM = range(
     7
 )
@@ -51,13 +53,14 @@ FIRST_MEMORY = np.zeros(16)
 FIRST_MEMORY[_DEEPEST] = _NOWHERE_M
 FIRST_MEMORY.setflags(write=False)
 
-# Places in an answer, shape (10, 8): what the bank knows of the shaft at one depth, all hypotheses
-# together; N, mm, mm/s. Its first row: whether tissue has been met; the layer the tip is in, from
-# 1, 0 before contact; depth at which the first was met [m]; depth the answer is of; variance of a
-# sample's force; force at the tip; speed for the cumulative friction: that of the last rupture, 0
-# before the first, to take the present one; variance of the law's error. The second row holds the
-# mean, the others the covariance of: force in free air; Coulomb and viscous friction of the layers
-# left, and of the whole shaft; their growth with depth; stiffness of the tip's force.
+# Places in an answer, shape (10, 8): what the bank knows of the shaft at one depth, all
+# hypotheses together; N, mm, mm/s. Its first row: whether tissue has been met; the
+# layer the tip is in, from 1, 0 before contact; depth at which the first was met [m];
+# depth the answer is of; variance of a sample's force; force at the tip; speed for the
+# cumulative friction: that of the last rupture, 0 before the first, to take the present
+# one; variance of the law's error. The second row holds the mean, the others the
+# covariance of: force in free air; Coulomb and viscous friction of the layers left, and
+# of the whole shaft; their growth with depth; stiffness of the tip's force.
 IN_CONTACT, LAYER_NUMBER, CONTACT_M, DEPTH, NOISE, TIP_FORCE, CUMULATIVE_SPEED, _LAW = (
     range(8)
 )
@@ -69,7 +72,9 @@ NO_ANSWER.setflags(write=False)
 
 @compiled
 def _embedded(depth_m: float, layers: Matrix) -> tuple[float, float]:
-    """Fraction of the Coulomb and the viscous friction of the layers left still on the shaft."""
+    """Fraction of the Coulomb and the viscous friction of the layers left still on
+    the shaft.
+    """
     coulomb = viscous = all_coulomb = all_viscous = _TINY
     for k in range(len(layers)):
         fraction = min(max(depth_m - layers[k, 0], 0.0) / layers[k, 1], 1.0)
@@ -92,7 +97,9 @@ def _variance(answer: Matrix, first: int, w: float, speed: float) -> float:
 def _with_offset(
     answer: Matrix, first: int, w: float, speed: float, variance: float
 ) -> float:
-    """Standard deviation of a force less the offset and such a friction of that variance."""
+    """Standard deviation of a force less the offset and such a friction of that
+    variance.
+    """
     both = w * answer[2][first] + speed * answer[2][first + 1]
     return math.sqrt(
         max(answer[0][NOISE] + answer[2][_OFFSET] + variance + 2.0 * both, 0.0)
@@ -101,14 +108,17 @@ def _with_offset(
 
 @compiled
 def _per_speed(answer: Matrix, first: int, speed: float) -> tuple[float, float]:
-    """Coulomb and viscous friction as one damping at a speed, and its standard deviation."""
+    """Coulomb and viscous friction as one damping at a speed, and its standard
+    deviation.
+    """
     damping = answer[1][first] / speed + answer[1][first + 1]
     return damping, math.sqrt(max(_variance(answer, first, 1.0 / speed, 1.0), 0.0))
 
 
 @compiled
 def _not_pulled(tip: float, variance: float) -> tuple[float, float]:
-    """Mean of a tip force cut off at zero, since no tissue pulls the tip, and variance that goes.
+    """Mean of a tip force cut off at zero, since no tissue pulls the tip, and variance
+    that goes.
 
     The variance is that of the law's error: what the hypotheses do not know of.
     """
@@ -131,7 +141,8 @@ def _forces(
     answer: Matrix,
     layers: Matrix,
 ) -> tuple[float, float, float, float, float, float, float]:
-    """Enhanced force, tip force and shaft friction, each with its standard deviation [N].
+    """Enhanced force, tip force and shaft friction, each with its standard deviation
+    [N].
 
     The last number is the force that all this predicts.
     """
@@ -149,7 +160,8 @@ def _forces(
     coulomb_fraction = viscous_fraction = 1.0
     if is_unloaded and len(layers) > 0:
         coulomb_fraction, viscous_fraction = _embedded(depth_m, layers)
-    # Friction after a rest, and while it turns, lies somewhere between none and all of it.
+    # Friction after a rest, and while it turns, lies somewhere between none and all of
+    # it.
     loose = _UNKNOWN * max(1.0 - abs(w), rest)
     w *= 1.0 - _RELAXED * rest
     p, q = w * coulomb_fraction, speed * viscous_fraction
@@ -168,7 +180,8 @@ def _forces(
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
     predicted, enhanced = offset + friction + tip, force - left
-    # A force counts less, the more uncertain motion makes it, beside what is not known of friction.
+    # A force counts less, the more uncertain motion makes it, beside what is not known
+    # of friction.
     kept = 1.0 - by_motion / (answer[0][NOISE] + max(variance, 0.0) + by_motion + _TINY)
     force, excess = (
         kept * force + (1.0 - kept) * (friction + tip),
@@ -205,10 +218,11 @@ def switching_outputs(
     answer: Matrix,
     layers: Matrix,
 ) -> Outputs:
-    """What to report of a sample: the fields of an `Estimate` from ``in_contact`` to the events.
+    """What to report of a sample: the fields of an `Estimate` from ``in_contact`` to
+    the events.
 
-    `layers`, shape (n, 4), are those left: where they begin [m], their thickness [m], and Coulomb
-    [N] and viscous friction [N/(mm/s)] of their whole length.
+    `layers`, shape (n, 4), are those left: where they begin [m], their thickness [m],
+    and Coulomb [N] and viscous friction [N/(mm/s)] of their whole length.
     """
     speed, mean = _MM * speed_m_s, answer[1]
     forces = _forces(depth_m, speed, force_N, memory, answer, layers)
@@ -237,7 +251,8 @@ def switching_outputs(
 
 @compiled
 def _presliding(deflection: float, travel: float) -> tuple[float, float]:
-    """Presliding deflection after a travel [mm], and the part of the old one that is left.
+    """Presliding deflection after a travel [mm], and the part of the old one that is
+    left.
 
     The exact solution of Dahl's law (1968, shape exponent 1): two half steps equal one.
     """
@@ -256,7 +271,8 @@ def shift_depth(memory: WrittenVector, by_m: float) -> None:
 
 @compiled
 def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
-    """Presliding deflection, and part of the tip's force that is left, along courses of depths.
+    """Presliding deflection, and part of the tip's force that is left, along courses of
+    depths.
 
     A course is a row, shape (m, n); so are the results.
     """
@@ -285,11 +301,12 @@ def update_switching(
 ) -> tuple[bool, Outputs]:
     """Use one sample.
 
-    It is depth, speed and the deviations of their noise, the force and the deviation of its slow
-    error, and the unfiltered depth. Depths and speed are those in the tissue, which may move; the
-    arm has a speed of its own.
+    It is depth, speed and the deviations of their noise, the force and the deviation of
+    its slow error, and the unfiltered depth. Depths and speed are those in the tissue,
+    which may move; the arm has a speed of its own.
 
-    Returns whether the block being filled is full, and what to report, see `switching_outputs`.
+    Returns whether the block being filled is full, and what to report, see
+    `switching_outputs`.
     """
     m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = (
         memory,

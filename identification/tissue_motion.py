@@ -1,7 +1,8 @@
-"""Motion of the tissue by itself, heartbeat and breathing, found in the force, and then used.
+"""Motion of the tissue by itself, heartbeat and breathing, found in the force, and then
+used.
 
-`tissue_window` has the law of the force that it is found by, here is when it is looked for, taken
-for known, and given up. A unit of this work is done per block of samples.
+`tissue_window` has the law of the force that it is found by, here is when it is looked
+for, taken for known, and given up. A unit of this work is done per block of samples.
 """
 
 import math
@@ -15,15 +16,18 @@ from identification.hypothesis_bank import Place
 from identification.tissue_window import Fit, Window, displacement, turned
 
 _LEAST_S, _MARGIN = 2.5, 7
-"""Least length of a window, and newest means left out: a release may have begun there."""
+"""Least length of a window, and newest means left out: a release may have begun
+there."""
 _SETTLE_S = 0.25  # after an alarm, until its release is over
 _LOST, _PATIENCE = 1.0, 8
-"""Mean square of the errors of a fit to give up, and so many steps in a row that are not good."""
+"""Mean square of the errors of a fit to give up, and so many steps in a row that are
+not good."""
 _FINE, _WITHOUT_HEART, _PROVEN = 0.12, 0.25, 5
-"""Of a likely motion: most mean square of its errors, the same as part of that without its
-heartbeat (seen: 1/8 to 1/280), and how many steps in a row both must hold."""
+"""Of a likely motion: most mean square of its errors, the same as part of that without
+its heartbeat (seen: 1/8 to 1/280), and how many steps in a row both must hold."""
 _CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
-"""Between two looks whether the tissue moves, two steps of a known motion, and two searches."""
+"""Between two looks whether the tissue moves, two steps of a known motion, and two
+searches."""
 _STEPS, _STEPS_EACH = (
     8,
     7,
@@ -37,7 +41,8 @@ _DONE = _STEPS - 1, _BOTH, _BOTH + _STEPS
 """Units after those at which a fit is done: the heart alone, both, the breath alone."""
 _UNITS = _SCANNED + _DONE[-1] + 2
 _FADE_S, _BELIEF_S = 1.0, 2.0
-"""Over which a motion just found comes in, and is believed: the bank has learned without it."""
+"""Over which a motion just found comes in, and is believed: the bank has learned
+without it."""
 _EMPTY = (0.0,) * 5
 _IDLE: dict[str, Any] = {
     "unit": -1,
@@ -124,7 +129,9 @@ class TissueMotion(NamedTuple):
         )
 
     def with_block(self, block: Place, *, is_met: bool) -> "TissueMotion":
-        """Use means of a block of samples, in the tissue's frame, once tissue has been met."""
+        """Use means of a block of samples, in the tissue's frame, once tissue has
+        been met.
+        """
         if not is_met:
             return self if len(self.window) == 0 else TissueMotion()
         place, speed = self.at(block.time_s) if self.is_known else (0.0, 0.0)
@@ -168,9 +175,12 @@ class TissueMotion(NamedTuple):
         return self._replace(fit=fit, bad=bad, next_s=time_s + _ADAPT_S, unit=unit)
 
     def _followed(self, window: Window, time_s: float) -> "TissueMotion":
-        """A step of a motion that is likely, until it is clear; the search goes on beside it."""
+        """A step of a motion that is likely, until it is clear; the search goes on
+        beside it.
+        """
         fit = window.stepped(turned(self.likely, time_s))
-        # Without the heart, which a course of the needle does not have, the error is far larger.
+        # Without the heart, which a course of the needle does not have, the error is
+        # far larger.
         least = _WITHOUT_HEART * window.solved(fit.beats[:1], fit.at_s)[2]
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
@@ -187,7 +197,9 @@ class TissueMotion(NamedTuple):
         return self._replace(fit=fit, since_s=time_s, likely=Fit(), held=0, **_IDLE)
 
     def _searched(self, window: Window, time_s: float) -> "TissueMotion":
-        """The next unit of a search: the frequencies one by one, then the fits, then a choice."""
+        """The next unit of a search: the frequencies one by one, then the fits, then
+        a choice.
+        """
         if self.unit < _SCANNED:
             return self._scanned(window)
         unit = self.unit - _SCANNED
@@ -216,19 +228,23 @@ class TissueMotion(NamedTuple):
         return window.stepped(self.tried)
 
     def _scanned(self, window: Window) -> "TissueMotion":
-        """Scan the next frequency: of breaths, of hearts, of hearts beside the best breath."""
+        """Scan the next frequency: of breaths, of hearts, of hearts beside the best
+        breath.
+        """
         n, m, unit = len(windows.BREATH), len(windows.HEART), self.unit
         row = 0 if unit < n else 1 if unit < n + m else 2
         scanned = windows.HEART[(unit - n) % m] if row else windows.BREATH[unit]
         hz = [[], [], [self.found[0, 1]]][row] + [scanned]
-        # With waves that grow many a slow one fits as well: what matters is where to begin.
+        # With waves that grow many a slow one fits as well: what matters is where to
+        # begin.
         error, found = window.waves(np.array(hz))[1], self.found.copy()
         if unit in (0, n, n + m) or error < found[row, 0]:
             found[row] = error, hz[0], hz[-1]
         return self._replace(found=found, unit=unit + 1, best=Fit(), first=Fit())
 
     def _kept(self, window: Window, tried: Fit) -> "TissueMotion":
-        """Keep the fit if it is clear and better; of two beats the second must halve the error.
+        """Keep the fit if it is clear and better; of two beats the second must halve
+        the error.
 
         Two beats that are not clear yet are likely if they explain the force.
         """
@@ -245,8 +261,9 @@ class TissueMotion(NamedTuple):
         if self.is_known:
             if best.error < 0.5 * self.fit.error:
                 return state._replace(fit=best)
-            # The law may have changed within the window, or the motion have ended: it begins anew.
-            # Before it is full a breath may be missing, which wants all of it.
+            # The law may have changed within the window, or the motion have ended: it
+            # begins anew. Before it is full a breath may be missing, which wants all of
+            # it.
             most = (
                 _LOST * window.count if len(self.window) == windows.SIZE else math.inf
             )

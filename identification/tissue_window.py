@@ -1,7 +1,7 @@
 """What motion of the tissue explains of the force over the last seconds.
 
-In tissue that moves by x(t) the force is one of the depth z - x and the speed v - dx/dt: friction
-turns round where the tissue overtakes the needle. The motion repeats,
+In tissue that moves by x(t) the force is one of the depth z - x and the speed v -
+dx/dt: friction turns round where the tissue overtakes the needle. The motion repeats,
 
     x(t) = sum over beats and h = 1, 2 of  a_h cos(2 pi h f t) + b_h sin(2 pi h f t)
 
@@ -9,12 +9,13 @@ and the force over the last seconds within one layer is
 
     force = o + (C + c y) w + (V + b y)(v - dx/dt) + (T + K y + H y²) g + E s + F s²
 
-with y the farthest that the tip came since then, w the presliding deflection, g the part of the
-tip's force that is left behind there, and s the place of the tip, all of z - x: a membrane yields
-as the tissue comes and goes, a cut does not. After an alarm the layer before stays in the window:
-then c y and b y are sums over both, and each has its own T, K, H, E, F. Given f, a and b that is
-linear in the rest: separable least squares (Golub and Pereyra 1973) by Gauss-Newton steps. Where to
-begin, a scan of frequencies and a breath's phases say. Lengths are in mm, speeds in mm/s.
+with y the farthest that the tip came since then, w the presliding deflection, g the
+part of the tip's force that is left behind there, and s the place of the tip, all of z
+- x: a membrane yields as the tissue comes and goes, a cut does not. After an alarm the
+layer before stays in the window: then c y and b y are sums over both, and each has its
+own T, K, H, E, F. Given f, a and b that is linear in the rest: separable least squares
+(Golub and Pereyra 1973) by Gauss-Newton steps. Where to begin, a scan of frequencies
+and a breath's phases say. Lengths are in mm, speeds in mm/s.
 """
 
 import math
@@ -33,17 +34,20 @@ BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
 SLOWEST_HEART = 0.6
 _BREATH_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
 _HEART_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
-"""Standard deviation of a beat's frequency [Hz] from one step on, and of its sizes [mm]."""
+"""Standard deviation of a beat's frequency [Hz] from one step on, and of its sizes
+[mm]."""
 _BREATH_S = 6.0, 10.0
-"""Least length of a window that shows a breath, and of one that shows two: shorter ones take part
-of a breath for a quick one."""
+"""Least length of a window that shows a breath, and of one that shows two: shorter ones
+take part of a breath for a quick one."""
 GOOD, FAIR = 0.05, 0.5  # Mean square of a good fit's errors, and of a fair one's
 _CLEARER, CLEAR = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD)), 10.0
-"""The motion must lower the error by this factor, to at most that mean square: a heartbeat,
-breathing (a layer that bends looks like one), and less than two breaths; and by so much."""
+"""The motion must lower the error by this factor, to at most that mean square: a
+heartbeat, breathing (a layer that bends looks like one), and less than two breaths; and
+by so much."""
 _UNLIKE = 1.5
-"""Breath shows only where the law of tissue at rest is off by more than it admits, a mean square of
-1: a membrane, or a layer of another law, bends the force within that, as a slow breath would."""
+"""Breath shows only where the law of tissue at rest is off by more than it admits, a
+mean square of 1: a membrane, or a layer of another law, bends the force within that, as
+a slow breath would."""
 _NOISE_N, _LAW_ERROR = 0.02, 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
 _OWN = 7  # unknowns that a layer has of its own
@@ -78,7 +82,9 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
 
 @compiled
 def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
-    """Derivatives of place and speed at n times by the five numbers of each beat, (5 beats, n)."""
+    """Derivatives of place and speed at n times by the five numbers of each beat, (5
+    beats, n).
+    """
     places, speeds = (
         np.zeros((beats.size, len(time_s))),
         np.zeros((beats.size, len(time_s))),
@@ -103,7 +109,9 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
 def _fitted(
     rows: Matrix, force: Vector, known: Matrix, pull: Vector
 ) -> tuple[Vector, Vector]:
-    """Least squares beside what is known beforehand: the unknowns, and the error they leave."""
+    """Least squares beside what is known beforehand: the unknowns, and the error
+    they leave.
+    """
     square = np.dot(rows.T, rows) + known
     # Of unknowns that nothing separates as well.
     square += np.diag(1e-9 * np.diag(square) + 1e-12)
@@ -115,10 +123,11 @@ def _fitted(
 def _waves(
     hz: Vector, courses: Matrix, one: Vector, force: Vector
 ) -> tuple[Vector, float]:
-    """Fit of a smooth course and waves that grow with the travel; mean square of the rest.
+    """Fit of a smooth course and waves that grow with the travel; mean square of the
+    rest.
 
-    `courses`, shape (4, n), are time, travel, speed, and travel in a second layer, negative before;
-    `one` and `force` are over its deviation.
+    `courses`, shape (4, n), are time, travel, speed, and travel in a second layer,
+    negative before; `one` and `force` are over its deviation.
     """
     time_s, y, v, later = (
         courses[0] - courses[0, -1],
@@ -156,10 +165,12 @@ def _rows(
     one: Vector,
     begin: int,
 ) -> Matrix:
-    """Rows of the law in its linear unknowns, three and `_OWN` a layer, each over its deviation.
+    """Rows of the law in its linear unknowns, three and `_OWN` a layer, each over its
+    deviation.
 
-    `contact` holds presliding deflection and what is left of the tip's force, depth and speed are
-    relative to the tissue; a second layer begins at row `begin`, if that is not 0.
+    `contact` holds presliding deflection and what is left of the tip's force, depth and
+    speed are relative to the tissue; a second layer begins at row `begin`, if that is
+    not 0.
     """
     (w, g), layers = contact, 2 if begin else 1
     rows = np.zeros((len(speed), 3 + _OWN * layers))
@@ -187,7 +198,9 @@ def _rows(
 def _changes(
     contact: Pair, courses: Pair, one: Vector, begin: int, linear: Vector
 ) -> Matrix:
-    """What m courses of depth and speed change of the force of the first, shape (n, m - 1)."""
+    """What m courses of depth and speed change of the force of the first, shape (n,
+    m - 1).
+    """
     (w, g), (depths, speeds) = contact, courses
     forces = np.zeros((len(depths), len(one)))
     for k in range(len(depths)):
@@ -202,8 +215,8 @@ def _step(
 ) -> Vector:
     """Change of the motion's numbers by a Gauss-Newton step, damped as Levenberg does.
 
-    `rows` are those of the linear unknowns, whose information beforehand is `prior`, and of the
-    numbers, which lie within `stds` beforehand and are pulled by `pull`.
+    `rows` are those of the linear unknowns, whose information beforehand is `prior`,
+    and of the numbers, which lie within `stds` beforehand and are pulled by `pull`.
     """
     linear, slopes = rows
     n, size = len(prior), len(prior) + len(stds)
@@ -232,7 +245,9 @@ def turned(fit: Fit, time_s: float) -> Fit:
 
 
 def _growth(force: Array) -> float:
-    """Of the force in a layer: of 25 means the fifth largest is above most turns of friction."""
+    """Of the force in a layer: of 25 means the fifth largest is above most turns of
+    friction.
+    """
     oldest, newest = force[:25], force[-25:]
     at = -min(5, len(oldest))
     return float(np.partition(newest, at)[at] - np.partition(oldest, at)[at])
@@ -259,12 +274,15 @@ class Window:
         self.prior = self._prior(max(float(size.max()), 0.05), 2 if self.begin else 1)
 
     def _prior(self, most: float, layers: int) -> tuple[Array, Array]:
-        """Information on the linear unknowns beforehand, and its vector; `most` is the force."""
+        """Information on the linear unknowns beforehand, and its vector; `most` is
+        the force.
+        """
         slope, pull = self.slope, np.zeros(3 + _OWN * layers)
         own = (slope, slope / 3, most, slope, slope / 10, slope, slope / 10)
         stds = [0.05, most, most / 3, *own * layers]
         information = np.diag(np.array(stds) ** -2.0)
-        # Growth of friction as a part of the force's; how both frictions split it, and the rest.
+        # Growth of friction as a part of the force's; how both frictions split it, and
+        # the rest.
         parts = [(1, 2, -COULOMB_SPEED, 0.3 * most / slope)]
         for c in range(3, len(stds), _OWN):
             parts += [
@@ -281,7 +299,9 @@ class Window:
         return information, pull
 
     def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
-        """Rows, linear unknowns, sum of squares of the error, and the error of a motion."""
+        """Rows, linear unknowns, sum of squares of the error, and the error of a
+        motion.
+        """
         place, speed = displacement(beats, self.time_s - at_s)
         w, g = contact_along((self.depth - place)[None])
         rows = _rows(
@@ -291,7 +311,9 @@ class Window:
         return rows, linear, float(error @ error), error
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
-        """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5 beats)."""
+        """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5
+        beats).
+        """
         beats, time_s = fit.beats, self.time_s - fit.at_s
         places, speeds = _derivatives(beats, time_s)
         place, speed = displacement(beats, time_s)
@@ -311,7 +333,8 @@ class Window:
     def is_clear(self, fit: Fit, *, is_proven: bool = False) -> bool:
         """Whether a fit is good, and shows that the tissue moves.
 
-        Of a motion that is proven, which has explained what came later, less than two breaths do.
+        Of a motion that is proven, which has explained what came later, less than two
+        breaths do.
         """
         still, length_s, (clearer, most) = self.still, self.count * STEP_S, _CLEARER[0]
         least = 0.0
@@ -335,7 +358,9 @@ class Window:
         return _waves(hz, courses, self.one, self.force)
 
     def first_fit(self, hz: Array, time_s: float) -> Fit:
-        """A motion of these frequencies that damping would turn into the waves of the force."""
+        """A motion of these frequencies that damping would turn into the waves of
+        the force.
+        """
         found, y = self.waves(hz)[0], float(self.travel[-1])
         damping = (
             self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
@@ -355,7 +380,9 @@ class Window:
         return turned(min(fits, key=lambda fit: fit.error), time_s)
 
     def turned_fit(self, fit: Fit, size: float) -> Fit:
-        """A fit with its slow beat of such a size and of any phase, if that leaves less error."""
+        """A fit with its slow beat of such a size and of any phase, if that leaves
+        less error.
+        """
         beats, best = fit.beats.copy(), fit
         for phase in np.arange(0.0, 2.0 * math.pi, 0.25 * math.pi).tolist():
             beats[0, 1:] = size * math.cos(phase), size * math.sin(phase), 0.0, 0.0
@@ -411,5 +438,7 @@ class Window:
 
 
 def _stds(beats: Array) -> Array:
-    """Standard deviations of the five numbers of each beat, whose frequencies come first."""
+    """Standard deviations of the five numbers of each beat, whose frequencies come
+    first.
+    """
     return np.where(beats[:, :1] < SLOWEST_HEART, _BREATH_STD, _HEART_STD)

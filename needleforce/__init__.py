@@ -4,12 +4,13 @@
     estimate = session.update(q, dq, tau, dt_s)     # every tick
     session.tare()                                  # once, in free air
 
-The names below live in `urdf`, `residual`, `identification` and the modules of this package; each
-is imported when it is first used, so that ``import needleforce`` costs next to nothing.
+The names below live in `urdf`, `residual`, `identification` and the modules of this
+package; each is imported when it is first used, so that ``import needleforce`` costs
+next to nothing.
 
-Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside it),
-`snapshot`, `jit`; then the packages `recordings`, `plots`, `cli`, `control` (what moves the
-needle), `anatomy` (what it enters).
+Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
+it), `snapshot`, `jit`; then the packages `recordings`, `plots`, `cli`, `control` (what
+moves the needle), `anatomy` (what it enters).
 """
 
 from importlib import import_module

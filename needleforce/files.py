@@ -14,11 +14,12 @@ from typing import BinaryIO
 def whole_file(
     path: str | os.PathLike[str], *, is_in_place: bool = False
 ) -> Iterator[BinaryIO]:
-    """Open a file that takes the place of an older one when the block has ended without an error.
+    """Open a file that takes the place of an older one when the block has ended without
+    an error.
 
-    Otherwise the older one stays as it was. A pipe or a device stays what it is and is written to,
-    and so is what shall be written in place; of a link what it points at is replaced. `OSError` if
-    the file cannot be written.
+    Otherwise the older one stays as it was. A pipe or a device stays what it is and is
+    written to, and so is what shall be written in place; of a link what it points at is
+    replaced. `OSError` if the file cannot be written.
     """
     place = part = Path(os.path.realpath(path))
     stays = is_in_place or (place.exists() and not place.is_file())

@@ -31,17 +31,20 @@ COMPILER = (
 def compiled(function: Function) -> Function:
     """Compile a pure function, if numba is there.
 
-    It takes and returns numbers, truth values, arrays and tuples of them, raises nothing, and uses
-    functions and constants of its own file and `dot` only. It is compiled once ever, in about a
-    second, and kept on disk beside the file; what is kept would not notice a change in another one.
+    It takes and returns numbers, truth values, arrays and tuples of them, raises
+    nothing, and uses functions and constants of its own file and `dot` only. It is
+    compiled once ever, in about a second, and kept on disk beside the file; what is
+    kept would not notice a change in another one.
 
-    That happens when its module is imported, where every parameter is annotated as `float`, `int`,
-    `bool`, one of the arrays above or a tuple of a fixed number of them; what it calls then stands
-    above it. Where one is not (``Any``, ``tuple[float, ...]``), whoever calls it in a tick calls it
-    once when constructed, with the same types. No tick waits for a compiler.
+    That happens when its module is imported, where every parameter is annotated as
+    `float`, `int`, `bool`, one of the arrays above or a tuple of a fixed number of
+    them; what it calls then stands above it. Where one is not (``Any``, ``tuple[float,
+    ...]``), whoever calls it in a tick calls it once when constructed, with the same
+    types. No tick waits for a compiler.
 
-    Where nothing compiles the function itself is returned: give it numeric expressions that numpy
-    runs nearly as fast, and loops only if its caller has another way where `COMPILER` is empty.
+    Where nothing compiles the function itself is returned: give it numeric expressions
+    that numpy runs nearly as fast, and loops only if its caller has another way where
+    `COMPILER` is empty.
     """
     if not COMPILER:
         return function
@@ -59,8 +62,8 @@ def compiled(function: Function) -> Function:
 def compiled_or(plain: Callable[..., Any]) -> Callable[[Function], Function]:
     """As `compiled`, with another way where nothing compiles.
 
-    Compiled, loops over single numbers run four times as fast as numpy's calls on small arrays;
-    as plain Python fifty times slower: `plain` then does the same with numpy.
+    Compiled, loops over single numbers run four times as fast as numpy's calls on small
+    arrays; as plain Python fifty times slower: `plain` then does the same with numpy.
     """
     return lambda loops: compiled(loops) if COMPILER else cast(Function, plain)
 
@@ -68,8 +71,8 @@ def compiled_or(plain: Callable[..., Any]) -> Callable[[Function], Function]:
 def working_copy(array: NDArray[np.float64]) -> Any:
     """A copy whose single numbers compiled functions read and write.
 
-    Where nothing compiles, a list, of a matrix one of lists: Python takes a number out of it in a
-    third of the time, and calculates with it in a third.
+    Where nothing compiles, a list, of a matrix one of lists: Python takes a number out
+    of it in a third of the time, and calculates with it in a third.
     """
     return array.copy() if COMPILER else array.tolist()
 
@@ -94,7 +97,9 @@ def _numba_type(hint: Any) -> Any:
 
 @compiled_or(np.dot)
 def dot(a: Vector, b: Vector) -> float:
-    """Scalar product: of a few numbers a loop takes a tenth of the time that BLAS takes."""
+    """Scalar product: of a few numbers a loop takes a tenth of the time that BLAS
+    takes.
+    """
     total = 0.0
     for k in range(len(a)):
         total += a[k] * b[k]

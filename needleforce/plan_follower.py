@@ -1,4 +1,6 @@
-"""The plan beside a session: ruptures are matched with it, false alarms taken back from it."""
+"""The plan beside a session: ruptures are matched with it, false alarms taken back
+from it.
+"""
 
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -68,7 +70,9 @@ class PlanFollower:
         self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
 
     def follow(self, found: Estimate, depth_m: float, identifier: Identifier) -> None:
-        """Take events to the plan, and read it where there was one or the tip has moved."""
+        """Take events to the plan, and read it where there was one or the tip has
+        moved.
+        """
         if self._plan is None or not np.isfinite(depth_m):
             return
         last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture

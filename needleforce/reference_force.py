@@ -1,4 +1,6 @@
-"""A force/torque sensor beside a session: the axial force it reads, and how far the two differ."""
+"""A force/torque sensor beside a session: the axial force it reads, and how far the
+two differ.
+"""
 
 import math
 from collections import deque
@@ -18,23 +20,26 @@ class ForceSensor(Protocol):
     """A sensor between flange and tool, as `needleforce.devices.NetFT`."""
 
     def read(self) -> NDArray[np.float64] | None:
-        """The newest force [N] and torque [Nm], shape (6,), in its axes; None if nothing came."""
+        """The newest force [N] and torque [Nm], shape (6,), in its axes; None if
+        nothing came.
+        """
         ...
 
 
 class ReferenceForce:
     """What a sensor between flange and tool says of the force that a session estimates.
 
-    Its zero is set with the tare and holds the weight of the tool: a needle that leans more or less
-    afterwards reads otherwise. The lag of the estimate counts as difference.
+    Its zero is set with the tare and holds the weight of the tool: a needle that leans
+    more or less afterwards reads otherwise. The lag of the estimate counts as
+    difference.
 
     Args:
         sensor: Read once per tick.
         axis: Direction of insertion in the sensor's axes, shape (3,), not all zero.
 
     Attributes:
-        axial_N: Resistance to insertion that it reads, positive where tissue pushes back; NaN
-            before `zero`, and where nothing has come for 100 ticks.
+        axial_N: Resistance to insertion that it reads, positive where tissue pushes
+            back; NaN before `zero`, and where nothing has come for 100 ticks.
         count: Ticks that were compared: those with a reading and a valid estimate.
     """
 
@@ -46,7 +51,9 @@ class ReferenceForce:
 
     @property
     def rms_N(self) -> float:
-        """Root mean square of estimate less reading since the zero [N]; NaN before any."""
+        """Root mean square of estimate less reading since the zero [N]; NaN before
+        any.
+        """
         return math.sqrt(self._squares_N2 / self.count) if self.count else math.nan
 
     def zero(self) -> bool:

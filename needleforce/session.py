@@ -40,7 +40,9 @@ _new = tuple.__new__  # makes a named tuple in half the time: there is one in ev
 
 
 class InsertionError(Exception):
-    """Base of the errors of a session; errors of `residual` and `identification` pass through."""
+    """Base of the errors of a session; errors of `residual` and `identification`
+    pass through.
+    """
 
 
 class SettingError(InsertionError, ValueError):
@@ -62,15 +64,16 @@ class SessionEstimate(NamedTuple):
         wrench: Force on the needle, see `WrenchEstimate`.
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
         speed_m_s: Its rate.
-        identification: Layers, friction, tip force: that of the last tick used for identification,
-            its events (``rupture``, ``identified_layer``, ``retracted``) only in the tick that
-            brought them. Times are on this session's clock, depths from its zero.
+        identification: Layers, friction, tip force: that of the last tick used for
+            identification, its events (``rupture``, ``identified_layer``,
+            ``retracted``) only in the tick that brought them. Times are on this
+            session's clock, depths from its zero.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
-        time_s: Sum of the time steps since the first sample after `reset` [s]: the clock of all
-            events. Rejected samples count, a clock that was set does not.
-        plan: What plan and ruptures say together: the layer, the next boundary, the offset; None
-            before the tare, and without `InsertionSession.follow`.
+        time_s: Sum of the time steps since the first sample after `reset` [s]: the
+            clock of all events. Rejected samples count, a clock that was set does not.
+        plan: What plan and ruptures say together: the layer, the next boundary, the
+            offset; None before the tare, and without `InsertionSession.follow`.
     """
 
     wrench: WrenchEstimate
@@ -127,23 +130,27 @@ _USED = tuple(status for status in SampleStatus if status.is_used)
 class InsertionSession:
     """Virtual sensor, tip travel and identifier in one.
 
-    Call `update` every tick from the start of the robot; move in free air, call `tare`, insert.
-    For another insertion with the same tare call `begin_insertion` above the tissue.
+    Call `update` every tick from the start of the robot; move in free air, call `tare`,
+    insert. For another insertion with the same tare call `begin_insertion` above the
+    tissue.
 
-    Only forces of this tick (`Status.OK`) without a warning that makes them worthless (joint limit,
-    singular pose, frozen signal, model mismatch, expired tare, wrong velocity) are used for
-    identification. In other ticks its last estimate stays and time passes: after a longer gap it
-    reports ``TIME_GAP`` and starts its local predictions again.
+    Only forces of this tick (`Status.OK`) without a warning that makes them worthless
+    (joint limit, singular pose, frozen signal, model mismatch, expired tare, wrong
+    velocity) are used for identification. In other ticks its last estimate stays and
+    time passes: after a longer gap it reports ``TIME_GAP`` and starts its local
+    predictions again.
 
-    Depth counts from `zero`: the tare or the last `begin_insertion`, before both the first sample.
+    Depth counts from `zero`: the tare or the last `begin_insertion`, before both the
+    first sample.
 
     Args:
-        robot: The arm with its payload; the z axis of its tool frame is the needle, unless
-            ``sensor_config`` names another frame or axis.
+        robot: The arm with its payload; the z axis of its tool frame is the needle,
+            unless ``sensor_config`` names another frame or axis.
         sensor_config: Settings of the virtual sensor.
         identifier_config: Settings of the identifier.
-        speed_lag_s: Time constant of a low-pass on the speed that the identifier gets [s]. Ours
-            needs none; the published one takes speed as exact and wants 20 ms on an arm.
+        speed_lag_s: Time constant of a low-pass on the speed that the identifier gets
+            [s]. Ours needs none; the published one takes speed as exact and wants 20 ms
+            on an arm.
 
     Raises:
         SettingError: For a negative or infinite lag.
@@ -200,7 +207,9 @@ class InsertionSession:
 
     @property
     def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]; 0 before the first sample."""
+        """Time by which the estimate follows the force [s]; 0 before the first
+        sample.
+        """
         return self._sensor.lag_s
 
     @property
@@ -220,7 +229,8 @@ class InsertionSession:
 
         Args:
             q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
+            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that
+                sends none.
             tau: Measured link-side joint torques [Nm], shape (n,).
             dt_s: Time since the previous call [s]; not read on the first one.
 
@@ -236,10 +246,11 @@ class InsertionSession:
         external_torque: ArrayLike,
         dt_s: float,
     ) -> SessionEstimate:
-        """Take one sample of an external-torque estimate that the robot supplies itself.
+        """Take one sample of an external-torque estimate that the robot supplies
+        itself.
 
-        As `update`, with the torque of the environment on the joints [Nm], shape (n,), in place of
-        the measured one.
+        As `update`, with the torque of the environment on the joints [Nm], shape (n,),
+        in place of the measured one.
         """
         return self._follow(
             self._sensor.update_external_torque(q, dq, external_torque, dt_s)
@@ -249,18 +260,22 @@ class InsertionSession:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
 
         Args:
-            ignore_contact: Tare even with contact detected, or velocities that cannot be.
+            ignore_contact: Tare even with contact detected, or velocities that cannot
+                be.
 
         Raises:
-            TareError: Without data, a second time without `start_tare_recording`, with contact
-                detected or velocities that do not fit positions; nothing has then changed.
+            TareError: Without data, a second time without `start_tare_recording`, with
+                contact detected or velocities that do not fit positions; nothing has
+                then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
         return tare
 
     def start_tare_recording(self) -> None:
-        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then."""
+        """Record free motion anew for the next `tare`; estimates are `NOT_TARED`
+        until then.
+        """
         self._sensor.start_tare_recording()
 
     def follow(
@@ -271,8 +286,8 @@ class InsertionSession:
         Args:
             plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
             entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
-                `Registration.to_robot` gives it; None where the plan's depths count from where the
-                session's do.
+                `Registration.to_robot` gives it; None where the plan's depths count
+                from where the session's do.
 
         Raises:
             SettingError: For anything but a plan, or an entry that is no point.
@@ -323,12 +338,14 @@ class InsertionSession:
         return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
 
     def restore(self, snapshot: SessionSnapshot) -> None:
-        """Go on, bit for bit, from where `snapshot` was taken; an error changes nothing.
+        """Go on, bit for bit, from where `snapshot` was taken; an error changes
+        nothing.
 
         Raises:
-            SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of another
-                speed lag or plan.
-            residual.SnapshotError: A damaged one, or of another robot or settings of the sensor.
+            SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of
+                another speed lag or plan.
+            residual.SnapshotError: A damaged one, or of another robot or settings of
+                the sensor.
             identification.IdentificationError: One of other settings of the identifier.
         """
         if not isinstance(snapshot, SessionSnapshot):
@@ -421,7 +438,8 @@ class InsertionSession:
             self._zero_depth()
             self._is_started = True
         else:
-            # The sensor's clock counts the time of rejected samples and knows one that was set.
+            # The sensor's clock counts the time of rejected samples and knows one that
+            # was set.
             self._time_s += self._sensor.elapsed_s
         sensor, tool, axis = self._sensor, self._tool, self.zero.axis_in_base
         elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
@@ -441,7 +459,8 @@ class InsertionSession:
             depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N
         )
         if found.rupture is not None:
-            # A push on the arm looks like a rupture, even before the checks, every 20 ms, know it.
+            # A push on the arm looks like a rupture, even before the checks, every 20
+            # ms, know it.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & _PUSHED:
                 return self._skip(wrench, 0.0)  # its time was used: that is taken back
@@ -456,7 +475,9 @@ class InsertionSession:
         return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
     def _keep_checkpoint(self) -> None:
-        """Keep where to go back to, not before events: what was reported is not reported again."""
+        """Keep where to go back to, not before events: what was reported is not
+        reported again.
+        """
         if self._is_due:  # since the last sample, which had enough to do
             now, self._is_due = (
                 Checkpoint(self._time_s, self._identifier.snapshot()),
@@ -465,9 +486,11 @@ class InsertionSession:
             self._earlier = now if self._had_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
-        """A valid tick that the identification does not get, or that raised a rupture in a push.
+        """A valid tick that the identification does not get, or that raised a rupture
+        in a push.
 
-        The first with a push on the arm also takes back what that has done before it was known.
+        The first with a push on the arm also takes back what that has done before it
+        was known.
         """
         self._unused_s += elapsed_s
         before = self._earlier[0]

@@ -1,9 +1,11 @@
-"""Snapshots in files: the state tree of a session, a sensor or an identifier, bit for bit.
+"""Snapshots in files: the state tree of a session, a sensor or an identifier, bit for
+bit.
 
-A snapshot is a tree of named tuples, frozen data classes, enumerations, numbers and float64 arrays.
-`msgspec` writes it as MessagePack and reads it back by the annotations of its types: a file cannot
-name a type, and nothing in it is executed. The envelope carries a format name, a version, what the
-snapshot is of, and the SHA-256 of its bytes; see docs/loop.md.
+A snapshot is a tree of named tuples, frozen data classes, enumerations, numbers and
+float64 arrays. `msgspec` writes it as MessagePack and reads it back by the annotations
+of its types: a file cannot name a type, and nothing in it is executed. The envelope
+carries a format name, a version, what the snapshot is of, and the SHA-256 of its bytes;
+see docs/loop.md.
 """
 
 import hashlib
@@ -38,7 +40,8 @@ _KINDS = {
     "sensor": SensorState,
     "identifier": IdentifierSnapshot,
 }
-# The annotations of an identifier's snapshot name both methods; the envelope says which it is.
+# The annotations of an identifier's snapshot name both methods; the envelope says which
+# it is.
 _METHODS: dict[str, dict[str, Any]] = {
     "multilayer": {"config": MultilayerConfig, "state": SwitchingState},
     "published": {"config": PublishedConfig, "state": PublishedState},
@@ -181,7 +184,8 @@ def _typed(data: bytes, kind: Any) -> Any:
 
 
 def _plain_array(value: Any) -> Any:
-    """An array as its shape, its order in memory and its bytes; a number of numpy as Python's.
+    """An array as its shape, its order in memory and its bytes; a number of numpy as
+    Python's.
 
     The order of numbers in memory decides the order of sums, and that their last bit.
     """

@@ -1,4 +1,6 @@
-"""Travel of the needle's tip from joint positions and velocities, also as late as the force."""
+"""Travel of the needle's tip from joint positions and velocities, also as late as
+the force.
+"""
 
 import math
 from typing import NamedTuple
@@ -23,11 +25,13 @@ class TravelZero(NamedTuple):
 
 @compiled
 def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
-    """Place of the tip along an axis in base axes [m], and its speed along the needle [m/s].
+    """Place of the tip along an axis in base axes [m], and its speed along the needle
+    [m/s].
 
-    The axis has length one, shape (3,); joint velocities are in rad/s, shape (n,). With linear and
-    angular velocity v and w of the link that carries the needle, at the base's origin, the tip at r
-    has the speed v . d + w . (r x d) along the needle's direction d.
+    The axis has length one, shape (3,); joint velocities are in rad/s, shape (n,). With
+    linear and angular velocity v and w of the link that carries the needle, at the
+    base's origin, the tip at r has the speed v . d + w . (r x d) along the needle's
+    direction d.
     """
     place, axes, jacobian, tip, direction = needle
     at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
@@ -52,10 +56,12 @@ def travel_step(
 ) -> tuple[float, float, float, float]:
     """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
 
-    Depth grows inwards along the needle's direction at the zero; speed is along its present one.
+    Depth grows inwards along the needle's direction at the zero; speed is along its
+    present one.
 
-    A needle that a hand drives changes its speed within the observer's lag: the force of a moment
-    ago, beside the speed of now, would look like friction that comes and goes.
+    A needle that a hand drives changes its speed within the observer's lag: the force
+    of a moment ago, beside the speed of now, would look like friction that comes and
+    goes.
 
     Args:
         tip: What `tip_motion` takes.

@@ -1,9 +1,10 @@
 """Joint signals to external joint torque to wrench: the virtual force/torque sensor.
 
-Reading order: `momentum_observer` (the equation and the residual), `fault_detection` (what is no
-measurement), `sample_stream` (samples to residual), `bias_model`, `bias_fit` and `bias_estimator`
-(offset removal), `wrench_estimator` (equation 13), `consistency_checks` (when it may be wrong),
-`virtual_force_sensor` (all of it in two calls).
+Reading order: `momentum_observer` (the equation and the residual), `fault_detection`
+(what is no measurement), `sample_stream` (samples to residual), `bias_model`,
+`bias_fit` and `bias_estimator` (offset removal), `wrench_estimator` (equation 13),
+`consistency_checks` (when it may be wrong), `virtual_force_sensor` (all of it in two
+calls).
 """
 
 from residual.bias_model import BiasPrior

@@ -1,4 +1,6 @@
-"""Records free motion, fits the tare, subtracts the bias, and gives the covariance of the rest."""
+"""Records free motion, fits the tare, subtracts the bias, and gives the covariance
+of the rest.
+"""
 
 import math
 from dataclasses import dataclass
@@ -22,24 +24,26 @@ MOST_BLOCKS = (
     400  # Then the older half is merged in pairs: fitting 400 takes part of a second
 )
 WEIGH_S = 0.25
-"""Time after which the covariance is renewed: it changes with pose and age, both slowly. It is
-renewed at once when motion makes a variance grow by `MOST_GROWTH` of itself."""
+"""Time after which the covariance is renewed: it changes with pose and age, both
+slowly. It is renewed at once when motion makes a variance grow by `MOST_GROWTH` of
+itself."""
 MOST_GROWTH = 0.1
 SMOOTHING_S = 0.05
-"""Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder noise in it
-stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses a sixth."""
+"""Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder
+noise in it stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses
+a sixth."""
 
 
 @dataclass(slots=True, eq=False)
 class TareRecorder:
     """Sums of residual, position and joint states over short blocks of free motion.
 
-    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older half become
-    one; the latest blocks stay short.
+    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older
+    half become one; the latest blocks stay short.
     """
 
-    # Per block: number of samples, and the sums of their times [s], positions, residuals, squared
-    # residuals and states; shape (m, 5 + states, n)
+    # Per block: number of samples, and the sums of their times [s], positions,
+    # residuals, squared residuals and states; shape (m, 5 + states, n)
     sums: Array
     open: Array  # The same of the block that is not complete yet, shape (5 + states, n)
     age_s: float = 0.0  # Length of that block so far [s]
@@ -52,7 +56,9 @@ class TareRecorder:
     def add(
         self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float
     ) -> None:
-        """Add position [rad], joint states and residual [Nm] a time after the last ones."""
+        """Add position [rad], joint states and residual [Nm] a time after the last
+        ones.
+        """
         one = np.ones_like(q)
         self.open += np.vstack(
             (one, now_s * one, q, residual, residual * residual, states)
@@ -70,7 +76,9 @@ class TareRecorder:
             )
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
-        """What was recorded, or the last ``window_s`` of it [s]; there must be a block."""
+        """What was recorded, or the last ``window_s`` of it [s]; there must be a
+        block.
+        """
         means = self.sums / self.sums[:, :1]
         age_s = means[:, 1, 0] - now_s
         if window_s is not None:
@@ -115,8 +123,8 @@ class BiasState:
     renewed_s: float = 0.0  # When states and offset were renewed last [s]
     due_s: float = 0.0  # When they are renewed next [s]
     summed: int = 0  # Number of torques in the sum
-    # Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free motion is
-    # recorded [s]
+    # Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free
+    # motion is recorded [s]
     leapt_s: float = 0.0
 
 
@@ -127,18 +135,21 @@ class BiasEstimator:
 
     Attributes:
         block_s: Length of a recorded block [s].
-        memory: All that it remembers, to be read every tick, not to be written; one of the same
-            robot and settings may stand in its place.
+        memory: All that it remembers, to be read every tick, not to be written; one of
+            the same robot and settings may stand in its place.
     """
 
     RENEW_S = 0.02
-    """Interval at which the bias is renewed: it changes slowly, with pose and torque."""
+    """Interval at which the bias is renewed: it changes slowly, with pose and
+    torque."""
     LEAP_S = 60.0
-    """A longer time step is a pause or a clock that was set: one step cannot show which. It counts
-    as a pause and is reported until the next tare; free motion recorded before it is forgotten.
-    Drift is hundredths of a newton in a minute, newtons in an hour."""
+    """A longer time step is a pause or a clock that was set: one step cannot show
+    which. It counts as a pause and is reported until the next tare; free motion
+    recorded before it is forgotten. Drift is hundredths of a newton in a minute,
+    newtons in an hour."""
     BLOCK_LAGS = 2.0
-    """Length of a recorded block in lags of the observer: blocks are then nearly independent."""
+    """Length of a recorded block in lags of the observer: blocks are then nearly
+    independent."""
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
@@ -154,7 +165,9 @@ class BiasEstimator:
 
     @property
     def warning(self) -> str:
-        """Effect of a long time step on the tare or the recorded motion; empty without one."""
+        """Effect of a long time step on the tare or the recorded motion; empty
+        without one.
+        """
         if self.memory.leapt_s == 0.0:
             return ""
         return TARE_EXPIRED if self.memory.tared else FORGOTTEN
@@ -166,9 +179,11 @@ class BiasEstimator:
         return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
     def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
-        """Use position [rad], velocity, torque [Nm] `dt_s` after the last; kept, not copied.
+        """Use position [rad], velocity, torque [Nm] `dt_s` after the last; kept, not
+        copied.
 
-        Returns whether joint states and bias were renewed: the covariance may then be renewed, too.
+        Returns whether joint states and bias were renewed: the covariance may then be
+        renewed, too.
         """
         memory = self.memory
         memory.q, memory.dq = q, dq
@@ -187,7 +202,9 @@ class BiasEstimator:
         return True
 
     def _renew(self) -> None:
-        """Renew what changes slowly: hysteresis, friction, the offset, and the error by motion."""
+        """Renew what changes slowly: hysteresis, friction, the offset, and the error
+        by motion.
+        """
         memory, basis, q = self.memory, self._basis, self.memory.q
         dt_s = memory.now_s - memory.renewed_s
         torque = memory.torque_sum / memory.summed
@@ -205,8 +222,9 @@ class BiasEstimator:
                 *followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s
             )
         memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
-        # A tare is recorded in slow motion: it corrects masses and first moments as far as gravity
-        # shows them. Torque that accelerates the links stays as uncertain as the prior's masses.
+        # A tare is recorded in slow motion: it corrects masses and first moments as far
+        # as gravity shows them. Torque that accelerates the links stays as uncertain as
+        # the prior's masses.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
         motion = pin.rnea(
@@ -255,7 +273,8 @@ class BiasEstimator:
     ) -> Tare:
         """Fit the offset to what was recorded; arguments as of `check_free_of_contact`.
 
-        `TareError` without new data, or with contact in sight; the tare in force then stays.
+        `TareError` without new data, or with contact in sight; the tare in force then
+        stays.
         """
         memory = self.memory
         if memory.tared:
@@ -282,7 +301,9 @@ class BiasEstimator:
         return fit.tare
 
     def start_tare_recording(self) -> None:
-        """Forget what was recorded and record anew; the tare in force stays until the next."""
+        """Forget what was recorded and record anew; the tare in force stays until
+        the next.
+        """
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared, self.memory.leapt_s = False, 0.0
 

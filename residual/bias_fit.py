@@ -1,9 +1,11 @@
-"""Fits a tare to blocks of free motion: Bayesian least squares with sizes that are learnt.
+"""Fits a tare to blocks of free motion: Bayesian least squares with sizes that are
+learnt.
 
-The prior states how large link errors, friction and drift are on arms of a kind. On one arm they
-may be several times smaller or larger: the sizes that make the motion likeliest are used (empirical
-Bayes), so that the tare's covariance is that of this arm. The size of hysteresis is not learnt: in
-air it is so similar to friction that each would take half of the other.
+The prior states how large link errors, friction and drift are on arms of a kind. On one
+arm they may be several times smaller or larger: the sizes that make the motion
+likeliest are used (empirical Bayes), so that the tare's covariance is that of this arm.
+The size of hysteresis is not learnt: in air it is so similar to friction that each
+would take half of the other.
 """
 
 from collections.abc import Iterator
@@ -15,8 +17,8 @@ from residual.bias_model import BiasModel, Tare, TareBlocks
 from residual.errors import Array
 
 LEARNT = ("links", "friction", "drift")
-"""Groups of columns whose size is learnt, as is the random walk's; offset and ripple show directly
-in the data."""
+"""Groups of columns whose size is learnt, as is the random walk's; offset and ripple
+show directly in the data."""
 OCTAVES = np.arange(
     -2.0, 5.1
 )  # sizes that are tried: powers of two, relative to the prior's
@@ -27,8 +29,8 @@ SWEEPS = 3  # passes over the groups, one at a time
 WALK_TERMS = 8  # of the Karhunen-Loeve series of a random walk: 96 % of its variance
 CONTACT_STD_N = 100.0  # prior deviation of a contact's force: practically any
 FEW_BLOCKS = 8
-"""Least blocks for a variance from their differences: seven give it to two thirds of itself, fewer
-may give nearly zero by chance, and the blocks would get too much weight."""
+"""Least blocks for a variance from their differences: seven give it to two thirds of
+itself, fewer may give nearly zero by chance, and the blocks would get too much weight."""
 BATCHES = (
     1,
     2,
@@ -39,21 +41,23 @@ BATCHES = (
 class FreeMotionFit:
     """The likeliest causes of the residuals of a free motion.
 
-    Two passes. The first assumes independent noise, as large as between neighbouring blocks; what
-    it leaves beyond that is the sensors' waviness, a wave along each joint's position that repeats
-    when the joint returns. The second pass includes the waves in the noise, so that they do not
-    count as many independent samples of a slope.
+    Two passes. The first assumes independent noise, as large as between neighbouring
+    blocks; what it leaves beyond that is the sensors' waviness, a wave along each
+    joint's position that repeats when the joint returns. The second pass includes the
+    waves in the noise, so that they do not count as many independent samples of a
+    slope.
 
     Args:
         basis: The causes.
         blocks: The motion.
-        contact: Torque per newton of a force that is fitted beside them [Nm/N], shape (blocks, n,
-            3); None if there is none.
+        contact: Torque per newton of a force that is fitted beside them [Nm/N], shape
+            (blocks, n, 3); None if there is none.
         learn: Whether the sizes are learnt; the prior's otherwise.
 
     Attributes:
         tare: What was found.
-        sizes: Of the groups in `LEARNT` and of the random walk, relative to the prior's.
+        sizes: Of the groups in `LEARNT` and of the random walk, relative to the
+            prior's.
     """
 
     def __init__(
@@ -99,9 +103,12 @@ class FreeMotionFit:
     def _fit(
         self, basis: BiasModel, std: Array, groups: dict[str, slice], is_few: bool
     ) -> Array:
-        """Both passes; returns the variance of a single residual about the fit, shape (n,)."""
+        """Both passes; returns the variance of a single residual about the fit,
+        shape (n,).
+        """
         blocks, residual = self.blocks, self.blocks.residual_Nm
-        # With few blocks their differences mean nothing: a block then counts as noisy as a sample.
+        # With few blocks their differences mean nothing: a block then counts as noisy
+        # as a sample.
         least = np.square(basis.prior.resolution_fraction * basis.effort_Nm)
         white = least + (
             blocks.scatter_Nm2 if is_few else _noise_density(residual, (1,))
@@ -121,13 +128,17 @@ class FreeMotionFit:
         )
 
     def contact_N(self, axis: Array) -> tuple[float, float]:
-        """The force that was fitted, along an axis, shape (3,), and its standard deviation [N]."""
+        """The force that was fitted, along an axis, shape (3,), and its standard
+        deviation [N].
+        """
         own = slice(len(self.tare.mean), len(self.tare.mean) + 3)
         variance = float(axis @ self._covariance[own, own] @ axis)
         return float(axis @ self._mean[own]), float(np.sqrt(variance))
 
     def _rows(self) -> Iterator[tuple[int, Array]]:
-        """Every joint with its columns over all blocks, the walk's last; shape (blocks, m)."""
+        """Every joint with its columns over all blocks, the walk's last; shape
+        (blocks, m).
+        """
         joints, terms = self._columns.shape[1], self._walk.shape[1]
         for joint in range(joints):
             walk = np.zeros((len(self._walk), joints * terms))
@@ -135,7 +146,9 @@ class FreeMotionFit:
             yield joint, np.hstack((self._columns[:, joint], walk))
 
     def _solve(self, std: Array, groups: dict[str, slice]) -> Array:
-        """Learn the sizes, then mean and covariance; returns what is left, shape (blocks, n)."""
+        """Learn the sizes, then mean and covariance; returns what is left, shape
+        (blocks, n).
+        """
         residual = self.blocks.residual_Nm
         information, evidence = np.zeros((len(std), len(std))), np.zeros(len(std))
         for joint, rows in self._rows():
@@ -157,10 +170,12 @@ class FreeMotionFit:
         )
 
     def _lagging(self, mean: Array, covariance: Array) -> Array:
-        """Parameters, in units of the prior, with non-negative sizes of the wide hysteresis loops.
+        """Parameters, in units of the prior, with non-negative sizes of the wide
+        hysteresis loops.
 
-        Torque noise drives the loops, too, so least squares can find negative ones, whose output
-        leads: wide ones would hide changes of the force. The narrowest removes some of the noise.
+        Torque noise drives the loops, too, so least squares can find negative ones,
+        whose output leads: wide ones would hide changes of the force. The narrowest
+        removes some of the noise.
         """
         basis, loops = self.basis, self.basis.groups.get("hysteresis")
         if loops is None or basis.loops == 1:
@@ -173,11 +188,13 @@ class FreeMotionFit:
         return mean + covariance[:, wide] @ (shared @ change)
 
     def information_on(self, torque: Array) -> tuple[Array, Array]:
-        """Information about causes that were not fitted, with all fitted parameters left free.
+        """Information about causes that were not fitted, with all fitted parameters
+        left free.
 
-        From the torque of a unit of every such cause [Nm], shape (blocks, n, causes), it returns
-        their information, shape (causes, causes), and evidence, shape (causes,). The estimate of a
-        sum of causes is the sum of its evidence over that of its information.
+        From the torque of a unit of every such cause [Nm], shape (blocks, n, causes),
+        it returns their information, shape (causes, causes), and evidence, shape
+        (causes,). The estimate of a sum of causes is the sum of its evidence over that
+        of its information.
         """
         count = torque.shape[2]
         information, evidence = np.zeros((count, count)), np.zeros(count)
@@ -191,7 +208,9 @@ class FreeMotionFit:
 
 
 def _walk_columns(age_s: Array, terms: int) -> Array:
-    """Random walk as sines of Karhunen and Loeve, zero at the tare's end; shape (blocks, terms)."""
+    """Random walk as sines of Karhunen and Loeve, zero at the tare's end; shape
+    (blocks, terms).
+    """
     span_s = max(float(-age_s.min()), 1e-3)
     rate = (np.arange(terms) + 0.5) * np.pi / span_s
     return np.sqrt(2.0 / span_s) / rate * np.sin(-age_s[:, None] * rate)
@@ -229,9 +248,11 @@ def _likeliest_sizes(
 
 
 def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
-    """Variance per joint of white noise as strong as this noise at low frequency, shape (n,).
+    """Variance per joint of white noise as strong as this noise at low frequency, shape
+    (n,).
 
-    Batch means: averaging several blocks reduces noise that outlasts a block less than white noise.
+    Batch means: averaging several blocks reduces noise that outlasts a block less than
+    white noise.
     """
     found = []
     for size in batches:
@@ -248,9 +269,10 @@ def _wave_variance(
 ) -> Array:
     """Variance of the sensors' waviness per joint [Nm^2], shape (n,).
 
-    It is what the first pass left beyond the white noise. In a joint that moved less than a few
-    wavelengths the fit has taken the wave for a slope: it gets the variance of the others, in
-    proportion to range, since an arm's torque sensors are of one kind.
+    It is what the first pass left beyond the white noise. In a joint that moved less
+    than a few wavelengths the fit has taken the wave for a slope: it gets the variance
+    of the others, in proportion to range, since an arm's torque sensors are of one
+    kind.
     """
     own = np.maximum((left**2).mean(axis=0) - white, 0.0)
     moved = travel_rad > 4.0 * basis.prior.wave_rad

@@ -1,10 +1,11 @@
 """Model of the bias: what a robot's residual reads without contact.
 
-Section IV of the paper subtracts a constant r_0, which holds only near where it was taken. Here
-the bias is a linear model of physical causes with a prior on each (`BiasModel`), fitted by
-Bayesian least squares over the free motion before contact. It extrapolates along the insertion
-and its covariance says how far. The offset is subtracted from the observer's output, never inside
-its integral, so that it does not fade.
+Section IV of the paper subtracts a constant r_0, which holds only near where it was
+taken. Here the bias is a linear model of physical causes with a prior on each
+(`BiasModel`), fitted by Bayesian least squares over the free motion before contact. It
+extrapolates along the insertion and its covariance says how far. The offset is
+subtracted from the observer's output, never inside its integral, so that it does not
+fade.
 """
 
 import math
@@ -21,8 +22,9 @@ from residual.input_validation import check_choice, known_limits
 from urdf import Robot
 
 TareKind = Literal["constant", "model"]
-"""``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of a small
-error of every link's mass and first moments, of the sensors' hysteresis and of their drift."""
+"""``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of
+a small error of every link's mass and first moments, of the sensors' hysteresis and of
+their drift."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,41 +32,46 @@ class BiasPrior:
     """Standard deviations of what the tare fits, before it has seen data.
 
     They are properties of a class of arms, not of one recording; fractions are of each
-    joint's effort limit, the range of its torque sensor. The sizes of link errors, friction, drift
-    and walk are where the tare starts from: the motion corrects them, see `residual.bias_fit`.
+    joint's effort limit, the range of its torque sensor. The sizes of link errors,
+    friction, drift and walk are where the tare starts from: the motion corrects them,
+    see `residual.bias_fit`.
 
     Attributes:
-        offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind start with
-            0.1 to 1 Nm on joints of 100 to 176 Nm.
-        mass_fraction: Error of a link's mass, as a fraction of it. 5 %: two published CAD-grade
-            tables of one arm differ by that much.
+        offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind
+            start with 0.1 to 1 Nm on joints of 100 to 176 Nm.
+        mass_fraction: Error of a link's mass, as a fraction of it. 5 %: two published
+            CAD-grade tables of one arm differ by that much.
         com_m: Error of a link's centre of mass [m]. 5 mm, after the same two tables.
-        hysteresis_fraction: Hysteresis of the torque sensor, per loop of `hysteresis_widths`.
-            0.01 %: well within the 0.5 % linearity such sensors are sold with.
+        hysteresis_fraction: Hysteresis of the torque sensor, per loop of
+            `hysteresis_widths`. 0.01 %: well within the 0.5 % linearity such sensors
+            are sold with.
         hysteresis_widths: Half widths of the loops, as fractions of range; several, a
             Prandtl-Ishlinskii model, since the width of a loop is not known beforehand.
         ripple_fraction: Amplitude of the ripple of a joint with a known `gear_ratio`.
-        gear_ratio: Of the harmonic drive of each joint, if known: ripple of its torque sensor at
-            twice the motor angle is then fitted. Empty if unknown.
-        wave_rad: Correlation length of a torque sensor's waviness [rad]. A harmonic drive of 160:1
-            has a ripple of period pi/160 = 0.02 rad: a quarter of that.
-        friction_fraction: Coulomb friction of a bearing between torque sensor and link; the excess
-            at low speed has the same prior. 0.03 %: a bearing of 50 mm radius under 100 N with a
-            friction coefficient of rolling, 0.005, has 0.025 Nm.
-        viscous_fraction_s: Viscous friction there, per rad/s. 0.4 %: an identification of a real
-            LWR 4+ found 0.19 to 0.84 Nm s/rad on joints of 38 to 176 Nm.
-        stribeck_rad_s: Speed over which friction falls from that at rest to Coulomb friction; ball
-            bearings and seals do so within hundredths of a radian per second.
-        presliding_rad: Half the rotation over which friction reverses, per Maxwell-slip element;
-            until then a bearing is a spring. Rolling bearings slide after 5 to 50 um: at a radius
-            of 50 mm 0.1 to 1 mrad.
-        drift_fraction_per_min: Steady drift, and the same for a drift that fades. 0.01 % a minute,
-            as strain gauges warm up (an ATI Mini45 was seen to drift 0.04 % of its range in 4
-            minutes).
-        fading_s: Time constant of the drift that fades; that Mini45 drifted half as fast later on.
+        gear_ratio: Of the harmonic drive of each joint, if known: ripple of its torque
+            sensor at twice the motor angle is then fitted. Empty if unknown.
+        wave_rad: Correlation length of a torque sensor's waviness [rad]. A harmonic
+            drive of 160:1 has a ripple of period pi/160 = 0.02 rad: a quarter of that.
+        friction_fraction: Coulomb friction of a bearing between torque sensor and link;
+            the excess at low speed has the same prior. 0.03 %: a bearing of 50 mm
+            radius under 100 N with a friction coefficient of rolling, 0.005, has 0.025
+            Nm.
+        viscous_fraction_s: Viscous friction there, per rad/s. 0.4 %: an identification
+            of a real LWR 4+ found 0.19 to 0.84 Nm s/rad on joints of 38 to 176 Nm.
+        stribeck_rad_s: Speed over which friction falls from that at rest to Coulomb
+            friction; ball bearings and seals do so within hundredths of a radian per
+            second.
+        presliding_rad: Half the rotation over which friction reverses, per Maxwell-slip
+            element; until then a bearing is a spring. Rolling bearings slide after 5 to
+            50 um: at a radius of 50 mm 0.1 to 1 mrad.
+        drift_fraction_per_min: Steady drift, and the same for a drift that fades. 0.01
+            % a minute, as strain gauges warm up (an ATI Mini45 was seen to drift 0.04 %
+            of its range in 4 minutes).
+        fading_s: Time constant of the drift that fades; that Mini45 drifted half as
+            fast later on.
         walk_fraction_per_sqrt_min: Random walk in addition to the drift.
-        resolution_fraction: Least noise assumed, finer than any torque sensor resolves; keeps the
-            weights of joints sensible on signals without noise. 0.001 %.
+        resolution_fraction: Least noise assumed, finer than any torque sensor resolves;
+            keeps the weights of joints sensible on signals without noise. 0.001 %.
         fallback_effort_Nm: Used where a description gives no effort limit [Nm].
 
     Raises:
@@ -152,14 +159,16 @@ def all_columns(
 
 
 class BiasModel:
-    """The linear model of a residual without contact: ``bias = H(q, states, age) theta``.
+    """The linear model of a residual without contact: ``bias = H(q, states, age)
+    theta``.
 
-    Columns in order: offset per joint; mass and first moments per link (static columns of the
-    joint-torque regressor, [18]); then per joint hysteresis, friction, drift and, where gear ratios
-    are known, ripple. The constant kind has the first group only.
+    Columns in order: offset per joint; mass and first moments per link (static columns
+    of the joint-torque regressor, [18]); then per joint hysteresis, friction, drift
+    and, where gear ratios are known, ripple. The constant kind has the first group
+    only.
 
-    The states, shape (states, n), are what `residual.joint_states` follows: loops of hysteresis,
-    friction elements, their excess at low speed, and speed.
+    The states, shape (states, n), are what `residual.joint_states` follows: loops of
+    hysteresis, friction elements, their excess at low speed, and speed.
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
@@ -220,7 +229,8 @@ class BiasModel:
         """Static torque per mass and first moment of every link, shape (n, 4 links)."""
         still = self._still
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
-        # Of ten parameters per link the first four; of a single joint it comes as a vector.
+        # Of ten parameters per link the first four; of a single joint it comes as a
+        # vector.
         return full.reshape(self.joints, -1, 10)[:, :, :4].reshape(self.joints, -1)
 
     def columns(self, q: Array, states: Array, age_s: float) -> Array:
@@ -233,26 +243,34 @@ class BiasModel:
         )
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
-        """Residual without contact at a position, states and age: H theta, shape (n,)."""
+        """Residual without contact at a position, states and age: H theta, shape
+        (n,).
+        """
         return self.columns(q, states, age_s).dot(tare.mean)
 
     def covariance_Nm2(
         self, tare: Tare, q: Array, states: Array, age_s: float
     ) -> Array:
-        """Covariance of the residual's error after the tare: noise, model and drift, (n, n)."""
+        """Covariance of the residual's error after the tare: noise, model and drift,
+        (n, n).
+        """
         columns = self.columns(q, states, age_s)
         model = columns.dot(tare.covariance).dot(columns.T)
         return model + tare.noise_Nm2 + np.diag(max(age_s, 0.0) * tare.walk_Nm2_per_s)
 
     @property
     def prior_tare(self) -> Tare:
-        """The tare before any free motion was seen: no offset, the prior's covariance."""
+        """The tare before any free motion was seen: no offset, the prior's
+        covariance.
+        """
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
         steady, none = np.zeros(self.joints), np.zeros(len(self.std))
         return Tare(none, np.diag(self.std**2), noise, steady, self.walk_Nm2_per_s())
 
     def walk_Nm2_per_s(self) -> Array:
-        """Variance that a random walk of the prior's size adds in a second [Nm^2/s], shape (n,)."""
+        """Variance that a random walk of the prior's size adds in a second [Nm^2/s],
+        shape (n,).
+        """
         return np.square(self.prior.walk_fraction_per_sqrt_min * self.effort_Nm) / 60.0
 
 

@@ -13,8 +13,8 @@ from residual.momentum_observer import Alignment
 from residual.tool_kinematics import check_offset, unit_axis
 
 Mode = Literal["axial", "point", "full"]
-"""What is assumed of the contact: a force along the needle axis, a force at the frame's origin,
-or a force and a torque."""
+"""What is assumed of the contact: a force along the needle axis, a force at the frame's
+origin, or a force and a torque."""
 Axes = Literal["base", "tool"]
 Weighting = Literal["covariance", "none"]
 
@@ -24,40 +24,47 @@ class SensorConfig:
     """How joint signals become a force.
 
     Attributes:
-        gain_per_s: Observer gain K [1/s], one for all joints or one each; 1/K is the lag.
-        alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold`` for a
-            command held until the next sample.
-        velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None [1/s].
+        gain_per_s: Observer gain K [1/s], one for all joints or one each; 1/K is the
+            lag.
+        alignment: How torque fills a tick: ``trapezoid`` for a sampled sensor, ``hold``
+            for a command held until the next sample.
+        velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None
+            [1/s].
         smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
             `residual.momentum_observer.momentum_step`.
-        force_bandwidth_per_s: Of the force's smoothing while it stays within its noise [1/s], see
-            `residual.wrench_estimator.smoothing_step`; None for none.
+        force_bandwidth_per_s: Of the force's smoothing while it stays within its noise
+            [1/s], see `residual.wrench_estimator.smoothing_step`; None for none.
         friction: Joint friction between torque sensor and link, if any is modelled.
-        mode: What is assumed of the contact: ``point``, a force in any direction; ``axial``, one
-            along the needle, into which a lateral force leaks; ``full``, force and torque.
-        weighting: ``covariance``: by what the tare has learnt of each joint; ``none``: the plain
-            pseudo-inverse of equation (13).
+        mode: What is assumed of the contact: ``point``, a force in any direction;
+            ``axial``, one along the needle, into which a lateral force leaks; ``full``,
+            force and torque.
+        weighting: ``covariance``: by what the tare has learnt of each joint; ``none``:
+            the plain pseudo-inverse of equation (13).
         frame: Frame of the wrench; the robot's tool frame when None.
         axes: Axes of force and torque.
         insertion_axis: Insertion direction in the frame.
-        tool_offset_m: Where the needle's tip is in the frame [m]: force, depth and lever arms are
-            the tip's, without a change of the robot's description.
-        torque_is_gravity_compensated: The measured torque leaves gravity out, as some drivers
-            report it: g(q) is added back. Not for the external torque of a robot's own estimate
-            (Panda's ``tau_ext_hat_filtered``), which goes to ``update_external_torque``.
-        expected_force_N: Size of force beyond which an estimate is drawn to zero where the joints
-            cannot see it (damping near singular poses, not without weighting); None for no damping.
+        tool_offset_m: Where the needle's tip is in the frame [m]: force, depth and
+            lever arms are the tip's, without a change of the robot's description.
+        torque_is_gravity_compensated: The measured torque leaves gravity out, as some
+            drivers report it: g(q) is added back. Not for the external torque of a
+            robot's own estimate (Panda's ``tau_ext_hat_filtered``), which goes to
+            ``update_external_torque``.
+        expected_force_N: Size of force beyond which an estimate is drawn to zero where
+            the joints cannot see it (damping near singular poses, not without
+            weighting); None for no damping.
         tare: Kind of offset removal.
         tare_window_s: Only this much of the past enters a tare [s]; None for all of it.
         prior: What the residual may be off by before data.
         contact_force_N: Smallest axial force for which a tare is refused [N].
-        guard: Hold back spikes and frozen or saturated torques, see `residual.fault_detection`.
-        max_gap_s: Longest time step that is integrated [s]; after a longer one filters restart.
+        guard: Hold back spikes and frozen or saturated torques, see
+            `residual.fault_detection`.
+        max_gap_s: Longest time step that is integrated [s]; after a longer one filters
+            restart.
 
     Raises:
-        ConfigurationError: For a setting that cannot be: a number that is not finite and positive,
-            a choice that does not exist, an axis of no direction, a switch that is neither true nor
-            false.
+        ConfigurationError: For a setting that cannot be: a number that is not finite
+            and positive, a choice that does not exist, an axis of no direction, a
+            switch that is neither true nor false.
     """
 
     gain_per_s: float | tuple[float, ...] = 70.0
@@ -144,8 +151,9 @@ class SensorConfig:
 DEFAULT = SensorConfig()  # Ours
 
 HAND_DRIVEN = SensorConfig(gain_per_s=15.0, smooth_momentum=False)
-"""For a needle that a hand drives on an arm that sends no velocity: an unsteady motion then reads
-as a force where the momentum is smoothed. Later by 0.05 s than `DEFAULT`, and noisier at rest."""
+"""For a needle that a hand drives on an arm that sends no velocity: an unsteady motion
+then reads as a force where the momentum is smoothed. Later by 0.05 s than `DEFAULT`,
+and noisier at rest."""
 
 PUBLISHED = SensorConfig(
     gain_per_s=5.0,
@@ -158,4 +166,5 @@ PUBLISHED = SensorConfig(
     tare_window_s=0.5,
     guard=False,
 )
-"""Section IV as published: K = 5 1/s, r_0 from just before contact, six-dimensional (J')#."""
+"""Section IV as published: K = 5 1/s, r_0 from just before contact, six-dimensional
+(J')#."""

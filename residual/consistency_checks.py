@@ -1,10 +1,12 @@
-"""Slow checks: joint limits, singular poses, model mismatch, pushes on the arm, velocities.
+"""Slow checks: joint limits, singular poses, model mismatch, pushes on the arm,
+velocities.
 
-Measured velocities should be the rate of the measured positions. To check this, the travel of the
-last second (fading) is summed from the differences of q, and from dq by trapezoids between two
-checks. A coarse or held position is then off by one step at most, noise and vibration of the
-velocity average out, and a valid pair differs only by the lag between the two.
-Travel of a joint that hardly moves means nothing and is not used.
+Measured velocities should be the rate of the measured positions. To check this, the
+travel of the last second (fading) is summed from the differences of q, and from dq by
+trapezoids between two checks. A coarse or held position is then off by one step at
+most, noise and vibration of the velocity average out, and a valid pair differs only by
+the lag between the two. Travel of a joint that hardly moves means nothing and is not
+used.
 """
 
 import math
@@ -21,8 +23,8 @@ from urdf import Robot
 
 TRAVEL_S = 1.0  # in which travel fades: if less, slow strokes look short; if more, bias adds up
 MEMORY_S = 10.0
-"""Memory of the comparison; time at rest does not count, so an arm that waits for its tare does not
-forget."""
+"""Memory of the comparison; time at rest does not count, so an arm that waits for its
+tare does not forget."""
 LONGEST_S = 0.2  # a trapezoid over a longer step means nothing
 MOST_ACCELERATION_RAD_S2 = 20.0  # as in `residual.fault_detection`: a jump has no rate
 LEAST_TRAVEL_RAD = (
@@ -50,16 +52,18 @@ OTHER_FACTOR = (
     "is it in other units, or of the motor before its gear, or are time stamps wrong?"
 )
 NEAR = 0.05
-"""Relative distance within which a factor is one of these, or dq's travel is another joint's."""
+"""Relative distance within which a factor is one of these, or dq's travel is another
+joint's."""
 MOST_OFF = (
     0.4  # relative rms difference of dq's travel from q's that noise does not reach
 )
 LEAST_OFF = 0.12  # the same if another joint or a lag explains the difference
 UNEXPLAINED = 0.1
-"""Fraction that may be left: by a factor of dq's mean square travel, by a lag of the difference."""
+"""Fraction that may be left: by a factor of dq's mean square travel, by a lag of the
+difference."""
 LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
-"""A longer lag is reported, after so many seconds of motion; a filtered velocity is late by only
-20 ms."""
+"""A longer lag is reported, after so many seconds of motion; a filtered velocity is
+late by only 20 ms."""
 STILL = (
     1e-3  # a signal whose travel is less than this fraction of the other's stands still
 )
@@ -69,8 +73,8 @@ MOST_RAD = (
     4.0 * math.pi
 )  # two turns: beyond a limit and this a position is hardly in radians
 LEAST_SINGULAR_VALUE = 0.05
-"""[m] At this value a newton makes a twentieth of a newton metre in all joints together, as much as
-the noise of one torque sample; below it the pose is near singular."""
+"""[m] At this value a newton makes a twentieth of a newton metre in all joints
+together, as much as the noise of one torque sample; below it the pose is near singular."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
 NOW_S, BEFORE_S, USUAL_S = (
@@ -79,37 +83,44 @@ NOW_S, BEFORE_S, USUAL_S = (
     8.0,
 )  # memory of the torque now, before, of their difference
 PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
-"""Mean square of a torque change that no wrench explains, in units of the usual one. From PUSHED on
-the arm is pushed, until below LET_GO; below USUAL it is learnt as usual. From BESIDE on, for what
-no axial force explains, a rupture is not reported."""
+"""Mean square of a torque change that no wrench explains, in units of the usual one.
+From PUSHED on the arm is pushed, until below LET_GO; below USUAL it is learnt as usual.
+From BESIDE on, for what no axial force explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
 LEARNED_S = 1.0  # learning time before anything is called unusual
 LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
-"""A change up to this may be hysteresis of a joint's sensor; one up to this fraction of the largest
-explained change may be an error of the lever arms."""
+"""A change up to this may be hysteresis of a joint's sensor; one up to this fraction of
+the largest explained change may be an error of the lever arms."""
 
 
 Sums = tuple[Vector, Vector, Blocks, Matrix, Matrix]
 
 
 class VelocityMatch(NamedTuple):
-    """How velocities match positions; the sums fade over `MEMORY_S` and are taken in motion."""
+    """How velocities match positions; the sums fade over `MEMORY_S` and are taken in
+    motion.
+    """
 
-    # Position [rad], velocity as measured and rate of the position [rad/s] at the last check; then
-    # fading travel of q and of dq [rad]; shape (5, n)
+    # Position [rad], velocity as measured and rate of the position [rad/s] at the last
+    # check; then fading travel of q and of dq [rad]; shape (5, n)
     motion: Array
     seconds: Array  # Time for which a joint has been checked [s], shape (n,)
-    # Sum of squares of the difference of both travels beyond the tolerated [rad^2 s], shape (n,)
+    # Sum of squares of the difference of both travels beyond the tolerated [rad^2 s],
+    # shape (n,)
     beyond: Array
-    # Sums of pairwise products of dq's travel, q's, and the rate of q's; shape (n, 3, 3)
+    # Sums of pairwise products of dq's travel, q's, and the rate of q's; shape (n, 3,
+    # 3)
     moments: Array
-    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2 s]; (n, n)
+    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2
+    # s]; (n, n)
     squares: Array
     products: Array  # Row i, column j: product of that travel with dq's of joint i, shape (n, n)
 
 
 def first_match(q: Array, dq: Array) -> VelocityMatch:
-    """A match that knows one check only, of position [rad] and velocity [rad/s], shape (n,)."""
+    """A match that knows one check only, of position [rad] and velocity [rad/s],
+    shape (n,).
+    """
     n, still = len(q), np.zeros(len(q))
     sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
     return VelocityMatch(np.stack((q, dq, still, still, still)), *sums)
@@ -126,7 +137,9 @@ def travels(motion: Matrix) -> NDArray[np.bool_]:
 def travel_step(
     motion: Matrix, q: Vector, dq: Vector, dt_s: float
 ) -> tuple[Array, bool]:
-    """``motion`` of a `VelocityMatch` at the next check, and whether any joint travels."""
+    """``motion`` of a `VelocityMatch` at the next check, and whether any joint
+    travels.
+    """
     way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
     now[0], now[1], now[2] = q, dq, way / dt_s
@@ -141,7 +154,9 @@ def travel_step(
 def sums_step(
     last: Matrix, motion: Matrix, sums: Sums, dt_s: float
 ) -> tuple[Array, ...]:
-    """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the last motion."""
+    """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the
+    last motion.
+    """
     a, b = motion[3], motion[4]
     way, way_dq = motion[0] - last[0], 0.5 * dt_s * (motion[1] + last[1])
     tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
@@ -164,7 +179,9 @@ def sums_step(
 def velocity_match_step(
     match: VelocityMatch, q: Array, dq: Array, dt_s: float
 ) -> VelocityMatch:
-    """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0 later."""
+    """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0
+    later.
+    """
     motion, is_moving = travel_step(match.motion, q, dq, dt_s)
     if not is_moving:
         return match._replace(motion=motion)
@@ -172,7 +189,9 @@ def velocity_match_step(
 
 
 def velocity_fault(match: VelocityMatch) -> str:
-    """What is wrong with velocities, joint by joint, with likely reasons; empty if nothing is."""
+    """What is wrong with velocities, joint by joint, with likely reasons; empty if
+    nothing is.
+    """
     square_dq, product, own = (
         match.moments[:, 0, 0],
         match.moments[:, 0, 1],
@@ -200,7 +219,9 @@ def velocity_fault(match: VelocityMatch) -> str:
 
 
 def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
-    """The joint whose rate dq of joint i is, if there is one; its own dq must be wrong, too."""
+    """The joint whose rate dq of joint i is, if there is one; its own dq must be
+    wrong, too.
+    """
     squares, products, square_dq = (
         match.squares[i],
         match.products[i],
@@ -237,7 +258,9 @@ def _late(match: VelocityMatch, i: int) -> str:
 
 
 def _factor(match: VelocityMatch, i: int) -> str:
-    """Likely reason of a constant factor between velocity and rate, or that there is none."""
+    """Likely reason of a constant factor between velocity and rate, or that there is
+    none.
+    """
     (square_dq, product, _), (_, own, _), _ = match.moments[i]
     if square_dq < STILL**2 * own:
         return "stands still while q moves: is it sent at all?"
@@ -257,8 +280,8 @@ def _factor(match: VelocityMatch, i: int) -> str:
 class TorqueChange(NamedTuple):
     """Joint torque without its offset, now and before, both smoothed."""
 
-    # Torque now; torque before, kept while the arm is pushed [Nm]; then the mean product of their
-    # differences [Nm^2]; shape (n + 2, n)
+    # Torque now; torque before, kept while the arm is pushed [Nm]; then the mean
+    # product of their differences [Nm^2]; shape (n + 2, n)
     torques: Array
     learned_s: float = 0.0  # time over which that product was learned
     pushed_s: float = 0.0  # time since the arm has been pushed
@@ -268,7 +291,9 @@ class TorqueChange(NamedTuple):
 def unexplained_change(
     rows: Matrix, covariance: Matrix, change: Vector
 ) -> tuple[float, Array]:
-    """Like `unusual_change`, for a given covariance [Nm^2]; also the explained part [Nm], (n,)."""
+    """Like `unusual_change`, for a given covariance [Nm^2]; also the explained part
+    [Nm], (n,).
+    """
     precision = np.linalg.inv(covariance).T  # the same, with its rows in order
     weighted = rows.dot(precision)
     information = weighted.dot(rows.T)
@@ -281,11 +306,13 @@ def unexplained_change(
 
 @compiled
 def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
-    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench explains.
+    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench
+    explains.
 
-    Unknowns make torque by ``rows``, (k, n). The unit is ``usual``, the mean product of changes
-    without a push [Nm^2], shape (n, n), shrunk towards its diagonal. A value beyond ``enough`` is
-    computed again with errors of sensors and lever arms in the explained part, which lowers it.
+    Unknowns make torque by ``rows``, (k, n). The unit is ``usual``, the mean product of
+    changes without a push [Nm^2], shape (n, n), shrunk towards its diagonal. A value
+    beyond ``enough`` is computed again with errors of sensors and lever arms in the
+    explained part, which lowers it.
     """
     if len(rows) >= len(change):
         return 0.0
@@ -308,7 +335,9 @@ def change_step(
     pushed_s: float,
     dt_s: float,
 ) -> tuple[Array, float, float]:
-    """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` > 0 later."""
+    """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` >
+    0 later.
+    """
     torques, square = last.copy(), 0.0
     now, before, usual = torques[0], torques[1], torques[2:]
     now -= math.expm1(-dt_s / NOW_S) * (residual - now)
@@ -339,19 +368,21 @@ class MonitorState(NamedTuple):
     at_limit: tuple[
         int, ...
     ] = ()  # Indices of joints at a position limit in that check
-    # Of measured velocities with positions; None before a check, and where velocities are estimated
+    # Of measured velocities with positions; None before a check, and where velocities
+    # are estimated
     match: VelocityMatch | None = None
     change: TorqueChange | None = None  # None before the tare
 
 
 class ConsistencyMonitor:
-    """Checks, every few samples, what changes slowly and costs too much for every sample.
+    """Checks, every few samples, what changes slowly and costs too much for every
+    sample.
 
     Attributes:
         state: All that it remembers; its arrays are never written again.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
-        velocity_fault: What is surely wrong with measured velocities, in words; empty if nothing
-            is.
+        velocity_fault: What is surely wrong with measured velocities, in words; empty
+            if nothing is.
         warnings: Warnings of the last check.
         message: The same in words.
     """
@@ -359,7 +390,8 @@ class ConsistencyMonitor:
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
         lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
         upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
-        # A joint without a range has no limit: descriptions write 0 and 0 for "unknown".
+        # A joint without a range has no limit: descriptions write 0 and 0 for
+        # "unknown".
         free = upper <= lower
         self._lower = np.where(free, -np.inf, lower).tolist()
         self._upper = np.where(free, np.inf, upper).tolist()
@@ -371,9 +403,10 @@ class ConsistencyMonitor:
     ) -> None:
         """Check the sample for which a wrench was just estimated.
 
-        Its configuration [rad], its velocity as measured [rad/s], None where it is estimated, and
-        its residual after offset removal [Nm] have shape (n,); ``dt_s`` is the time since the last
-        check [s], ``tared`` says whether the residual's covariance is a fitted one.
+        Its configuration [rad], its velocity as measured [rad/s], None where it is
+        estimated, and its residual after offset removal [Nm] have shape (n,); ``dt_s``
+        is the time since the last check [s], ``tared`` says whether the residual's
+        covariance is a fitted one.
         """
         found = SensorWarning.NONE
         lower, upper = self._lower, self._upper
@@ -407,7 +440,9 @@ class ConsistencyMonitor:
         self._report(fault)
 
     def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
-        """The next `TorqueChange`: how far torques have changed as no wrench changes them."""
+        """The next `TorqueChange`: how far torques have changed as no wrench changes
+        them.
+        """
         last, n = self.state.change, len(residual)
         if last is None or dt_s <= 0.0:
             return last or TorqueChange(
@@ -425,11 +460,12 @@ class ConsistencyMonitor:
         return self._wanted > 1.1 * self.state.widening
 
     def widened(self, covariance_Nm2: Array) -> Array:
-        """A covariance widened by what no wrench explains: a push on the arm, a wrong model.
+        """A covariance widened by what no wrench explains: a push on the arm, a wrong
+        model.
 
-        This is the variance factor of least squares: errors seen in directions that no wrench
-        explains are likely in the other directions, too. Twice that, since four directions show a
-        variance only within a factor of two.
+        This is the variance factor of least squares: errors seen in directions that no
+        wrench explains are likely in the other directions, too. Twice that, since four
+        directions show a variance only within a factor of two.
         """
         self.state = self.state._replace(widening=self._wanted)
         return self.state.widening * covariance_Nm2
@@ -440,10 +476,12 @@ class ConsistencyMonitor:
         self.restore(self.state._replace(match=None, warnings=warnings))
 
     def recheck(self, last: WrenchEstimate, before: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, with a warning if its torques, or their change, fit no needle force.
+        """The last estimate, with a warning if its torques, or their change, fit no
+        needle force.
 
-        Meant for alarms and for the end of a gap, not for every sample: a knock raises it, too. The
-        sample before must show it as well, since an arm that brakes hard raises it for one sample.
+        Meant for alarms and for the end of a gap, not for every sample: a knock raises
+        it, too. The sample before must show it as well, since an arm that brakes hard
+        raises it for one sample.
         """
         square = min(
             self._wrench.mismatch_squared(each.residual) for each in (last, before)
@@ -472,7 +510,9 @@ class ConsistencyMonitor:
 
     @property
     def question(self) -> str:
-        """The same if positions are so far beyond that they are hardly in radians; else empty."""
+        """The same if positions are so far beyond that they are hardly in radians;
+        else empty.
+        """
         is_far = (
             self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
         )

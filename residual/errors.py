@@ -11,7 +11,9 @@ Array = NDArray[np.float64]
 
 
 def named_joints(indices: Iterable[int]) -> str:
-    """Joints as messages name them, counted from 1 like the columns of a log: ``joints 2, 4``."""
+    """Joints as messages name them, counted from 1 like the columns of a log:
+    ``joints 2, 4``.
+    """
     numbers = [str(int(i) + 1) for i in indices]
     return f"{'joint' if len(numbers) == 1 else 'joints'} {', '.join(numbers)}"
 
@@ -30,8 +32,8 @@ class SampleError(ResidualError, ValueError):
     Whoever raises it has left its state as it was before the call.
 
     Attributes:
-        warning: Of valid numbers that are no measurement, why: a spike, a frozen or a saturated
-            torque.
+        warning: Of valid numbers that are no measurement, why: a spike, a frozen or a
+            saturated torque.
     """
 
     def __init__(
@@ -42,11 +44,15 @@ class SampleError(ResidualError, ValueError):
 
 
 class TareError(ResidualError, RuntimeError):
-    """A tare that would be wrong: no data, contact in sight, or velocities that are not rates."""
+    """A tare that would be wrong: no data, contact in sight, or velocities that are
+    not rates.
+    """
 
 
 class VelocityError(TareError):
-    """A tare asked for with measured velocities that are not the rate of the positions."""
+    """A tare asked for with measured velocities that are not the rate of the
+    positions.
+    """
 
 
 class SnapshotError(ResidualError, ValueError):

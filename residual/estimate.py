@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 UNSEEN_STD = 1e6
-"""Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near it, and
-unlike infinity it can be drawn, stored and calculated with."""
+"""Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near
+it, and unlike infinity it can be drawn, stored and calculated with."""
 
 MOST_CONDITIONING = 1e6  # beyond it a direction counts as unseen
 
@@ -23,19 +23,22 @@ class Status(StrEnum):
     INITIALIZING = "initializing"
     """The filters have just started, or started anew after a gap in time."""
     REJECTED = "rejected"
-    """The sample was bad and was not used: the numbers are those of the last valid one."""
+    """The sample was bad and was not used: the numbers are those of the last valid
+    one."""
 
 
 class SensorWarning(IntFlag):
-    """What may be wrong beyond the standard deviation; the first three make a sample `REJECTED`."""
+    """What may be wrong beyond the standard deviation; the first three make a sample
+    `REJECTED`.
+    """
 
     NONE = 0
     SPIKE = 1
     """A signal jumped further than an arm can, and has not stayed there."""
     FROZEN = 2
-    """Torques, or positions and velocities, repeat bit for bit although they are noisy ones. A
-    sample is rejected if they do so in all joints, for 5 s at most; then, or if one torque does so
-    by itself, the warning is all."""
+    """Torques, or positions and velocities, repeat bit for bit although they are noisy
+    ones. A sample is rejected if they do so in all joints, for 5 s at most; then, or if
+    one torque does so by itself, the warning is all."""
     SATURATED = 4
     """A torque is at the joint's effort limit: the true one may be anything beyond."""
     JOINT_LIMIT = 8
@@ -43,18 +46,19 @@ class SensorWarning(IntFlag):
     NEAR_SINGULAR = 16
     """The joints hardly feel a force in some direction that is asked for."""
     MODEL_MISMATCH = 32
-    """The joint torques do not fit the assumed contact: a force from the side, a second contact, a
-    payload or an arm that is not the model's."""
+    """The joint torques do not fit the assumed contact: a force from the side, a second
+    contact, a payload or an arm that is not the model's."""
     TARE_EXPIRED = 64
-    """A single time step was so long that the drift it would stand for spoils the tare: a long
-    pause, or a clock that was set. It stays until the next tare. While free motion is recorded for
-    one: what was recorded before is forgotten."""
+    """A single time step was so long that the drift it would stand for spoils the tare:
+    a long pause, or a clock that was set. It stays until the next tare. While free
+    motion is recorded for one: what was recorded before is forgotten."""
     VELOCITY = 128
-    """Measured velocities are not the rate of the measured positions: other units, another sign,
-    another order of the joints, or far too late. The message names the joints."""
+    """Measured velocities are not the rate of the measured positions: other units,
+    another sign, another order of the joints, or far too late. The message names the
+    joints."""
     ARM_PUSHED = 256
-    """The joint torques have just changed as no force at the tip changes them: a hand on the arm?
-    At most 2.5 s; then they count as what the arm feels by itself."""
+    """The joint torques have just changed as no force at the tip changes them: a hand
+    on the arm? At most 2.5 s; then they count as what the arm feels by itself."""
 
 
 class WrenchEstimate(NamedTuple):
@@ -63,30 +67,34 @@ class WrenchEstimate(NamedTuple):
     Every number is finite.
 
     Attributes:
-        axial: Axial force [N]: resistance to insertion, positive when tissue pushes back. Smoothed
-            like all of the wrench, see `wrench_estimator.smoothing_step`.
+        axial: Axial force [N]: resistance to insertion, positive when tissue pushes
+            back. Smoothed like all of the wrench, see
+            `wrench_estimator.smoothing_step`.
         axial_std: Its standard deviation [N]; `UNSEEN_STD` where nothing is known.
-        lateral: Size of the force across the needle [N], never negative: of noise alone it reads
-            about `lateral_std`. Its direction is in ``force``. Zero in mode ``axial``, which
-            assumes that there is none.
-        lateral_std: Standard deviation of that force in the direction that is known least [N];
-            `UNSEEN_STD` in mode ``axial``.
+        lateral: Size of the force across the needle [N], never negative: of noise alone
+            it reads about `lateral_std`. Its direction is in ``force``. Zero in mode
+            ``axial``, which assumes that there is none.
+        lateral_std: Standard deviation of that force in the direction that is known
+            least [N]; `UNSEEN_STD` in mode ``axial``.
         force: Force on the tool [N], shape (3,), in the estimator's axes, read-only.
-        torque: Torque on the tool about the frame's origin [Nm], shape (3,), read-only; zero in
-            the modes that assume none.
-        covariance: Of the estimated components, shape (k, k): k = 1 axial force [N^2], 3 force,
-            6 force and torque; in the estimator's axes.
-        conditioning: Ratio of the largest to the smallest standard deviation over directions in
-            the estimated space; 1e6 where a direction cannot be seen.
-        damping_fraction: Fraction of each true component that damping removes, 0 to 1, shape (k,).
-        axial_unsmoothed: The axial force before it is smoothed [N], for whoever filters further.
-        residual: External joint torque after offset removal [Nm], shape (n,), read-only.
+        torque: Torque on the tool about the frame's origin [Nm], shape (3,), read-only;
+            zero in the modes that assume none.
+        covariance: Of the estimated components, shape (k, k): k = 1 axial force [N^2],
+            3 force, 6 force and torque; in the estimator's axes.
+        conditioning: Ratio of the largest to the smallest standard deviation over
+            directions in the estimated space; 1e6 where a direction cannot be seen.
+        damping_fraction: Fraction of each true component that damping removes, 0 to 1,
+            shape (k,).
+        axial_unsmoothed: The axial force before it is smoothed [N], for whoever filters
+            further.
+        residual: External joint torque after offset removal [Nm], shape (n,),
+            read-only.
         status: Whether it may be used.
-        message: The reason, when the status is not OK or there is a warning, or a question: may a
-            signal be missing? Joints count from 1.
-        model_mismatch: Normalised residual: joint torque that no wrench of the assumed kind
-            explains, rms over what its covariance allows: about 1 when all is well; 0 where the
-            mode has as many unknowns as there are joints.
+        message: The reason, when the status is not OK or there is a warning, or a
+            question: may a signal be missing? Joints count from 1.
+        model_mismatch: Normalised residual: joint torque that no wrench of the assumed
+            kind explains, rms over what its covariance allows: about 1 when all is
+            well; 0 where the mode has as many unknowns as there are joints.
         warnings: What may be wrong beyond the standard deviation.
     """
 

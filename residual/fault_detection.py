@@ -1,8 +1,10 @@
-"""Holds back samples that are valid numbers and yet no measurement: spikes, frozen, saturated.
+"""Holds back samples that are valid numbers and yet no measurement: spikes, frozen,
+saturated.
 
-A jump is judged against what an arm can do in the time and against the noise of the signal itself,
-learnt in the first half second; before that nothing counts as a spike or as frozen. What is held
-back is treated like a lost sample: time passes, the estimate stays.
+A jump is judged against what an arm can do in the time and against the noise of the
+signal itself, learnt in the first half second; before that nothing counts as a spike or
+as frozen. What is held back is treated like a lost sample: time passes, the estimate
+stays.
 """
 
 import math
@@ -24,9 +26,9 @@ SIGMAS = (
     12.0  # A jump within this many standard deviations of the signal's noise is noise
 )
 TORQUE_RATIO = 0.02
-"""Fraction of the effort limit by which a torque may step for no reason. On the LWR that is 3.5 Nm
-at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on the tool explains may step
-by more, see `is_contact`."""
+"""Fraction of the effort limit by which a torque may step for no reason. On the LWR
+that is 3.5 Nm at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on
+the tool explains may step by more, see `is_contact`."""
 LEAST_TORQUE_NM = (
     0.7  # the gears of a moving wrist of 12 Nm make as much in a millisecond
 )
@@ -34,23 +36,25 @@ TORQUE_RATIO_PER_S = 2.0  # of the effort limit, beyond the step: for lost sampl
 ACCELERATION_RAD_S2 = 20.0  # an arm that inserts a needle stays far below
 LEAST_POSITION_RAD = 1e-4
 COARSE_RAD = 5e-4
-"""A position that has repeated may make as large a step [rad]: three of an encoder on the link,
-which resolves 0.01 degrees."""
+"""A position that has repeated may make as large a step [rad]: three of an encoder on
+the link, which resolves 0.01 degrees."""
 UNKNOWN_EFFORT_NM = 300.0
-"""Stands in where a description gives no effort limit: the shoulder of an arm for ten kilograms.
-Torques from motor currents step by 20 Nm there where the friction of its gears turns round."""
+"""Stands in where a description gives no effort limit: the shoulder of an arm for ten
+kilograms. Torques from motor currents step by 20 Nm there where the friction of its
+gears turns round."""
 CLOCK_S = 5e-3
-"""Time by which the stamps of a computer may be off from those of the robot [s]. At the speeds of a
-needle it is nothing: 0.1 rad/s make half a milliradian of it."""
+"""Time by which the stamps of a computer may be off from those of the robot [s]. At the
+speeds of a needle it is nothing: 0.1 rad/s make half a milliradian of it."""
 HELD_ACCELERATION_RAD_S2 = 4.0
-"""Change of an estimated velocity that positions do not show while they repeat. Far less than what
-a single step may be off by: an arm at rest repeats its positions for ever."""
+"""Change of an estimated velocity that positions do not show while they repeat. Far
+less than what a single step may be off by: an arm at rest repeats its positions for
+ever."""
 MOST_STEP_N = (
     100.0  # may come or go within a sample: a rupture is newtons, a contact tens
 )
 MOST_UNEXPLAINED = 0.35
-"""Fraction of the jump that the force may leave over; a spike of one joint leaves most of
-itself."""
+"""Fraction of the jump that the force may leave over; a spike of one joint leaves most
+of itself."""
 CHECK_S = 0.02  # every so often each torque is checked by itself [s]
 STAYED_S = 5e-3  # A jump that has stayed for this long is accepted: the signal is elsewhere now [s]
 LONGEST_HOLD_S = (
@@ -61,7 +65,8 @@ SATURATED_RATIO = (
 )
 MOST_LOAD = 10.0  # times the effort limit: only other units read beyond
 _NO_REPEATS = (False, False, False)
-"""Whether all positions, positions with velocities, and all torques of a sample repeat."""
+"""Whether all positions, positions with velocities, and all torques of a sample
+repeat."""
 STILL_S = (
     1.0  # a torque unchanged for so long may be missing, or come from a simulation
 )
@@ -72,8 +77,8 @@ LOADED_RATIO = 0.9  # fraction of the effort limit from which every torque is wa
 def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> float:
     """Root of the sum of squares of the weighted differences of two samples.
 
-    Infinite if all positions or all torques repeat. Samples have positions first and torques last,
-    shape (2 n,) or (3 n,), n joints; no weight is 0.
+    Infinite if all positions or all torques repeat. Samples have positions first and
+    torques last, shape (2 n,) or (3 n,), n joints; no weight is 0.
     """
     off = (now - last) * weight
     if (off[0] == 0.0 and not off[:joints].any()) or (
@@ -84,10 +89,11 @@ def fresh_distance(now: Vector, last: Vector, weight: Vector, joints: int) -> fl
 
 
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
-    """Whether a plausible force on the tool explains a jump of the torques [Nm], shape (n,).
+    """Whether a plausible force on the tool explains a jump of the torques [Nm], shape
+    (n,).
 
-    The Jacobian is that of the tool's linear velocity, shape (3, n), the scale the jump that each
-    joint may make without a reason [Nm], shape (n,).
+    The Jacobian is that of the tool's linear velocity, shape (3, n), the scale the jump
+    that each joint may make without a reason [Nm], shape (n,).
     """
     levers, wanted = jacobian.T / scale[:, None], jump / scale
     force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
@@ -100,8 +106,8 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
 class GuardState:
     """All that a `FaultDetector` remembers."""
 
-    # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or (3 n,);
-    # zeros before the first
+    # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
+    # (3 n,); zeros before the first
     last: Array
     before: Array  # The accepted sample before it
     velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
@@ -125,15 +131,16 @@ class GuardState:
     warning: str = ""  # What seemed frozen at that check
     question: str = ""  # What may be missing: it has not changed for long
     held_s: float = 0.0  # Time for which positions have repeated now [s]
-    # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not repeat
+    # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not
+    # repeat
     swept: Array | None = None
 
 
 class FaultDetector:
     """Judges the samples of one stream before anything uses them.
 
-    A sample is one array of finite positions [rad], velocities [rad/s] if there are any, and
-    torques [Nm], one after the other, shape (2 n,) or (3 n,).
+    A sample is one array of finite positions [rad], velocities [rad/s] if there are
+    any, and torques [Nm], one after the other, shape (2 n,) or (3 n,).
 
     Args:
         robot: Gives the effort limits.
@@ -173,7 +180,9 @@ class FaultDetector:
         )
 
     def _set_gates(self, noise: Array) -> None:
-        """Largest plausible jump within no time, of signals with a noise; shape of a sample."""
+        """Largest plausible jump within no time, of signals with a noise; shape of a
+        sample.
+        """
         n = self._joints
         # The difference of two samples has sqrt(2) times the noise of one.
         self._gates = SIGMAS * np.sqrt(2.0) * noise
@@ -187,7 +196,9 @@ class FaultDetector:
         self._weight = self._narrowest / sure
 
     def surely_passes(self, now: Array) -> bool:
-        """Whether a sample, of any numbers, need not be checked: nearly all that come are such."""
+        """Whether a sample, of any numbers, need not be checked: nearly all that
+        come are such.
+        """
         self._repeats = _NO_REPEATS
         memory = self.memory
         distance = fresh_distance(now, memory.last, self._weight, self._joints)
@@ -196,8 +207,8 @@ class FaultDetector:
     def check(self, now: Array, dt_s: float) -> bool:
         """Judge a sample; what it is compared with changes only with `accept`.
 
-        Returns whether its position has jumped and is accepted only because it stayed where it is;
-        `SampleError` for a spike, frozen signals or a saturated torque.
+        Returns whether its position has jumped and is accepted only because it stayed
+        where it is; `SampleError` for a spike, frozen signals or a saturated torque.
         """
         memory = self.memory
         off = now - memory.last
@@ -223,7 +234,8 @@ class FaultDetector:
     def accept(self, now: Array, velocity: Array, dt_s: float) -> None:
         """The sample last checked has been used; the arrays are kept, not copied.
 
-        Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first sample.
+        Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first
+        sample.
         """
         memory, probe = self.memory, self.memory.probe
         memory.before, memory.step_s = memory.last, dt_s
@@ -248,7 +260,8 @@ class FaultDetector:
             self._check_each()
 
     def _sweep(self, velocity: Array, dt_s: float) -> Array:
-        """Travel that positions may lag by after one more sample in which they repeated [rad].
+        """Travel that positions may lag by after one more sample in which they repeated
+        [rad].
 
         A source of positions that is slower than the clock makes up for it in one step.
         """
@@ -265,7 +278,9 @@ class FaultDetector:
         )
 
     def _learn(self, rows: Array) -> None:
-        """The first half second, shape (m, size), is over: learn noise and resolution."""
+        """The first half second, shape (m, size), is over: learn noise and
+        resolution.
+        """
         n, memory = self._joints, self.memory
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
@@ -343,7 +358,9 @@ class FaultDetector:
         )
 
     def _beyond(self, now: Array, last: Array, dt_s: float) -> NDArray[np.bool_]:
-        """Which signals have jumped further than an arm or a contact can, shape (signals, n)."""
+        """Which signals have jumped further than an arm or a contact can, shape
+        (signals, n).
+        """
         n, memory, velocity = self._joints, self.memory, self.memory.velocity
         change = now - last
         gates = self._gates.copy()
@@ -354,7 +371,8 @@ class FaultDetector:
         if memory.swept is not None:
             gates[:n] += memory.swept
         if memory.step_s > 0.0:
-            # A joint at rest shows its encoder's step at times, and not in the learnt noise.
+            # A joint at rest shows its encoder's step at times, and not in the learnt
+            # noise.
             step = np.abs(memory.last[:n] - memory.before[:n])
             gates[:n] += np.where(step == 0.0, COARSE_RAD, np.minimum(step, COARSE_RAD))
         if self._has_velocity:
@@ -375,7 +393,9 @@ class FaultDetector:
         return beyond
 
     def restore(self, memory: GuardState) -> None:
-        """Go on from a `memory`, which is kept, of a detector of the same robot and signals."""
+        """Go on from a `memory`, which is kept, of a detector of the same robot and
+        signals.
+        """
         self.memory = memory
         self._set_gates(
             np.zeros_like(memory.last) if memory.noise is None else memory.noise

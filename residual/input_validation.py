@@ -1,6 +1,7 @@
 """What an online step and its settings may be: the one place where samples are refused.
 
-A bad sample raises a `SampleError`, a bad setting a `ConfigurationError`, with its name and value.
+A bad sample raises a `SampleError`, a bad setting a `ConfigurationError`, with its name
+and value.
 """
 
 import math
@@ -19,10 +20,12 @@ SHORTEST_STEP_S = (
     1e-12  # no clock ticks faster, and the inverse of what is far shorter overflows
 )
 LONGEST_STEP_S = 86_400.0
-"""A time step beyond a day is no pause but a clock that was set, from boot time to date perhaps."""
+"""A time step beyond a day is no pause but a clock that was set, from boot time to
+date perhaps."""
 ROUNDING_S = 1e-5
-"""Sums of time steps that come this near to a limit have reached it [s]: stamps since 1970 are
-rounded to a quarter of a microsecond, and rounding must not decide on a tick more or less."""
+"""Sums of time steps that come this near to a limit have reached it [s]: stamps since
+1970 are rounded to a quarter of a microsecond, and rounding must not decide on a tick
+more or less."""
 MILLISECONDS_S = (
     0.5  # time steps from here on are in milliseconds, or of a very slow log
 )
@@ -56,7 +59,9 @@ def check_interval(dt_s: Any) -> float:
 
 
 def long_step(dt_s: float, max_gap_s: float) -> str:
-    """What to say of a time step [s] that is too long to be integrated; empty if it is not."""
+    """What to say of a time step [s] that is too long to be integrated; empty if it
+    is not.
+    """
     if dt_s <= max_gap_s + ROUNDING_S:
         return ""
     unit = "; is it in milliseconds?" if dt_s >= MILLISECONDS_S else ""
@@ -67,7 +72,9 @@ def long_step(dt_s: float, max_gap_s: float) -> str:
 
 
 def as_float(value: Any) -> float:
-    """A real number of any type as a float, the largest one for what is beyond; else NaN."""
+    """A real number of any type as a float, the largest one for what is beyond; else
+    NaN.
+    """
     # A time span of numpy counts as an integer there, of a unit that nobody knows here.
     if not _is_real(value):
         return math.nan
@@ -97,9 +104,11 @@ def _is_real(value: object) -> bool:
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> Array:
-    """Anything numpy can read as a float array of shape (joints,); the array itself if it fits.
+    """Anything numpy can read as a float array of shape (joints,); the array itself if
+    it fits.
 
-    `SampleError` for another shape, or unless real, finite and below `MOST_PLAUSIBLE` as a vector.
+    `SampleError` for another shape, or unless real, finite and below `MOST_PLAUSIBLE`
+    as a vector.
     """
     try:
         array = _real(value)
@@ -122,7 +131,9 @@ def check_joint_vector(name: str, value: object, joints: int) -> Array:
 
 
 def _real(value: Any) -> Array:
-    """As floats; a TypeError for text, truth values, dates, and complex or masked numbers."""
+    """As floats; a TypeError for text, truth values, dates, and complex or masked
+    numbers.
+    """
     array = np.asanyarray(value)
     if array.dtype is FLOAT64 and type(array) is np.ndarray:
         return array
@@ -176,7 +187,9 @@ def check_rows(names: tuple[str, ...], rows: Array) -> None:
 def check_positive(
     name: str, value: object, *, least: float = 1e-30, most: float = 1e30
 ) -> None:
-    """Refuse a setting that is not a positive number, or one whose square over- or underflows."""
+    """Refuse a setting that is not a positive number, or one whose square over- or
+    underflows.
+    """
     number = as_float(value)
     if not 0.0 < number < math.inf:
         raise ConfigurationError(
@@ -212,9 +225,9 @@ def vector_of_three(name: str, value: object) -> Array:
 class SampleClock:
     """Adds the time of rejected samples to that of the next valid one.
 
-    A clock that goes back a little comes forward again: samples are rejected until it has caught
-    up. One that was set back by more than ``most_back_s``, or forward by more than a day, goes on
-    from there.
+    A clock that goes back a little comes forward again: samples are rejected until it
+    has caught up. One that was set back by more than ``most_back_s``, or forward by
+    more than a day, goes on from there.
     """
 
     def __init__(self, most_back_s: float) -> None:
@@ -225,7 +238,8 @@ class SampleClock:
     def elapsed(self, dt_s: float) -> float:
         """Time since the last sample that was used [s].
 
-        `SampleError` for a time step that does not advance, or for a clock that was set.
+        `SampleError` for a time step that does not advance, or for a clock that was
+        set.
         """
         if type(dt_s) is not float or not SHORTEST_STEP_S <= dt_s <= LONGEST_STEP_S:
             dt_s = check_interval(dt_s)
@@ -252,10 +266,11 @@ LEAST_LIMIT = (
 
 
 def known_limits(limits: Array, instead: float) -> Array:
-    """Effort limits of a description, shape (n,), with another number where it gives none.
+    """Effort limits of a description, shape (n,), with another number where it gives
+    none.
 
-    Files write 0, Pinocchio infinity or the largest float for "unknown". `ConfigurationError` for a
-    limit that no motor has.
+    Files write 0, Pinocchio infinity or the largest float for "unknown".
+    `ConfigurationError` for a limit that no motor has.
     """
     absurd = np.flatnonzero((limits > 0.0) & (limits < LEAST_LIMIT))
     if absurd.size:

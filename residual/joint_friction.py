@@ -18,7 +18,9 @@ class FrictionModel(Protocol):
     """Anything that gives the friction torque of every joint at a velocity."""
 
     def torque(self, dq: Array) -> Array:
-        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq`` [rad/s]."""
+        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq``
+        [rad/s].
+        """
         ...
 
 
@@ -50,8 +52,8 @@ class JointFriction:
         reversal_speed_rad_s: Speed over which Coulomb friction changes sign [rad/s].
 
     Raises:
-        ConfigurationError: If lengths differ, a number is not finite, a viscous or Coulomb
-            coefficient is negative, or the reversal speed is not positive.
+        ConfigurationError: If lengths differ, a number is not finite, a viscous or
+            Coulomb coefficient is negative, or the reversal speed is not positive.
     """
 
     viscous_Nms: Array
@@ -75,8 +77,8 @@ class JointFriction:
 class SigmoidFriction:
     """The Franka Panda's friction as identified by Gaz et al., RA-L 2019.
 
-    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest, with a
-    level that may differ between the two directions.
+    ``tau_f = A / (1 + exp(-alpha (dq + s))) - A / (1 + exp(-alpha s))``: zero at rest,
+    with a level that may differ between the two directions.
 
     Attributes:
         amplitude_Nm: A per joint [Nm].

@@ -1,13 +1,13 @@
 """The momentum observer: joint signals in, external joint torque out.
 
-Momentum ``p = M(q) dq`` obeys ``dp/dt = tau + C' dq - g - tau_f + tau_ext``. With
-``u = tau + C' dq - (g + tau_f)`` the residual ``dr/dt = K (dp/dt - u - r)`` is the first-order
-low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
+Momentum ``p = M(q) dq`` obeys ``dp/dt = tau + C' dq - g - tau_f + tau_ext``. With ``u =
+tau + C' dq - (g + tau_f)`` the residual ``dr/dt = K (dp/dt - u - r)`` is the
+first-order low-pass of the external torque (paper, Section IV; Haddadin et al. 2017).
 
-Neither M nor C is formed. With the twist v of every link and the spatial momentum h of the subtree
-it carries, both from one pass over the links, ``p = S . h`` and ``C' dq = (v x S) . h`` for a joint
-that moves along S: the gradient of the kinetic energy (in the spirit of De Luca and Ferrajoli,
-ICRA 2009), in a third of the time of the matrices.
+Neither M nor C is formed. With the twist v of every link and the spatial momentum h of
+the subtree it carries, both from one pass over the links, ``p = S . h`` and ``C' dq =
+(v x S) . h`` for a joint that moves along S: the gradient of the kinetic energy (in the
+spirit of De Luca and Ferrajoli, ICRA 2009), in a third of the time of the matrices.
 """
 
 import math
@@ -34,22 +34,25 @@ from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 
 Alignment = Literal["hold", "trapezoid"]
-"""How torque fills a tick: ``hold``, the torque of the earlier sample acts until the next one
-(a commanded torque); ``trapezoid``, the mean of both samples (a sampled sensor)."""
+"""How torque fills a tick: ``hold``, the torque of the earlier sample acts until the
+next one (a commanded torque); ``trapezoid``, the mean of both samples (a sampled
+sensor)."""
 
 BANDWIDTH_PER_S = 10.0
-"""Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque, which alone
-carries a rupture."""
+"""Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque,
+which alone carries a rupture."""
 NOISE_THRESHOLD_SIGMAS = (
     3.0  # Distance of the momentum at which the bandwidth has doubled
 )
 _LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
 _NAMES = ("q", "dq", "tau")
 _MOST_SQUARED = 3.0 * (1.0 + 1e-9) * MOST_PLAUSIBLE**2
-"""Of three signals: beyond it `check_rows` refuses one of them, whatever rounding does."""
+"""Of three signals: beyond it `check_rows` refuses one of them, whatever rounding
+does."""
 
 RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
-"""Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and tau [Nm]."""
+"""Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and
+tau [Nm]."""
 END = 4  # the last four at the end of the tick follow in the same order
 BEFORE, ROWS = 5, 9  # so many rows are known before the tick, and so many there are
 Motion = tuple[Matrix, Matrix]  # see `momentum_step`
@@ -62,11 +65,11 @@ def set_step_weights(
 ) -> None:
     """Set the weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``.
 
-    With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is linear in the
-    rows of `momentum_step`.
+    With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is
+    linear in the rows of `momentum_step`.
 
-    One weight per row is written, shape (1, 9), or (n, 9) for one gain K [1/s] per joint; ``held``
-    says whether torque is held over the tick [s], see `Alignment`.
+    One weight per row is written, shape (1, 9), or (n, 9) for one gain K [1/s] per
+    joint; ``held`` says whether torque is held over the tick [s], see `Alignment`.
     """
     for k in range(len(gains_per_s)):
         gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
@@ -94,7 +97,9 @@ def _momentum_by_numpy(
 def set_momentum(
     motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix
 ) -> None:
-    """Write momentum p and C' dq at the end of a tick; arguments as of `momentum_step`."""
+    """Write momentum p and C' dq at the end of a tick; arguments as of
+    `momentum_step`.
+    """
     (twists, momenta), (directions, crossing, armature) = motion, joints
     for j in range(len(velocity)):
         along, turned = armature[j] * velocity[j] if armature.size else 0.0, 0.0
@@ -118,27 +123,30 @@ def momentum_step(
 ) -> bool:
     """One tick of the residual: the momentum is smoothed, then comes the exact step.
 
-    During an insertion the arm's own inertial force is a few hundredths of a newton, but the noise
-    of the velocity, differentiated, is the largest noise of the residual. The momentum therefore
-    passes a lag whose bandwidth grows with the distance it has fallen behind, and which steps aside
-    when the arm accelerates (compare the "one euro" filter, Casiez et al., CHI 2012). Its step is
-    the implicit one, which never overshoots.
+    During an insertion the arm's own inertial force is a few hundredths of a newton,
+    but the noise of the velocity, differentiated, is the largest noise of the residual.
+    The momentum therefore passes a lag whose bandwidth grows with the distance it has
+    fallen behind, and which steps aside when the arm accelerates (compare the "one
+    euro" filter, Casiez et al., CHI 2012). Its step is the implicit one, which never
+    overshoots.
 
     Args:
-        rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of the tick.
-        motion: Twist v of every link at its end, and momentum h of the subtree it carries, in the
-            link's axes, shape (n, 6).
-        joints: Direction S of every joint, times what is stacked, shape (n, 6 n); the matrix that
-            maps the stacked twists to v x S, shape (6 n, 6 n); rotor inertia [kg m^2], shape (n,),
-            of length 0 where there is none.
+        rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of
+            the tick.
+        motion: Twist v of every link at its end, and momentum h of the subtree it
+            carries, in the link's axes, shape (n, 6).
+        joints: Direction S of every joint, times what is stacked, shape (n, 6 n); the
+            matrix that maps the stacked twists to v x S, shape (6 n, 6 n); rotor
+            inertia [kg m^2], shape (n,), of length 0 where there is none.
         load: g + tau_f there [Nm], shape (n,).
         sample: q [rad], dq [rad/s] and measured torque [Nm] there, shape (3, n).
         weights: See `set_step_weights`.
-        noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of length 0 where
-            nothing is smoothed.
+        noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of
+            length 0 where nothing is smoothed.
         dt_s: Length of the tick [s]; 0 at a first sample, which only sets the momentum.
 
-    Returns whether the sample is finite and of plausible size; if not, nothing has happened.
+    Returns whether the sample is finite and of plausible size; if not, nothing has
+    happened.
     """
     numbers = sample.ravel()
     if not dot(numbers, numbers) < _MOST_SQUARED:  # a NaN is not either
@@ -181,16 +189,18 @@ class MomentumState:
 class MomentumObserver:
     """Residual of the generalised momentum, by the exact step of `momentum_step`.
 
-    The first sample only sets the momentum, so a start on a moving arm makes no spike; after a
-    gap in time longer than ``max_gap_s`` the momentum is set anew and the residual goes on from
-    its last value, rather than integrating across the hole.
+    The first sample only sets the momentum, so a start on a moving arm makes no spike;
+    after a gap in time longer than ``max_gap_s`` the momentum is set anew and the
+    residual goes on from its last value, rather than integrating across the hole.
 
-    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's model
-    (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear, it is zero.
+    Rotor inertia, where an arm needs it (motor-current torque), is part of the robot's
+    model (`Robot.with_armature`); on the LWR, whose torque is measured behind the gear,
+    it is zero.
 
     Args:
         robot: The arm with its payload.
-        gain_per_s: K, one for all joints or one each [1/s]; 1/K is the lag of the residual.
+        gain_per_s: K, one for all joints or one each [1/s]; 1/K is the lag of the
+            residual.
         alignment: How torque fills a tick, see `Alignment`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         max_gap_s: Longest time step that is still integrated [s].
@@ -199,8 +209,8 @@ class MomentumObserver:
         memory: All that it remembers.
 
     Raises:
-        ConfigurationError: For a gain, alignment or gap that cannot work, or friction of another
-            number of joints.
+        ConfigurationError: For a gain, alignment or gap that cannot work, or friction
+            of another number of joints.
     """
 
     def __init__(
@@ -264,12 +274,12 @@ class MomentumObserver:
             dt_s: Time since the previous sample [s]; not read on the first one.
 
         Returns:
-            Estimate of the external joint torque, environment on robot [Nm], shape (n,), a new
-            read-only array.
+            Estimate of the external joint torque, environment on robot [Nm], shape
+            (n,), a new read-only array.
 
         Raises:
-            SampleError: For a wrong shape, a number that is not finite or a time step that does
-                not advance; the state is then unchanged.
+            SampleError: For a wrong shape, a number that is not finite or a time step
+                that does not advance; the state is then unchanged.
         """
         sample = read_rows(_NAMES, (q, dq, tau), self._joints)
         if self._friction is not None:  # Its model need not take what is not finite.
@@ -280,7 +290,9 @@ class MomentumObserver:
         return residual
 
     def step(self, sample: Array, dt_s: float) -> Array:
-        """As `update`, for a checked time step and one contiguous array of shape (3, n)."""
+        """As `update`, for a checked time step and one contiguous array of shape (3,
+        n).
+        """
         memory, q, dq = self.memory, sample[0], sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
@@ -312,12 +324,14 @@ class MomentumObserver:
         self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
-        """From now on smooth the momentum of an arm that hardly accelerates, see `momentum_step`.
+        """From now on smooth the momentum of an arm that hardly accelerates, see
+        `momentum_step`.
 
         Args:
-            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape (n,).
-            q: Configuration about which the arm will move [rad], shape (n,): its inertia turns
-                noise of velocity into noise of momentum.
+            velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape
+                (n,).
+            q: Configuration about which the arm will move [rad], shape (n,): its
+                inertia turns noise of velocity into noise of momentum.
         """
         noise = check_joint_vector(
             "velocity_noise_rad_s", velocity_noise_rad_s, self._joints
@@ -330,11 +344,12 @@ class MomentumObserver:
         self.restore(self.memory)
 
     def restore(self, memory: MomentumState) -> None:
-        """Go on from a `memory`, which is kept, of an observer of the same robot and settings.
+        """Go on from a `memory`, which is kept, of an observer of the same robot and
+        settings.
 
         Raises:
-            ConfigurationError: If it belongs to a robot with another number of joints, or is
-                damaged; nothing has then changed.
+            ConfigurationError: If it belongs to a robot with another number of joints,
+                or is damaged; nothing has then changed.
         """
         rows, noise, n = memory.rows, memory.noise, self._joints
         if rows.shape != (ROWS, n):
@@ -356,14 +371,18 @@ class MomentumObserver:
 
 
 def joint_axis(joint: pin.JointModel) -> Array:
-    """Twist of a link at unit rate of its joint of one number, in the link's axes, shape (6,)."""
+    """Twist of a link at unit rate of its joint of one number, in the link's axes,
+    shape (6,).
+    """
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq))
     return np.array(data.S).ravel()
 
 
 def _shared_rows(vectors: Any) -> Array:
-    """The spatial vectors of all joints of a Pinocchio workspace, in place, shape (n, 6)."""
+    """The spatial vectors of all joints of a Pinocchio workspace, in place, shape
+    (n, 6).
+    """
     first, last, step = vectors[1].vector, vectors[len(vectors) - 1].vector, 6 * 8
     rows = np.lib.stride_tricks.as_strided(first, (len(vectors) - 1, 6), (step, 8))
     if rows[-1].ctypes.data != last.ctypes.data:

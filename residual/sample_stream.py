@@ -1,4 +1,6 @@
-"""One stream of samples into external torque: joint torques, or the robot's own estimate of it."""
+"""One stream of samples into external torque: joint torques, or the robot's own
+estimate of it.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -53,14 +55,16 @@ class StreamState:
 class SampleStream:
     """Positions, velocities if there are any, and torques; all or none with velocities.
 
-    Samples are copied, checked once and judged; then the momentum observer makes external torque
-    of measured ones. Where the robot estimates external torque itself, and velocities are estimated
-    here, position is as late as they are; how late the robot's own estimate is cannot be known.
+    Samples are copied, checked once and judged; then the momentum observer makes
+    external torque of measured ones. Where the robot estimates external torque itself,
+    and velocities are estimated here, position is as late as they are; how late the
+    robot's own estimate is cannot be known.
 
     Attributes:
         is_external: Whether the torques are such estimates of the robot.
         has_velocity: Whether samples carry a measured velocity.
-        filter_lag_s: Time by which the estimate follows the positions that it is reported with [s].
+        filter_lag_s: Time by which the estimate follows the positions that it is
+            reported with [s].
         lag_s: Time by which it follows the torque [s], where that is known here.
         memory: All that it remembers.
     """
@@ -87,7 +91,8 @@ class SampleStream:
             # The matched filter hands on a continuous torque.
             delay_s, alignment = self._velocity.delay_s, "trapezoid"
         if config.guard:
-            # Without an offset forces are tried at the tool frame, whatever frame is asked for.
+            # Without an offset forces are tried at the tool frame, whatever frame is
+            # asked for.
             frame = config.frame if any(config.tool_offset_m) else None
             tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
             self._guard = FaultDetector(robot, tip, delay_s, has_velocity=has_velocity)
@@ -116,9 +121,9 @@ class SampleStream:
     ) -> TorqueSample:
         """Take one sample; arguments as of `VirtualForceSensor.update`.
 
-        `SampleError` for a wrong shape, numbers that are not finite, a velocity that comes and
-        goes, or, with a warning, for a spike, frozen signals or a saturated torque; nothing has
-        then changed but what the fault detector knows of it.
+        `SampleError` for a wrong shape, numbers that are not finite, a velocity that
+        comes and goes, or, with a warning, for a spike, frozen signals or a saturated
+        torque; nothing has then changed but what the fault detector knows of it.
         """
         if (dq is None) == self.has_velocity:
             raise SampleError(
@@ -132,7 +137,8 @@ class SampleStream:
             rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
             rows.setflags(write=False)
         now, guard = rows.ravel(), self._guard
-        # What is hardly off the last sample needs no other check, nor one of its numbers.
+        # What is hardly off the last sample needs no other check, nor one of its
+        # numbers.
         if guard is None or not guard.surely_passes(now):
             check_rows(self._names, rows)
             if (
@@ -163,14 +169,16 @@ class SampleStream:
         residual = observer.step(found, dt_s)
         memory.age_s = 0.0 if dt_s > self._max_gap_s else memory.age_s + dt_s
         if memory.probe is not None:
-            # Learn the velocity's noise from the first samples, then smooth the momentum.
+            # Learn the velocity's noise from the first samples, then smooth the
+            # momentum.
             samples = memory.probe.add(
                 rows[0 if self._velocity is not None else 1], last_s
             )
             if samples is not None:
                 noise = white_noise(samples)
                 if self._velocity is not None:
-                    # At rest a coarse encoder may show no noise; in motion its steps are not white.
+                    # At rest a coarse encoder may show no noise; in motion its steps
+                    # are not white.
                     largest = np.full_like(noise, COARSE * noise.max())
                     noise = largest * self._velocity.noise_per_position_noise(last_s)
                 observer.smooth_momentum(noise, q)
@@ -180,7 +188,9 @@ class SampleStream:
 
     @property
     def warning(self) -> str:
-        """What seems frozen in samples that are taken all the same; empty if nothing does."""
+        """What seems frozen in samples that are taken all the same; empty if nothing
+        does.
+        """
         return "" if self._guard is None else self._guard.memory.warning
 
     @property
@@ -189,7 +199,9 @@ class SampleStream:
         return "" if self._guard is None else self._guard.memory.question
 
     def restore(self, memory: StreamState) -> None:
-        """Go on from a `memory`, which is kept, of a stream of the same kind and settings."""
+        """Go on from a `memory`, which is kept, of a stream of the same kind and
+        settings.
+        """
         self.memory = memory
         if self._velocity is not None and memory.velocity is not None:
             self._velocity.memory = memory.velocity

@@ -38,7 +38,8 @@ def _names(node: object) -> tuple[str, ...]:
 def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
     """Every array of a tree, and where it stands: names of fields with dots between.
 
-    Refuses a part that is of another kind than its field, or a number that no state can have.
+    Refuses a part that is of another kind than its field, or a number that no state can
+    have.
     """
     if isinstance(node, np.ndarray):
         yield place, node
@@ -69,8 +70,8 @@ def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
 def settings_text(config: Any, joints: int) -> str:
     """Settings in words that are equal only for equal settings.
 
-    Every setting by name, all digits of every number. A friction model may be any object: it is
-    known by the torques that it gives.
+    Every setting by name, all digits of every number. A friction model may be any
+    object: it is known by the torques that it gives.
     """
     texts = [
         f"{name}={_plain(getattr(config, name))}"
@@ -89,7 +90,9 @@ def settings_text(config: Any, joints: int) -> str:
 
 
 def _plain(value: object) -> object:
-    """Numbers of any kind and shape as Python's own, whose text has all their digits."""
+    """Numbers of any kind and shape as Python's own, whose text has all their
+    digits.
+    """
     if is_dataclass(value):
         return {name: _plain(getattr(value, name)) for name in _names(value)}
     if isinstance(value, np.ndarray | np.generic):
@@ -102,8 +105,8 @@ def _plain(value: object) -> object:
 def robot_digest(robot: Robot) -> str:
     """A hash of everything about a robot that an estimate depends on.
 
-    Joints with their axes and parents, links, payload, frames, limits and gravity: 64 hexadecimal
-    digits, equal for robots that no estimator can distinguish.
+    Joints with their axes and parents, links, payload, frames, limits and gravity: 64
+    hexadecimal digits, equal for robots that no estimator can distinguish.
     """
     model = robot.model
     names = (*robot.joint_names, robot.tool_frame, *robot.frame_names)
@@ -127,13 +130,15 @@ def robot_digest(robot: Robot) -> str:
 
 
 TRIED, TRIED_S = 3, 0.03
-"""Steps of a trial, each long enough that everything which changes slowly is renewed."""
+"""Steps of a trial, each long enough that everything which changes slowly is
+renewed."""
 
 
 def try_out(twin: Any, state: Any) -> None:
     """Make a damaged state fail now, with a `SnapshotError`, and not in a later update.
 
-    The twin is a new `VirtualForceSensor` of the same robot and settings, that nobody uses.
+    The twin is a new `VirtualForceSensor` of the same robot and settings, that nobody
+    uses.
     """
     try:
         still = np.zeros(len(state.weighed_at))

@@ -1,10 +1,11 @@
 """Signals that repeat because their source is stuck, and those that repeat as a rule.
 
-Many valid signals repeat bit for bit: a resolution coarser than the noise, a source slower than
-the clock, samples that come twice. A repeat means something only where the noise of every joint
-stands out of the resolution, and only when all joints repeat together for far longer than they did
-while nothing was wrong. Of any other signal nothing is claimed: what a stuck torque does to the
-force is then left to `residual.consistency_checks` to notice.
+Many valid signals repeat bit for bit: a resolution coarser than the noise, a source
+slower than the clock, samples that come twice. A repeat means something only where the
+noise of every joint stands out of the resolution, and only when all joints repeat
+together for far longer than they did while nothing was wrong. Of any other signal
+nothing is claimed: what a stuck torque does to the force is then left to
+`residual.consistency_checks` to notice.
 """
 
 import math
@@ -26,12 +27,12 @@ LONGEST_USUAL_S = (
     0.1  # no source of positions or torques is slower than ten samples a second
 )
 LONGEST_REFUSAL_S = 5.0
-"""After this nothing is rejected any more, only reported: should a valid signal fall still after
-all, on an arm at rest, then not for ever."""
+"""After this nothing is rejected any more, only reported: should a valid signal fall
+still after all, on an arm at rest, then not for ever."""
 LEAST_ALONE_S = 0.5  # no shorter repeat of a single joint is reported
 LEAST_WHITENESS = 0.5
-"""Ratio of third to second differences: 1.8 for white noise, next to nothing for a smooth motion
-that has none."""
+"""Ratio of third to second differences: 1.8 for white noise, next to nothing for a
+smooth motion that has none."""
 ROUNDING = 1e-9  # no smaller difference counts as one [rad, rad/s, Nm]
 LEAST_ROWS = 16
 LEAST_SAMPLES, MOST_SAMPLES = (
@@ -41,16 +42,19 @@ LEAST_SAMPLES, MOST_SAMPLES = (
 
 
 def new_rows(rows: Array) -> Array:
-    """Rows that are not all of the one before: a source slower than the clock, by its own clock."""
+    """Rows that are not all of the one before: a source slower than the clock, by
+    its own clock.
+    """
     return rows[np.concatenate(([True], (np.diff(rows, axis=0) != 0.0).any(axis=1)))]
 
 
 def white_noise(rows: Array) -> Array:
-    """Standard deviation of the noise of samples, shape (m, size); 0 where they are fewer than 4.
+    """Standard deviation of the noise of samples, shape (m, size); 0 where they are
+    fewer than 4.
 
-    A smooth motion has almost no third difference over three ticks, white noise of standard
-    deviation s has one of ``s sqrt(20)``; the median keeps lost samples out. A signal that was
-    filtered before it came reads too low, never too high.
+    A smooth motion has almost no third difference over three ticks, white noise of
+    standard deviation s has one of ``s sqrt(20)``; the median keeps lost samples out. A
+    signal that was filtered before it came reads too low, never too high.
     """
     if len(rows) <= ORDER:
         return np.zeros(rows.shape[1])
@@ -60,7 +64,9 @@ def white_noise(rows: Array) -> Array:
 
 
 def stands_out(rows: Array) -> NDArray[np.bool_]:
-    """Which signals have noise that stands out of their resolution; rows (m, size) -> (size,)."""
+    """Which signals have noise that stands out of their resolution; rows (m, size)
+    -> (size,).
+    """
     rows = new_rows(rows)
     if len(rows) < LEAST_ROWS:
         return np.zeros(rows.shape[1], dtype=bool)
@@ -70,7 +76,8 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
     second, third = (
         np.median(np.abs(np.diff(rows, n=order, axis=0)), axis=0) for order in (2, 3)
     )
-    # As in `white_noise`. Resolution alone makes less than two thirds of a step of such noise.
+    # As in `white_noise`. Resolution alone makes less than two thirds of a step of such
+    # noise.
     return (third > LEAST_WHITENESS * second) & (
         third / (0.6745 * np.sqrt(20.0)) >= resolution
     )
@@ -98,7 +105,9 @@ class NoiseProbe:
 
 @dataclass(slots=True)
 class StuckSignalDetector:
-    """Watches signals that come from one source and would get stuck together; all it remembers."""
+    """Watches signals that come from one source and would get stuck together; all it
+    remembers.
+    """
 
     usual_s: float = 0.0  # Longest repeat while learning [s]
     repeat_s: float = 0.0  # For how long all signals have repeated now [s]
@@ -130,23 +139,29 @@ class StuckSignalDetector:
 
 @dataclass(slots=True, eq=False)
 class SingleSignalDetector:
-    """Checks now and then whether one signal repeats while the others go on; all it remembers."""
+    """Checks now and then whether one signal repeats while the others go on; all it
+    remembers.
+    """
 
     values: Array  # At the last check, shape (n,)
     still_s: Array  # For how long each has been the same at every check [s], shape (n,)
-    # For how long at least it is reported, infinite for a signal whose repeats mean nothing [s],
-    # shape (n,)
+    # For how long at least it is reported, infinite for a signal whose repeats mean
+    # nothing [s], shape (n,)
     limit_s: Array
     longest_s: float = 0.0  # The longest of the times in `still_s` [s]
 
     def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
-        """Learning has ended: of which signals, shape (size,), does a repeat mean anything?"""
+        """Learning has ended: of which signals, shape (size,), does a repeat mean
+        anything?
+        """
         self.limit_s = np.where(
             is_telling, max(LEAST_ALONE_S, FAR_LONGER * usual_s), np.inf
         )
 
     def check(self, values: Array, dt_s: float) -> list[int]:
-        """Indices of signals, shape (size,), that seem stuck a time [s] after the last check."""
+        """Indices of signals, shape (size,), that seem stuck a time [s] after the
+        last check.
+        """
         self.still_s = (values == self.values) * (self.still_s + dt_s)
         self.values, self.longest_s = values, max(self.still_s.tolist())
         return (

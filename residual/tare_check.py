@@ -20,7 +20,8 @@ IMPLAUSIBLE = (
 )
 
 MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
-"""Fraction of the residual, rms, that an explanation may leave over; offsets are among it."""
+"""Fraction of the residual, rms, that an explanation may leave over; offsets are
+among it."""
 LEAST_OFFSETS = (
     3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
 )
@@ -37,14 +38,17 @@ def check_free_of_contact(
     *,
     is_external: bool,
 ) -> None:
-    """Refuse a tare whose motion was not free, or whose torques are not what they are taken for.
+    """Refuse a tare whose motion was not free, or whose torques are not what they are
+    taken for.
 
-    A contact that stands during all of the motion breaks the prior. One that begins or ends in it
-    is fitted beside all that the tare fits, as a constant force in its likeliest interval and as
-    one that grows until the end: what friction, drift or a coarse model explain is no contact.
+    A contact that stands during all of the motion breaks the prior. One that begins or
+    ends in it is fitted beside all that the tare fits, as a constant force in its
+    likeliest interval and as one that grows until the end: what friction, drift or a
+    coarse model explain is no contact.
 
-    The estimator's covariance is overwritten: it must be the caller's own. An external residual is
-    one that the robot sends itself. `TareError` with the force seen, or the likely reason.
+    The estimator's covariance is overwritten: it must be the caller's own. An external
+    residual is one that the robot sends itself. `TareError` with the force seen, or the
+    likely reason.
     """
     basis, blocks = fit.basis, fit.blocks
     seen = [_beyond_prior(basis, blocks, wrench)]
@@ -59,7 +63,8 @@ def check_free_of_contact(
         for k, position in enumerate(blocks.q_rad):
             wrench.kinematics.update(position)
             torque[k] = wrench.kinematics.jacobian[:3].T
-        # Fitted beside it, a contact does not pass for a sensor that drifts or a rough bearing.
+        # Fitted beside it, a contact does not pass for a sensor that drifts or a rough
+        # bearing.
         kept, contact = _likeliest_contact(at_prior, torque)
         beside = FreeMotionFit(basis, blocks.part(kept), contact[kept])
         if (
@@ -85,7 +90,9 @@ def check_free_of_contact(
 def _beyond_prior(
     basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
 ) -> tuple[float, float]:
-    """Axial force that no error of the prior's size makes, and its std; zeros if there is none."""
+    """Axial force that no error of the prior's size makes, and its std; zeros if
+    there is none.
+    """
     prior, worst, excess = basis.prior_tare, (0.0, 0.0), SIGMAS
     for part in np.array_split(
         np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))
@@ -107,9 +114,11 @@ def _beyond_prior(
 def _likeliest_contact(
     fit: FreeMotionFit, torque: Array
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Torque per newton on the tip, in the likeliest interval of contact, shape (blocks, n, 3).
+    """Torque per newton on the tip, in the likeliest interval of contact, shape
+    (blocks, n, 3).
 
-    First come the blocks that say how large its force is: not those in which it begins or ends.
+    First come the blocks that say how large its force is: not those in which it begins
+    or ends.
     """
     q = fit.blocks.q_rad
     parts = np.array_split(np.arange(len(q)), min(INTERVALS, len(q)))
@@ -127,7 +136,9 @@ def _likeliest_contact(
 
 
 def _growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
-    """The same of a force that grows evenly, from its likeliest start, to a newton at the end."""
+    """The same of a force that grows evenly, from its likeliest start, to a newton
+    at the end.
+    """
     age_s = fit.blocks.age_s[:, None]
     starts_s = age_s[
         np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int), 0
@@ -144,7 +155,9 @@ def _growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
 
 
 def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:
-    """First part of the likeliest interval and the one after its last, of three forces per part."""
+    """First part of the likeliest interval and the one after its last, of three
+    forces per part.
+    """
     count = len(evidence) // 3
     information, evidence = (
         information.reshape(count, 3, count, 3),
@@ -169,12 +182,13 @@ def explain_residual(
 ) -> str:
     """The likely cause of a residual that is not that of free motion; empty if unknown.
 
-    At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity was taken out
-    of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity was added twice.
+    At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity
+    was taken out of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity
+    was added twice.
 
-    Only where the tare is refused anyhow, a mass at the flange and missing positions (a simulated
-    joint may stand still) are considered; otherwise, the others only in a residual far beyond all
-    offsets. ``is_external`` as in `check_free_of_contact`.
+    Only where the tare is refused anyhow, a mass at the flange and missing positions (a
+    simulated joint may stand still) are considered; otherwise, the others only in a
+    residual far beyond all offsets. ``is_external`` as in `check_free_of_contact`.
     """
     scale = basis.prior.offset_fraction * basis.effort_Nm
     residual = blocks.residual_Nm / scale
@@ -224,10 +238,13 @@ def _rms(values: Array) -> float:
 
 
 def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
-    """Whose gravity each measured torque is, both (m, n); empty if their own, or nobody's."""
+    """Whose gravity each measured torque is, both (m, n); empty if their own, or
+    nobody's.
+    """
     cost = np.square(torque[:, :, None] - gravity[:, None, :]).mean(axis=0)
     own = float(np.trace(cost))
-    # Joints without gravity are alike: of equal orders the one that moves fewest is meant.
+    # Joints without gravity are alike: of equal orders the one that moves fewest is
+    # meant.
     joints, order = linear_sum_assignment(cost + 1e-3 * own * (1.0 - np.eye(len(cost))))
     explains = (order != joints).any() and cost[
         joints, order
@@ -236,9 +253,11 @@ def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
 
 
 def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
-    """A mass behind the last joint that the model has too much of, or lacks; empty if it is none.
+    """A mass behind the last joint that the model has too much of, or lacks; empty if
+    it is none.
 
-    Least squares of the residual over its mass and first moments, and an offset per joint.
+    Least squares of the residual over its mass and first moments, and an offset per
+    joint.
     """
     n = len(scale)
     masses = np.concatenate(

@@ -1,4 +1,6 @@
-"""Where the tool is and how joint motion moves it: computed once per sample, used by all."""
+"""Where the tool is and how joint motion moves it: computed once per sample, used by
+all.
+"""
 
 from typing import Any
 
@@ -21,17 +23,19 @@ class ToolKinematics:
         robot: The arm.
         frame: Name of the frame; the robot's tool frame when None.
         insertion_axis: Insertion direction in the frame's axes, normalised here.
-        offset_m: Where the needle's tip is in that frame: pose and Jacobian are the tip's.
+        offset_m: Where the needle's tip is in that frame: pose and Jacobian are the
+            tip's.
 
     Attributes:
         axis_in_tool: The insertion direction, of length one, shape (3,).
-        needle: What motion of the tip follows from, always of the latest `update`. Of the joint
-            that carries the needle: place in the base [m], shape (3,); its axes there, one a row,
-            shape (3, 3); its Jacobian at the base's origin in base axes, a row per joint, shape
-            (n, 6). In that joint's axes: tip [m] and direction of the needle, shape (3,).
+        needle: What motion of the tip follows from, always of the latest `update`. Of
+            the joint that carries the needle: place in the base [m], shape (3,); its
+            axes there, one a row, shape (3, 3); its Jacobian at the base's origin in
+            base axes, a row per joint, shape (n, 6). In that joint's axes: tip [m] and
+            direction of the needle, shape (3,).
 
-    `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError` for an unknown
-    frame.
+    `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError`
+    for an unknown frame.
     """
 
     def __init__(
@@ -55,7 +59,9 @@ class ToolKinematics:
         self._share()
 
     def _share(self) -> None:
-        """Look into Pinocchio's workspace, which every `update` fills: calls for it take longer."""
+        """Look into Pinocchio's workspace, which every `update` fills: calls for it
+        take longer.
+        """
         joint = self._data.oMi[self._joint]
         workspace = joint.translation, joint.rotation.T, self._data.J.reshape(6, -1).T
         self.needle = (*workspace, *self._tip)
@@ -88,7 +94,8 @@ class ToolKinematics:
     def axial_jacobian(self) -> Array:
         """Row of the Jacobian along the insertion axis [m], shape (n,).
 
-        Times dq it is the speed of the needle, minus it the joint torque per newton of resistance.
+        Times dq it is the speed of the needle, minus it the joint torque per newton of
+        resistance.
         """
         return self.axis_in_tool.dot(self.jacobian[:3])
 
@@ -99,7 +106,9 @@ class ToolKinematics:
 
 
 def unit_axis(axis: ArrayLike) -> Array:
-    """An insertion axis of length one, shape (3,); refused unless finite and not all zero."""
+    """An insertion axis of length one, shape (3,); refused unless finite and not all
+    zero.
+    """
     given = vector_of_three("insertion_axis", axis)
     if not given.any():
         raise ConfigurationError(

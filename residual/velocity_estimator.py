@@ -1,8 +1,9 @@
 """Joint velocity when the robot sends none, with torque delayed to match.
 
-Position and torque pass the same two lags F(s) = (w / (s + w))^2. The filtered position has an
-exact derivative, w (x1 - x2), so M, C and g are evaluated on one consistent, delayed motion, and
-the torque is delayed by exactly as much: motion does not read as force. The common delay is 2/w.
+Position and torque pass the same two lags F(s) = (w / (s + w))^2. The filtered position
+has an exact derivative, w (x1 - x2), so M, C and g are evaluated on one consistent,
+delayed motion, and the torque is delayed by exactly as much: motion does not read as
+force. The common delay is 2/w.
 """
 
 import math
@@ -29,10 +30,12 @@ _NAMES = ("q", "tau")
 
 
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
-    """Factors of the exact step of two equal first-order lags in a row, shape (3, ROWS).
+    """Factors of the exact step of two equal first-order lags in a row, shape (3,
+    ROWS).
 
-    Times the rows they give both outputs at the end of the tick, and the rate of the second one.
-    The input runs straight over the tick; a held one is the case of equal ends.
+    Times the rows they give both outputs at the end of the tick, and the rate of the
+    second one. The input runs straight over the tick; a held one is the case of equal
+    ends.
     """
     tick = bandwidth_per_s * dt_s
     decay, gained, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
@@ -47,7 +50,9 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
 def lag_pair_step(
     rows: WrittenMatrix, factors: Matrix, given: Vector, held: bool
 ) -> Array:
-    """Bring the rows up to date; position, its rate and torque behind both lags, shape (3, n)."""
+    """Bring the rows up to date; position, its rate and torque behind both lags,
+    shape (3, n).
+    """
     n = len(given) // 2
     rows[3, :n], rows[3, n:] = given[:n], rows[2, n:] if held else given[n:]
     out, found = factors.dot(rows), np.empty((3, n))
@@ -81,14 +86,16 @@ class VelocityEstimator:
 
     Args:
         joints: Number of joints.
-        bandwidth_per_s: w of the two lags [1/s], 1e6 at most; the common delay is 2/w, the
-            velocity noise from white position noise s at period dt is ``s sqrt(dt w^3 / 4)``.
-        alignment: How torque fills a tick, see `residual.momentum_observer.Alignment`. The filtered
-            torque is continuous: feed the observer with ``trapezoid``.
+        bandwidth_per_s: w of the two lags [1/s], 1e6 at most; the common delay is 2/w,
+            the velocity noise from white position noise s at period dt is ``s sqrt(dt
+            w^3 / 4)``.
+        alignment: How torque fills a tick, see `residual.momentum_observer.Alignment`.
+            The filtered torque is continuous: feed the observer with ``trapezoid``.
         max_gap_s: A longer time step starts the filter anew [s].
 
     Attributes:
-        memory: All that it remembers; one of the same settings and joints may stand in its place.
+        memory: All that it remembers; one of the same settings and joints may stand in
+            its place.
 
     Raises:
         ConfigurationError: For a setting that cannot work.
@@ -120,7 +127,9 @@ class VelocityEstimator:
         return 2.0 / self._bandwidth
 
     def noise_per_position_noise(self, dt_s: float) -> float:
-        """Velocity noise [rad/s] per rad of white position noise at a sample period [s]."""
+        """Velocity noise [rad/s] per rad of white position noise at a sample period
+        [s].
+        """
         return math.sqrt(dt_s * self._bandwidth**3 / 4.0)
 
     def update(self, q: ArrayLike, tau: ArrayLike, dt_s: float) -> MatchedSample:
@@ -138,8 +147,8 @@ class VelocityEstimator:
     def step(self, sample: Array, dt_s: float) -> tuple[Array, bool]:
         """As `update`, for finite numbers and a checked time step.
 
-        The sample is position and torque, shape (2, n), contiguous; what a `MatchedSample` holds
-        is returned, its arrays as one, shape (3, n).
+        The sample is position and torque, shape (2, n), contiguous; what a
+        `MatchedSample` holds is returned, its arrays as one, shape (3, n).
         """
         memory, rows, given = self.memory, self.memory.rows, sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:

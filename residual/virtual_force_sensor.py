@@ -60,22 +60,25 @@ class SensorState(NamedTuple):
 class VirtualForceSensor:
     """Force on the needle from joint signals alone (paper, Section IV).
 
-    Call `update` every tick; move in free air, call `tare`, insert. The wrench is what the
-    environment exerts on the tool at its frame, in base axes by default: a weight hung there reads
-    as a force down, tissue that pushes back reads as a positive axial force.
+    Call `update` every tick; move in free air, call `tare`, insert. The wrench is what
+    the environment exerts on the tool at its frame, in base axes by default: a weight
+    hung there reads as a force down, tissue that pushes back reads as a positive axial
+    force.
 
-    A bad sample (wrong shape, not finite, time not advancing) is not used: the last valid estimate
-    comes back with status ``REJECTED`` and the reason. `copy.deepcopy` and `pickle` give a sensor
-    that goes on bit for bit.
+    A bad sample (wrong shape, not finite, time not advancing) is not used: the last
+    valid estimate comes back with status ``REJECTED`` and the reason. `copy.deepcopy`
+    and `pickle` give a sensor that goes on bit for bit.
 
     Args:
         robot: The arm with its payload.
         config: Settings; `PUBLISHED` for the method as published.
 
     Attributes:
-        lag_s: Time by which the estimate follows the force [s]; 0 before the first sample, and for
-            external torques of the robot itself: their lag is not known here.
-        elapsed_s: Time between the last two samples that were used [s]; 0 for the first.
+        lag_s: Time by which the estimate follows the force [s]; 0 before the first
+            sample, and for external torques of the robot itself: their lag is not known
+            here.
+        elapsed_s: Time between the last two samples that were used [s]; 0 for the
+            first.
         rejected: Bad samples since the last `reset`.
     """
 
@@ -101,7 +104,9 @@ class VirtualForceSensor:
 
     @property
     def velocity_rad_s(self) -> Array:
-        """Joint velocity of the last sample used, given or estimated [rad/s], shape (n,)."""
+        """Joint velocity of the last sample used, given or estimated [rad/s], shape
+        (n,).
+        """
         return self._offset.memory.dq
 
     @property
@@ -113,8 +118,9 @@ class VirtualForceSensor:
     def residual_std_Nm(self) -> Array:
         """Standard deviation of `WrenchEstimate.residual` per joint [Nm], shape (n,).
 
-        Noise, what the tare left unknown here, drift since, and the torque of motion, which is
-        known as well as the links' masses: an arm that accelerates makes it larger.
+        Noise, what the tare left unknown here, drift since, and the torque of motion,
+        which is known as well as the links' masses: an arm that accelerates makes it
+        larger.
         """
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
@@ -129,12 +135,14 @@ class VirtualForceSensor:
 
         Args:
             q: Joint positions [rad], shape (n,).
-            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that sends none.
+            dq: Joint velocities [rad/s], shape (n,); None, always, for a robot that
+                sends none.
             tau: Measured link-side joint torques [Nm], shape (n,).
             dt_s: Time since the previous call [s]; not read on the first one.
 
         Returns:
-            The wrench with its uncertainty and status. A bad sample is reported there, not raised.
+            The wrench with its uncertainty and status. A bad sample is reported there,
+            not raised.
         """
         return self._take_sample(False, q, dq, tau, dt_s)
 
@@ -145,32 +153,37 @@ class VirtualForceSensor:
         external_torque: ArrayLike,
         dt_s: float,
     ) -> WrenchEstimate:
-        """Take one sample of an external-torque estimate that the robot supplies itself.
+        """Take one sample of an external-torque estimate that the robot supplies
+        itself.
 
         Args:
             q: As in `update`, like ``dt_s`` and what is returned.
-            dq: Joint velocities [rad/s], shape (n,); None, always, to have them estimated from
-                positions, which are then as late as they are. Forces do not depend on them.
+            dq: Joint velocities [rad/s], shape (n,); None, always, to have them
+                estimated from positions, which are then as late as they are. Forces do
+                not depend on them.
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
         """
         return self._take_sample(True, q, dq, external_torque, dt_s)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
-        """Fit the offset to the free motion since the start or `start_tare_recording`; return it.
+        """Fit the offset to the free motion since the start or `start_tare_recording`;
+        return it.
 
-        Call it while the arm rests or from outside the control loop: it takes a few tenths of a
-        second. A contact that stands during all of the motion is noticed only if it is larger than
-        what the prior lets the model be wrong by (tens of newtons on an LWR).
+        Call it while the arm rests or from outside the control loop: it takes a few
+        tenths of a second. A contact that stands during all of the motion is noticed
+        only if it is larger than what the prior lets the model be wrong by (tens of
+        newtons on an LWR).
 
         Args:
-            ignore_contact: Take it even where contact is seen, or torques or velocities that
-                cannot be.
+            ignore_contact: Take it even where contact is seen, or torques or velocities
+                that cannot be.
 
         Raises:
-            TareError: Without data, a second time without `start_tare_recording`, with contact in
-                sight, with torques that suggest a wrong sign, order, payload or treatment of
-                gravity, or velocities that do not fit positions; nothing has then changed.
+            TareError: Without data, a second time without `start_tare_recording`, with
+                contact in sight, with torques that suggest a wrong sign, order, payload
+                or treatment of gravity, or velocities that do not fit positions;
+                nothing has then changed.
         """
         if self._monitor.velocity_fault and not ignore_contact:
             raise VelocityError(
@@ -199,7 +212,9 @@ class VirtualForceSensor:
 
     @property
     def question(self) -> str:
-        """Whether a signal is missing, or in degrees: what the samples ask; mostly empty."""
+        """Whether a signal is missing, or in degrees: what the samples ask; mostly
+        empty.
+        """
         stale = "" if self._stream is None else self._stream.question
         return "; ".join(filter(None, (self._monitor.question, stale)))
 
@@ -211,7 +226,8 @@ class VirtualForceSensor:
     def _trust(self, covariance_Nm2: Array) -> None:
         """Weigh with a covariance of the residual from now on."""
         tare = self._offset.memory.tare
-        # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t / (t + T).
+        # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t /
+        # (t + T).
         gone = 3.0 * self._smoothing_s / self._offset.block_s * tare.scatter_Nm2
         gone *= tare.noise_Nm2.diagonal() / (tare.noise_Nm2.diagonal() + gone)
         self._wrench.set_torque_covariance(
@@ -219,7 +235,8 @@ class VirtualForceSensor:
         )
 
     def start_tare_recording(self) -> None:
-        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until then.
+        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until
+        then.
 
         The next sample may be of the other kind of torque: everything then starts anew.
         """
@@ -244,11 +261,15 @@ class VirtualForceSensor:
 
     @property
     def filter_lag_s(self) -> float:
-        """Time by which the force follows the posture it is reported with [s]: the observer's."""
+        """Time by which the force follows the posture it is reported with [s]: the
+        observer's.
+        """
         return 0.0 if self._stream is None else self._stream.filter_lag_s
 
     def snapshot(self) -> SensorState:
-        """All that the sensor remembers; immutable. `needleforce.write_snapshot` stores it."""
+        """All that the sensor remembers; immutable. `needleforce.write_snapshot`
+        stores it.
+        """
         stream = self._stream
         return deepcopy(
             SensorState(
@@ -275,8 +296,8 @@ class VirtualForceSensor:
         """Go on, bit for bit, from where `snapshot` was taken.
 
         Raises:
-            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of another robot
-                or other settings; nothing has then changed.
+            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of
+                another robot or other settings; nothing has then changed.
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
@@ -358,8 +379,8 @@ class VirtualForceSensor:
         self._unchecked_s += elapsed_s
         waiting, checks = self._waiting, False
         if renewed or waiting:
-            # The tick after a renewal checks, the next one weighs; what waits still, as with a slow
-            # clock and in the first tick, is done with the next renewal.
+            # The tick after a renewal checks, the next one weighs; what waits still, as
+            # with a slow clock and in the first tick, is done with the next renewal.
             checks, weighs = waiting == 2, waiting == 1 or (renewed and waiting == 2)
             self._waiting = 2 if renewed else waiting - 1
             if weighs and (offset.is_covariance_due or monitor.wants_widening):

@@ -1,4 +1,6 @@
-"""From external joint torque to the wrench at a named frame: equation (13) and better."""
+"""From external joint torque to the wrench at a named frame: equation (13) and
+better.
+"""
 
 import math
 from typing import Any, NamedTuple
@@ -31,8 +33,8 @@ _NOTHING.setflags(write=False)
 _UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
 _LEAST_NOISE_N2 = 1e-12  # Keeps quotients by the noise finite
 MOST_TURN_RAD = 1e-3
-"""A gain is used until the joints together have moved so far: the force is then off by a thousandth
-of itself."""
+"""A gain is used until the joints together have moved so far: the force is then off by
+a thousandth of itself."""
 SMOOTHED_SIGMAS = (
     2.0  # Distance, in deviations of the noise, at which the bandwidth has doubled
 )
@@ -44,16 +46,17 @@ KEPT_SIGMAS = (
 class WrenchGain(NamedTuple):
     """How the joints are weighed at one configuration; arrays are read-only."""
 
-    # That configuration [rad], then the matrix from joint torque to force (and torque) in the axes
-    # asked for; shape (4 or 7, n)
+    # That configuration [rad], then the matrix from joint torque to force (and torque)
+    # in the axes asked for; shape (4 or 7, n)
     rows: Array
-    # Insertion direction in the same axes; variance of the axial force, and of a lateral force in
-    # the direction known least; the part of both that is noise of a sample [N^2]; shape (7,)
+    # Insertion direction in the same axes; variance of the axial force, and of a
+    # lateral force in the direction known least; the part of both that is noise of a
+    # sample [N^2]; shape (7,)
     axis: Array
     # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
-    # Joint torque per newton in the least observable of the directions that the mode asks for [m];
-    # in the full mode a newton metre counts as a newton
+    # Joint torque per newton in the least observable of the directions that the mode
+    # asks for [m]; in the full mode a newton metre counts as a newton
     weakest_m: float
     unexplained: (
         Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)
@@ -64,8 +67,8 @@ class WrenchGain(NamedTuple):
 def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.bool_]]:
     """Pseudo-inverse of a symmetric matrix without negative eigenvalues, shape (k, k).
 
-    Directions whose eigenvalue is below ``least`` times the largest stay at zero. Also returned:
-    which unknowns have a part in such a direction, shape (k,).
+    Directions whose eigenvalue is below ``least`` times the largest stay at zero. Also
+    returned: which unknowns have a part in such a direction, shape (k,).
     """
     values, vectors = np.linalg.eigh(symmetric)
     seen = values > values[-1] * least
@@ -76,7 +79,9 @@ def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.b
 
 @compiled
 def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
-    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric, positive, finite."""
+    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric,
+    positive, finite.
+    """
     # Written so that a NaN is none either.
     if not np.abs(covariance - covariance.T).sum() <= 1e-6 * abs(np.trace(covariance)):
         return covariance.copy(), False
@@ -88,23 +93,27 @@ def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
 def weighted_inverse(
     jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
 ) -> tuple[Array, Array, float, Array]:
-    """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13) generalised.
+    """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13)
+    generalised.
 
-    ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this is the best
-    linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of equation (13). D is the
-    inverse of the variance expected of x. It matters only where the joints cannot observe x: there
-    it draws the answer to zero, and the fraction that it removes is reported.
+    ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this
+    is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of
+    equation (13). D is the inverse of the variance expected of x. It matters only where
+    the joints cannot observe x: there it draws the answer to zero, and the fraction
+    that it removes is reported.
 
-    Rows of J, shape (k, n), are directions of x; the covariance is that of the error of the torque
-    [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape (k,).
+    Rows of J, shape (k, n), are directions of x; the covariance is that of the error of
+    the torque [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape
+    (k,).
 
-    Returns the matrix from torque to x, shape (k, n); the covariance of x, shape (k, k), with
-    `UNSEEN_STD` squared on the diagonal where x cannot be observed; ``conditioning`` and
-    ``damping_fraction`` of `WrenchEstimate`.
+    Returns the matrix from torque to x, shape (k, n); the covariance of x, shape (k,
+    k), with `UNSEEN_STD` squared on the diagonal where x cannot be observed;
+    ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`.
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
-    # Directions below rounding of the largest are unseen: the pseudo-inverse leaves them at zero.
+    # Directions below rounding of the largest are unseen: the pseudo-inverse leaves
+    # them at zero.
     inverse, blind = pseudo_inverse(information + np.diag(damping), 1e-12)
     gain = inverse.dot(weighted)
     covariance = gain.dot(error_covariance).dot(gain.T) + (inverse * damping).dot(
@@ -122,7 +131,9 @@ def weighted_inverse(
 
 @compiled
 def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
-    """Part of a force along the insertion direction [N], and square of that across it [N^2]."""
+    """Part of a force along the insertion direction [N], and square of that across
+    it [N^2].
+    """
     along = axis[0] * x + axis[1] * y + axis[2] * z
     return along, x * x + y * y + z * z - along * along
 
@@ -133,11 +144,13 @@ def smoothing_step(
 ) -> tuple[float, float]:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
-    While the force stays within its noise it passes a low-pass. Its bandwidth grows with the fourth
-    power of the distance to the smoothed force, in deviations of the noise: a rupture passes as it
-    is. The step is implicit, as in `residual.momentum_observer.momentum_step`.
+    While the force stays within its noise it passes a low-pass. Its bandwidth grows
+    with the fourth power of the distance to the smoothed force, in deviations of the
+    noise: a rupture passes as it is. The step is implicit, as in
+    `residual.momentum_observer.momentum_step`.
 
-    `axis` is that of `WrenchGain`; `slow` is the lag that shrinks, `fast` a constant one [steps].
+    `axis` is that of `WrenchGain`; `slow` is the lag that shrinks, `fast` a constant
+    one [steps].
 
     Returns how far the smoothed force is behind afterwards, as `split_force` does.
     """
@@ -169,10 +182,11 @@ def wrench_step(
 ) -> tuple[float, float, float, float, float]:
     """Force from external joint torque, smoothed, with what its lag may hide.
 
-    A follower filters the force once more with the same lags, the observer's and the smoothing's:
-    it misses about what the estimate has missed. The variance of the noise is subtracted from its
-    squared error. As it is late itself, its error is small when an oscillating force hides most.
-    So this error fades with twice these lags; `KEPT_SIGMAS` limits it, so a rupture is over soon.
+    A follower filters the force once more with the same lags, the observer's and the
+    smoothing's: it misses about what the estimate has missed. The variance of the noise
+    is subtracted from its squared error. As it is late itself, its error is small when
+    an oscillating force hides most. So this error fades with twice these lags;
+    `KEPT_SIGMAS` limits it, so a rupture is over soon.
 
     Args:
         q: Configuration [rad], shape (n,).
@@ -180,13 +194,15 @@ def wrench_step(
         rows: See `WrenchGain`, like ``axis``.
         axis: Insertion direction and variances, shape (7,).
         lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
-        memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid, along and
-            across [N^2]; updated to the end of the tick; shape (3, 3) or (3, 6).
+        memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid,
+            along and across [N^2]; updated to the end of the tick; shape (3, 3) or (3,
+            6).
         found: Output: force, and torque if it is asked for [N, Nm], shape (3,) or (6,).
 
-    Returns resistance to insertion, its standard deviation, size of the lateral force, the standard
-    deviation of one of its components, and resistance before it is smoothed [N]; NaN, and no change
-    of memory, if the arm has turned too far for the gain.
+    Returns resistance to insertion, its standard deviation, size of the lateral force,
+    the standard deviation of one of its components, and resistance before it is
+    smoothed [N]; NaN, and no change of memory, if the arm has turned too far for the
+    gain.
     """
     turned = q - rows[0]
     if not (turned * turned).sum() <= MOST_TURN_RAD**2:
@@ -214,10 +230,12 @@ def wrench_step(
 
 @compiled
 def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
-    """Joint torque that no wrench explains, whose unknowns make torque by ``rows``, (k, n).
+    """Joint torque that no wrench explains, whose unknowns make torque by ``rows``, (k,
+    n).
 
-    Returns the smallest singular value of the rows, and the quadratic form of a torque that gives
-    the mean square of this part, in units of its covariance, ``precision`` inverted; shape (n, n).
+    Returns the smallest singular value of the rows, and the quadratic form of a torque
+    that gives the mean square of this part, in units of its covariance, ``precision``
+    inverted; shape (n, n).
     """
     count, joints = rows.shape
     gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
@@ -232,9 +250,11 @@ def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
 
 @compiled
 def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
-    """Variances of the axial force, and of the lateral force in the direction known least.
+    """Variances of the axial force, and of the lateral force in the direction known
+    least.
 
-    Force and axis in the same axes; if a component is not observed, both are those of the unseen.
+    Force and axis in the same axes; if a component is not observed, both are those of
+    the unseen.
     """
     if np.diag(covariance).max() >= _UNSEEN:
         return _UNSEEN, _UNSEEN
@@ -246,20 +266,22 @@ def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
-    Sign and frames: the wrench acts on the tool at the tip, in the axes asked for; a weight hung
-    there reads as a force down. The axial force is minus the force along the insertion direction,
-    so that tissue pushing back is positive.
+    Sign and frames: the wrench acts on the tool at the tip, in the axes asked for; a
+    weight hung there reads as a force down. The axial force is minus the force along
+    the insertion direction, so that tissue pushing back is positive.
 
     Args:
         robot: The arm with its payload.
         config: Of it ``mode``, ``weighting`` (``none`` has no damping either),
-            ``expected_force_N``, ``frame``, ``axes``, ``insertion_axis`` and ``tool_offset_m``.
+            ``expected_force_N``, ``frame``, ``axes``, ``insertion_axis`` and
+            ``tool_offset_m``.
 
     Attributes:
         kinematics: Pose and Jacobian of the tool.
         size: Number of components, of force and of torque if the mode has one: 3 or 6.
         gain: Gain of the last `weigh`.
-        torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n, n).
+        torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n,
+            n).
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -272,14 +294,16 @@ class WrenchEstimator:
         self._in_base = config.axes == "base"
         self._joints, size = robot.nv, COMPONENTS[config.mode]
         self.size = max(size, 3)
-        # Components of force and torque, in the frame's axes, that each unknown stands for.
+        # Components of force and torque, in the frame's axes, that each unknown stands
+        # for.
         self._directions = np.eye(6)[:size]
         if size == 1:
             self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[
                 None
             ]
         self._weighted = config.weighting == "covariance"
-        # Diagonal of the damping: inverse square of the largest wrench that is expected.
+        # Diagonal of the damping: inverse square of the largest wrench that is
+        # expected.
         self._damping = np.zeros(size)
         if self._weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
@@ -297,9 +321,12 @@ class WrenchEstimator:
         """Set how far the residual may be trusted, for the next `weigh`.
 
         Args:
-            covariance_Nm2: Covariance of the residual's error [Nm^2], (n, n), positive definite.
-            noise_Nm2: The part of it that is noise of a sample, of the same shape; None for all.
-            smoothed: What `smoothing_step` removes of that while nothing changes [Nm^2].
+            covariance_Nm2: Covariance of the residual's error [Nm^2], (n, n), positive
+                definite.
+            noise_Nm2: The part of it that is noise of a sample, of the same shape; None
+                for all.
+            smoothed: What `smoothing_step` removes of that while nothing changes
+                [Nm^2].
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -320,10 +347,12 @@ class WrenchEstimator:
         self._smoothed = smoothed
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
-        """Wrench at a configuration [rad] from the external joint torque [Nm], both shape (n,).
+        """Wrench at a configuration [rad] from the external joint torque [Nm], both
+        shape (n,).
 
         Raises:
-            SampleError: For a wrong shape, or for numbers that are not real or not finite.
+            SampleError: For a wrong shape, or for numbers that are not real or not
+                finite.
         """
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
         residual = np.ascontiguousarray(
@@ -336,7 +365,9 @@ class WrenchEstimator:
         )
 
     def weigh(self, q: Array) -> None:
-        """Compute the gain at a configuration [rad], shape (n,); `solve` uses it until the next."""
+        """Compute the gain at a configuration [rad], shape (n,); `solve` uses it
+        until the next.
+        """
         tool, directions = self.kinematics, self._directions
         tool.update(q)
         jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
@@ -376,11 +407,11 @@ class WrenchEstimator:
     ) -> tuple[Any, ...]:
         """Wrench at a configuration [rad], shape (n,), from an external joint torque.
 
-        The offset [Nm], shape (n,), is what the residual reads here without contact; the last two
-        arguments are those of `wrench_step`.
+        The offset [Nm], shape (n,), is what the residual reads here without contact;
+        the last two arguments are those of `wrench_step`.
 
-        Returns the numbers of a `WrenchEstimate`, from ``axial`` to ``residual``; `SampleError` for
-        numbers that are not finite.
+        Returns the numbers of a `WrenchEstimate`, from ``axial`` to ``residual``;
+        `SampleError` for numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
         left, found = residual - offset, np.empty(self.size)
@@ -415,13 +446,16 @@ class WrenchEstimator:
 
     @property
     def rows(self) -> Array:
-        """Joint torque per unit of each unknown, where the tool was moved last, shape (k, n)."""
+        """Joint torque per unit of each unknown, where the tool was moved last,
+        shape (k, n).
+        """
         return self._directions.dot(self.kinematics.jacobian)
 
     def mismatch_squared(self, residual: Array) -> float:
         """Mean square of the joint torque [Nm] that no wrench of the mode explains.
 
-        It is in units of the covariance at the last `weigh`: about 1 when the model holds, 0 if the
-        mode has as many unknowns as there are joints. The residual is that after offset removal.
+        It is in units of the covariance at the last `weigh`: about 1 when the model
+        holds, 0 if the mode has as many unknowns as there are joints. The residual is
+        that after offset removal.
         """
         return max(float(residual.dot(self.gain.unexplained).dot(residual)), 0.0)

@@ -66,7 +66,8 @@ def text(value):
 
 
 def write_bag(folder, rows, *, storage="mcap", compression=None):
-    """Write messages: rows of topic, time of recording in ns, message. Return the folder."""
+    """Write messages: rows of topic, time of recording in ns, message. Return the
+    folder."""
     bag = Writer(folder, version=8, storage_plugin=StoragePlugin[storage.upper()])
     if compression is not None:
         bag.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
@@ -81,7 +82,8 @@ def write_bag(folder, rows, *, storage="mcap", compression=None):
 
 
 def insertion_rows(count, names=("a", "b", "c")):
-    """Make joint states, a wrench and now and then a depth and a text, as an arm publishes them."""
+    """Make joint states, a wrench and now and then a depth and a text, as an arm
+    publishes them."""
     for k in range(count):
         t_ns = START_NS + k * STEP_NS
         position = [k + 0.1 * i for i in range(len(names))]
@@ -122,7 +124,8 @@ def without_chunks(folder):
 
 
 def grow(path, pieces, pause_s=0.01, go_on=None):
-    """Append to a file from another thread; after the first piece only when reported to go on."""
+    """Append to a file from another thread; after the first piece only when reported
+    to go on."""
     path.write_bytes(pieces[0])
 
     def write():

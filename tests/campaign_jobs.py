@@ -9,7 +9,8 @@ import numpy as np
 
 
 def square(job):
-    """Of the number in a job; the process of one that names a file dies until the file is there."""
+    """Of the number in a job; the process of one that names a file dies until the
+    file is there."""
     number, mark = job
     if mark is not None and not Path(mark).exists():
         Path(mark).touch()
@@ -18,7 +19,8 @@ def square(job):
 
 
 def squares(folder):
-    """Ten jobs: of the third the process dies once, of the sixth always; and their answers."""
+    """Ten jobs: of the third the process dies once, of the sixth always; and their
+    answers."""
     marks = {2: str(folder / "once"), 5: str(folder / "no" / "such" / "folder")}
     return [(number, marks.get(number)) for number in range(10)]
 
@@ -36,7 +38,8 @@ ANSWERS = {number: None if number == 5 else number**2 for number in range(10)}
 
 
 def quick_job(job, progress=None):
-    """Instead of `run_job`: a number of the seed; after ten it waits while HOLD exists."""
+    """Instead of `run_job`: a number of the seed; after ten it waits while HOLD
+    exists."""
     from benchmarks.benchmark import Outcome
     from benchmarks.rows import Measurement
 

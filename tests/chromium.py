@@ -71,7 +71,8 @@ def logged(page):
 
 
 def measured(page, size):
-    """Sizes in a window: of a copy of the page that measures itself, for the page has no script."""
+    """Sizes in a window: of a copy of the page that measures itself, for the page
+    has no script."""
     text = Path(page).read_text(encoding="utf-8")
     assert POLICY in text
     assert "<script" not in text

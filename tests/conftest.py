@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Before NumPy is imported: threads of BLAS, beside one worker per processor, take thrice the time.
+# Before NumPy is imported: threads of BLAS, beside one worker per processor, take
+# thrice the time.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("ci")
@@ -32,7 +33,8 @@ def dot(tmp_path):
 
 @pytest.fixture(scope="session")
 def recordings_dir():
-    """Folder of real recordings; tests that need it skip, saying so, when it is absent."""
+    """Folder of real recordings; tests that need it skip, saying so, when it is
+    absent."""
     named = os.environ.get("NEEDLEFORCE_DATA")
     beside = Path(__file__).resolve().parents[1] / ".." / "shared" / "data"
     folder = Path(named) if named else beside

@@ -24,7 +24,8 @@ def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
 
 
 def rows_of(q, dq, tau):
-    """Arguments of `update`, sample by sample; dq is None for a robot that sends none."""
+    """Arguments of `update`, sample by sample; dq is None for a robot that sends
+    none."""
     return list(zip(q, [None] * len(q) if dq is None else dq, tau, strict=True))
 
 

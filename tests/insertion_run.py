@@ -81,7 +81,8 @@ def following(last, count):
 
 
 def resumed_after(last, count):
-    """A session that goes on after a sample of the short run, and so many samples that follow."""
+    """A session that goes on after a sample of the short run, and so many samples
+    that follow."""
     session = InsertionSession(short_run().robot)
     session.restore(stopped_after(last))
     return session, following(last, count)

@@ -1,4 +1,5 @@
-"""A short synthetic insertion for tests of the commands: what is in the log is known."""
+"""A short synthetic insertion for tests of the commands: what is in the log is
+known."""
 
 import numpy as np
 from residual_signals import external_torque_of, pose_of, swing
@@ -12,7 +13,8 @@ OFFSET_NM = np.array([0.3, -0.2, 0.1, 0.3, -0.1, 0.05, 0.02])
 
 
 def insertion(robot, *, seconds=4.0, contact_s=CONTACT_S, axial_N=AXIAL_N, start_s=0.0):
-    """Columns of a log: smooth motion, sensor offsets, and a tip force from ``contact_s`` on."""
+    """Columns of a log: smooth motion, sensor offsets, and a tip force from
+    ``contact_s`` on."""
     t_s, q, dq, tau = swing(robot, seconds=seconds, amplitude=0.05)
     external = np.zeros_like(tau)
     for k in np.flatnonzero(t_s >= contact_s):

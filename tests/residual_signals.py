@@ -43,7 +43,8 @@ def external_torque_of(robot, q, force_at_tip_in_base):
 def swing(
     robot, *, amplitude=0.2, middle=None, force_at_tip_in_base=(0.0, 0.0, 0.0), **span
 ):
-    """Times, q, dq and link-side torque of a smooth joint motion under a constant tip force."""
+    """Times, q, dq and link-side torque of a smooth joint motion under a constant
+    tip force."""
     middle = MIDDLE if middle is None else np.asarray(middle)
     force = tuple(map(float, force_at_tip_in_base))
     made = _swing(robot, amplitude, tuple(middle[: robot.nv].tolist()), force, **span)

@@ -1,4 +1,5 @@
-"""A session that follows a plan: what it reports, and what stopping and false alarms do to it."""
+"""A session that follows a plan: what it reports, and what stopping and false alarms
+do to it."""
 
 import copy
 import json

@@ -1,4 +1,5 @@
-"""Layers along a path: against the exact crossings, and against rays through the surfaces."""
+"""Layers along a path: against the exact crossings, and against rays through the
+surfaces."""
 
 from itertools import pairwise
 

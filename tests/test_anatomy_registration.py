@@ -294,7 +294,8 @@ def test_ruptures_move_the_plan_and_name_the_layer():
 
 def test_where_the_surface_was_met_counts_for_half():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
-    # At a rupture 4 mm late a membrane gave way late, or all lies deeper: so does the surface.
+    # At a rupture 4 mm late a membrane gave way late, or all lies deeper: so does the
+    # surface.
     deeper, late = (
         match.state(0.024, [0.024], contact_m=contact) for contact in (4e-3, 0.0)
     )

@@ -1,7 +1,7 @@
 """How many files one piece of work passes, and how long the import chains are.
 
-A newcomer who wants to understand one update has to open every file that it passes. What numba
-compiles is not seen here; with ``NUMBA_DISABLE_JIT=1`` it is.
+A newcomer who wants to understand one update has to open every file that it passes.
+What numba compiles is not seen here; with ``NUMBA_DISABLE_JIT=1`` it is.
 """
 
 import ast
@@ -39,7 +39,8 @@ def file_of(code):
 
 @contextmanager
 def profiled(on_call):
-    """Call a function with the frame of every Python function that is entered, or resumed."""
+    """Call a function with the frame of every Python function that is entered, or
+    resumed."""
 
     def note(frame, event, _):
         if event == "call":
@@ -85,8 +86,9 @@ def test_one_update_of_the_chain_passes_few_files():
 def files_of_a_row(log, out):
     """Files that rows of a log pass on their way into the sensor.
 
-    Those passed before the first update (reading, but also setting up) that are passed again
-    between later ones (reading, but also writing): what belongs to reading alone is in both.
+    Those passed before the first update (reading, but also setting up) that are passed
+    again between later ones (reading, but also writing): what belongs to reading alone
+    is in both.
     """
     update = VirtualForceSensor.update.__code__
     before, between, since = set(), set(), set()
@@ -97,7 +99,8 @@ def files_of_a_row(log, out):
             between.update(since)
             since.clear()
             note.is_running = True
-        # What the sensor itself passes, in an update or at the tare, is not on the way to it.
+        # What the sensor itself passes, in an update or at the tare, is not on the way
+        # to it.
         while above is not None and above.f_code.co_filename != update.co_filename:
             above = above.f_back
         if above is None:
@@ -118,7 +121,8 @@ def test_a_row_of_csv_passes_few_files_on_its_way_to_the_sensor(lwr, tmp_path):
 
 @cache
 def modules(packages=PRODUCT):
-    """Modules of packages, the product's unless said otherwise, and their files, by dotted name."""
+    """Modules of packages, the product's unless said otherwise, and their files, by
+    dotted name."""
     found = {}
     for package in packages:
         for path in sorted((ROOT / package).rglob("*.py")):
@@ -128,9 +132,11 @@ def modules(packages=PRODUCT):
 
 
 def imports_of(name, *, ever=False):
-    """Modules of the product that a module imports when it is imported, its own parents aside.
+    """Modules of the product that a module imports when it is imported, its own parents
+    aside.
 
-    With `ever` also those it imports inside functions or for type checkers only, and benchmarks.
+    With `ever` also those it imports inside functions or for type checkers only, and
+    benchmarks.
     """
     known = modules(ALL) if ever else modules()
     tree = ast.parse(known[name].read_text(encoding="utf-8"))

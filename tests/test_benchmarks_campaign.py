@@ -1,4 +1,5 @@
-"""Runs of many jobs: on processes, on a cluster, killed, interrupted and gone on with."""
+"""Runs of many jobs: on processes, on a cluster, killed, interrupted and gone on
+with."""
 
 import json
 import os
@@ -37,7 +38,8 @@ def test_a_killed_process_takes_no_other_job_with_it(tmp_path):
 
 @contextmanager
 def cluster():
-    """Address of a scheduler with two workers, each a process; what kills one of them."""
+    """Address of a scheduler with two workers, each a process; what kills one of
+    them."""
     distributed = pytest.importorskip("distributed")
     from dask import config
 
@@ -90,7 +92,8 @@ def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch, cap
 
 @pytest.fixture
 def jobs_done(monkeypatch):
-    """Benchmarks that take no time; the seeds that were done. Seed 3 is interrupted once."""
+    """Benchmarks that take no time; the seeds that were done. Seed 3 is interrupted
+    once."""
     done = []
 
     def pretend(job, progress):

@@ -58,7 +58,8 @@ def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
 
 
 def truth(*ruptures):
-    """One layer of 10 mm, constant friction 0.4 N from its end on, at rest from 17 s on."""
+    """One layer of 10 mm, constant friction 0.4 N from its end on, at rest from 17 s
+    on."""
     moving = T < 17.0
     friction = np.where(T >= 2.0, np.minimum(0.4, 40.0 * np.maximum(DEPTH, 0.0)), 0.0)
     tip = np.where((T >= 2.0) & (T < 7.0), 0.1 * (T - 2.0), 0.0)
@@ -214,7 +215,8 @@ def signal(true, error_N=0.0, zero_m=0.0):
 
 
 def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
-    # The tip is free at 7 s already. Friction without speed, at rest, is in neither model.
+    # The tip is free at 7 s already. Friction without speed, at rest, is in neither
+    # model.
     true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
     values = offline_metrics(signal(true, zero_m=4e-3), true)
     assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)

@@ -19,7 +19,8 @@ GAIN_per_s, PERIOD_s = 70.0, 1e-3
 
 
 def pushed(robot, samples=600):
-    """Slow motion with an exact model, and a push of 2 N against the needle; its true force."""
+    """Slow motion with an exact model, and a push of 2 N against the needle; its
+    true force."""
     t = PERIOD_s * np.arange(samples)
     middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
     q = middle + 0.1 * np.sin(np.outer(t, np.arange(1.0, 8.0)))

@@ -1,4 +1,5 @@
-"""Cost of updates, soak, long recordings; faults in a running insertion (docs/loop.md)."""
+"""Cost of updates, soak, long recordings; faults in a running insertion
+(docs/loop.md)."""
 
 import re
 from pathlib import Path

@@ -51,7 +51,8 @@ def test_the_whole_chain_runs_on_real_torques_with_real_tissue(
     # The force itself at the arm's uneven clock: as in liver-real.
     assert found["ft", "ours", "drop_recall"] == 1.0
     assert found["ft", "ours", "ruptures_at_drops"] > 0.8
-    # Its drops are smaller than this arm's noise: what matters is that noise raises few alarms.
+    # Its drops are smaller than this arm's noise: what matters is that noise raises few
+    # alarms.
     assert found["virtual", "ours", "ruptures_per_insertion"] <= 3.0
     off = "enhanced_against_ft_rmse_N"
     assert found["virtual", "ours", off] < 0.3 * found["virtual", "published", off]

@@ -1,4 +1,5 @@
-"""Perturbed worlds: drawn from the seed, what they change, and what becomes of their numbers."""
+"""Perturbed worlds: drawn from the seed, what they change, and what becomes of their
+numbers."""
 
 import numpy as np
 import pytest

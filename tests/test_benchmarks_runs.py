@@ -1,4 +1,5 @@
-"""From what was asked for to jobs, simulated benchmarks end to end, errors of a force."""
+"""From what was asked for to jobs, simulated benchmarks end to end, errors of a
+force."""
 
 import math
 from dataclasses import replace
@@ -75,7 +76,8 @@ def test_the_ideal_arm_has_the_ideal_filter_the_true_force_and_known_lags():
     assert abs(found["ft", "ours", "wrench_lag_ms"]) < 5.0
     assert found["virtual", "published", "wrench_lag_ms"] > 100.0
     assert 0.0 < found["virtual", "ours", "wrench_lag_ms"] < 50.0
-    # A wrong sign would be seen: the error of the force turned round is twice the force.
+    # A wrong sign would be seen: the error of the force turned round is twice the
+    # force.
     force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
     assert force > 0.05
     assert found["virtual", "ours", "wrench_rmse_N"] < 0.2 * force

@@ -1,4 +1,5 @@
-"""The pages on the commands say what they do: their commands run, their tables are the code's."""
+"""The pages on the commands say what they do: their commands run, their tables are
+the code's."""
 
 import os
 import re

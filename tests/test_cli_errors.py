@@ -1,4 +1,5 @@
-"""Bad input to `needleforce`: exit code 2 and one line that helps, never a traceback."""
+"""Bad input to `needleforce`: exit code 2 and one line that helps, never a
+traceback."""
 
 import builtins
 import os

@@ -27,7 +27,8 @@ def log(lwr, tmp_path_factory):
 
 @pytest.fixture
 def run(tmp_path, capsys):
-    """Run the command on a log or its columns; return the columns of forces and the summary."""
+    """Run the command on a log or its columns; return the columns of forces and the
+    summary."""
 
     def run(log, *argv):
         if isinstance(log, dict):

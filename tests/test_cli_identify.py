@@ -20,7 +20,8 @@ from residual import SensorWarning, Status
 
 @pytest.fixture(scope="module")
 def needle():
-    """Columns of an insertion from the end of the free motion until it has left the gel."""
+    """Columns of an insertion from the end of the free motion until it has left the
+    gel."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
     part = slice(
         *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0))
@@ -31,7 +32,8 @@ def needle():
 
 @pytest.fixture
 def identify(needle, tmp_path, capsys):
-    """Run the command on the needle's columns; return table, printed layers and complaints."""
+    """Run the command on the needle's columns; return table, printed layers and
+    complaints."""
 
     def run(*options, **changes):
         log, out = tmp_path / "log.csv", tmp_path / "out.csv"
@@ -138,7 +140,8 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
 
 @pytest.fixture(scope="module")
 def insertion(tmp_path_factory):
-    """A simulated recording, its forces with a tare, and the layers in them, each with a page."""
+    """A simulated recording, its forces with a tare, and the layers in them, each
+    with a page."""
     pytest.importorskip("matplotlib")
     folder = tmp_path_factory.mktemp("report")
     run = short_run()

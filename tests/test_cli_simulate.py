@@ -1,4 +1,5 @@
-"""`needleforce simulate`: a simulated insertion as a recording, and the commands after it."""
+"""`needleforce simulate`: a simulated insertion as a recording, and the commands
+after it."""
 
 from dataclasses import replace
 from pathlib import Path

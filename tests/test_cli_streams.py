@@ -1,4 +1,5 @@
-"""Commands on pipes and growing files, and what signals, full disks and gone readers leave."""
+"""Commands on pipes and growing files, and what signals, full disks and gone readers
+leave."""
 
 import contextlib
 import os
@@ -272,7 +273,8 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
             _, said = process.communicate(timeout=PATIENCE_S)
         if process.returncode:
             break
-    # The compiler may say before that it ignores what a signal raised in a callback of its own.
+    # The compiler may say before that it ignores what a signal raised in a callback of
+    # its own.
     assert (process.returncode, said[-11:]) == (143, b"terminated\n")
     assert sorted(tmp_path.iterdir()) == before
     assert len(read_table(out).columns["t_s"]) == 2

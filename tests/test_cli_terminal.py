@@ -1,4 +1,5 @@
-"""What every command does with errors, signals, outputs, long tables, help and options."""
+"""What every command does with errors, signals, outputs, long tables, help and
+options."""
 
 import io
 import os

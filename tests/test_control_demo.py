@@ -47,7 +47,8 @@ def number_behind(text, words):
 
 
 def shown(kind, folder, capsys):
-    """What a demonstration prints, once its page holds as many charts as it has pictures."""
+    """What a demonstration prints, once its page holds as many charts as it has
+    pictures."""
     assert (
         main(["demo", kind, "--report", str(folder), "--figure", str(folder / "a.svg")])
         == 0

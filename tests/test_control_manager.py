@@ -1,4 +1,5 @@
-"""The manager: every state and event is defined, nothing moves unguarded, logs replay."""
+"""The manager: every state and event is defined, nothing moves unguarded, logs
+replay."""
 
 from itertools import pairwise
 from pathlib import Path

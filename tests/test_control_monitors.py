@@ -1,4 +1,5 @@
-"""What stops a motion: forces, bad and late samples, silence, commands that are not followed."""
+"""What stops a motion: forces, bad and late samples, silence, commands that are not
+followed."""
 
 from time import sleep
 

@@ -1,4 +1,5 @@
-"""The program of an insertion: what counts as a rupture, how a stretched arm stops behind it."""
+"""The program of an insertion: what counts as a rupture, how a stretched arm stops
+behind it."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,5 @@
-"""Teleoperation of one-dimensional plants: passive at the hand, faithful in position and force."""
+"""Teleoperation of one-dimensional plants: passive at the hand, faithful in position
+and force."""
 
 from types import SimpleNamespace
 
@@ -55,7 +56,8 @@ def line(delay_s, rng):
 
 
 def drive(plant, tele, master, seconds, rng, clutch=lambda t: True):
-    """A needle that follows its command within 5 ms; force late by the observer's 14 ms."""
+    """A needle that follows its command within 5 ms; force late by the observer's 14
+    ms."""
     depth = speed = late_N = 0.0
     for k in range(round(seconds / DT)):
         master.clutch = clutch(k * DT)
@@ -94,7 +96,8 @@ def test_energy_is_observed_exactly_where_the_encoder_is():
 
 
 def test_without_passivity_a_delayed_wall_gives_energy_away():
-    """The plants above are hard ones: the same loop without the controllers is not passive."""
+    """The plants above are hard ones: the same loop without the controllers is not
+    passive."""
     rng = np.random.default_rng(5)
     master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)))
     tele = Teleoperation(lines=(line(0.05, rng), line(0.05, rng)), shown="raw")
@@ -223,7 +226,8 @@ def test_noise_is_not_shown_and_a_rupture_is_at_once():
 def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(
     stiffness, late_N
 ):
-    """A membrane of 250 N/m at 4 mm/s; a stiffness out of reason moves it by 0.3 N at most."""
+    """A membrane of 250 N/m at 4 mm/s; a stiffness out of reason moves it by 0.3 N
+    at most."""
     tele, speed = Teleoperation(), 4e-3
     for k in range(2000):
         force = 250.0 * speed * k * DT
@@ -379,7 +383,8 @@ def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True
 
 
 def damping_Ns_m(tele, hz):
-    """Most force per speed that a hand feels in free air, oscillating for half a second."""
+    """Most force per speed that a hand feels in free air, oscillating for half a
+    second."""
     position_m, most_N = 0.0, 0.0
     for angle in (2.0 * np.pi * hz * DT * np.arange(500)).tolist():
         speed_m_s = 0.02 * np.sin(angle)

@@ -1,4 +1,5 @@
-"""Emulators that run for long or end by themselves, and links that end or fall silent."""
+"""Emulators that run for long or end by themselves, and links that end or fall
+silent."""
 
 import json
 import multiprocessing

@@ -1,4 +1,5 @@
-"""Arms, force sensors and haptic devices against emulators in processes of their own."""
+"""Arms, force sensors and haptic devices against emulators in processes of their
+own."""
 
 import io
 import json
@@ -42,7 +43,8 @@ PATIENCE_S = 20.0
 
 
 def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
-    """Samples, the arm and the counts of an emulated, patient controller that sends so many."""
+    """Samples, the arm and the counts of an emulated, patient controller that sends
+    so many."""
     arm = FriArm(port=0, wait_s=0.05, give_up_s=give_up_s)
     wanted = FriSettings(
         port=arm.address[1],

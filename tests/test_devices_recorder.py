@@ -1,4 +1,5 @@
-"""An arm's samples in a recording, written by a process of its own, whatever ends it."""
+"""An arm's samples in a recording, written by a process of its own, whatever ends
+it."""
 
 import collections
 import multiprocessing

@@ -1,4 +1,5 @@
-"""Arms of vendors through the vendors' own clients, against emulators in other processes."""
+"""Arms of vendors through the vendors' own clients, against emulators in other
+processes."""
 
 import fcntl
 import sys
@@ -37,7 +38,8 @@ def taken(arm, count):
 
 @pytest.fixture(autouse=True)
 def _alone(tmp_path_factory):
-    """The vendors' ports are fixed: one of these tests at a time, whatever the workers."""
+    """The vendors' ports are fixed: one of these tests at a time, whatever the
+    workers."""
     with (tmp_path_factory.getbasetemp().parent / "vendors.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

@@ -1,4 +1,5 @@
-"""README and docs say what there is: examples run, commands exist, links lead somewhere."""
+"""README and docs say what there is: examples run, commands exist, links lead
+somewhere."""
 
 import gc
 import inspect

@@ -36,7 +36,8 @@ REACH_M = 0.24
 BARE = load_lwr()
 ROBOT = load_lwr(payload=NeedleTool())
 START = needle_down(ROBOT, np.array(LWR_POSTURE_rad))
-# Fact sheet, section 2.6: static force bias at the flange in this posture, per CAD fraction.
+# Fact sheet, section 2.6: static force bias at the flange in this posture, per CAD
+# fraction.
 POSTURE = np.array([0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0])
 FLANGE_BIAS_N = {0.1: 0.31, 0.2: 0.61, 0.3: 0.92, 1.0: 3.07}
 

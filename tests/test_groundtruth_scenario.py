@@ -1,4 +1,5 @@
-"""Motions, the catalogue and the random stacks: the paper's values, and needle-only runs."""
+"""Motions, the catalogue and the random stacks: the paper's values, and needle-only
+runs."""
 
 from itertools import pairwise, product
 
@@ -139,7 +140,8 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
         )
         speed_m_s = 3e-3 if "glove" in name else 2.3e-3
         assert run.speed_m_s[inside] == pytest.approx(speed_m_s, rel=1e-9)
-    # About 15 s into the constant and 20 s into the sinusoidal insertion (Figs. 2, 8, 9).
+    # About 15 s into the constant and 20 s into the sinusoidal insertion (Figs. 2, 8,
+    # 9).
     for name, expected_s in (("gel-70-constant", 15.0), ("gel-70-sinusoidal", 20.0)):
         rupture_s = runs[name].truth.rupture_s[0] - runs[name].tare_end_s
         assert rupture_s == pytest.approx(expected_s, abs=2.0)

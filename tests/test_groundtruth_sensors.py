@@ -188,10 +188,12 @@ def bearings(**change):
 
 
 def pushed(friction, push_Nm, inertia, seconds):
-    """Angles of free joints under a constant torque, Euler steps as long as the plant's."""
+    """Angles of free joints under a constant torque, Euler steps as long as the
+    plant's."""
     q, dq, angles = np.zeros(7), np.zeros(7), []
     for _ in range(round(seconds / STEP_s)):
-        # a little damping of the tissue's kind, so that the bristle does not ring for ever
+        # a little damping of the tissue's kind, so that the bristle does not ring for
+        # ever
         torque = push_Nm + friction.step(dq, STEP_s) - 0.5 * inertia * 40.0 * dq
         dq = dq + STEP_s * torque / inertia
         q = q + STEP_s * dq

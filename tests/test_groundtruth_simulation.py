@@ -38,7 +38,8 @@ def runs() -> dict[str, Run]:
 
 
 def momentum_residual(run: Run):
-    """Observer's residual by the rigid model and the measured torque, exact step, true motion."""
+    """Observer's residual by the rigid model and the measured torque, exact step,
+    true motion."""
     truth, model = run.truth, run.robot.model
     data = model.createData()
     rows = list(zip(truth.q_rad, truth.dq_rad_s, strict=True))

@@ -1,4 +1,5 @@
-"""Layers and membranes, and the laws of tissue: ruptures, withdrawal, rest, equation (3)."""
+"""Layers and membranes, and the laws of tissue: ruptures, withdrawal, rest, equation
+(3)."""
 
 from dataclasses import replace
 

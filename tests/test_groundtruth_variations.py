@@ -1,4 +1,5 @@
-"""Tissues outside the catalogue's law: each says what it changes and changes nothing else."""
+"""Tissues outside the catalogue's law: each says what it changes and changes nothing
+else."""
 
 import numpy as np
 import pytest

@@ -33,7 +33,8 @@ def listed_by_git():
 
 
 def project_files():
-    """Files under version control; in a copy without it, what lies in the project's folders."""
+    """Files under version control; in a copy without it, what lies in the project's
+    folders."""
     paths = [ROOT / name for name in listed_by_git()]
     if not paths:
         folders = (*PACKAGES, ".ci", "tests", "docs", "examples")

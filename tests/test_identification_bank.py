@@ -1,4 +1,5 @@
-"""The bank of hypotheses: what an event changes, what the force teaches, which of them stay."""
+"""The bank of hypotheses: what an event changes, what the force teaches, which of
+them stay."""
 
 import numpy as np
 import pytest
@@ -24,7 +25,8 @@ PLACE = Place(
 
 
 def hypothesis(seed, kind, *, is_held=False):
-    """A bank of one hypothesis that has been in its layer for a while, its unknowns drawn."""
+    """A bank of one hypothesis that has been in its layer for a while, its unknowns
+    drawn."""
     rng = np.random.default_rng(seed)
     bank = first_bank()
     factor = 0.05 * rng.standard_normal((law.UNKNOWNS, law.UNKNOWNS))
@@ -42,7 +44,8 @@ SCENE = (PLACE.depth, PLACE.speed, PLACE.deflection)
 
 
 def spawn(bank, back, ruptures):
-    """The bank after an event at `PLACE` that began so far back [mm], so many being reported."""
+    """The bank after an event at `PLACE` that began so far back [mm], so many being
+    reported."""
     memory = BankMemory(bank)
     memory.spawn(PLACE, PLACE.depth - back, 0.0, ruptures)
     return memory.bank
@@ -200,7 +203,8 @@ def test_a_fall_that_braking_explains_is_no_rupture_yet(
         may_be_braking(bank, evaluation, place, place.time_s, TissueMotion()) == braking
     )
     if not braking:
-        # The travel of a needle that has nearly stopped shows it, whatever a late speed says.
+        # The travel of a needle that has nearly stopped shows it, whatever a late speed
+        # says.
         bank.records[0, law.RUPTURE_MM] = 50.0 - 0.4 * since_s
         assert may_be_braking(bank, evaluation, place, place.time_s, TissueMotion())
 

@@ -1,4 +1,5 @@
-"""The published method: its equations one by one, the re-run by windows, and its own model (3)."""
+"""The published method: its equations one by one, the re-run by windows, and its own
+model (3)."""
 
 import numpy as np
 import pytest
@@ -197,7 +198,8 @@ def test_a_layer_is_subtracted_in_the_sample_that_identifies_it():
 def test_a_layer_of_equation_3_without_noise_is_identified_exactly(
     swing_m_s, stiffness
 ):
-    """The re-run is without the alarming sample: with it the friction erred by 2 to 225 %."""
+    """The re-run is without the alarming sample: with it the friction erred by 2 to
+    225 %."""
     t_s = np.arange(0.0, 15.0, DT_S)
     v = SPEED + swing_m_s * np.sin(2.0 * np.pi * t_s / 5.0)
     z = np.cumsum(v) * DT_S - 1e-3

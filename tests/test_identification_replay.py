@@ -1,4 +1,5 @@
-"""A recording through the identifier: what comes out does not depend on how rows come."""
+"""A recording through the identifier: what comes out does not depend on how rows
+come."""
 
 from itertools import pairwise
 
@@ -15,7 +16,8 @@ from needleforce.recordings.table import RowClock
 
 @pytest.fixture(scope="module")
 def columns():
-    """An insertion from the end of the free motion until it has left the gel, one depth missing."""
+    """An insertion from the end of the free motion until it has left the gel, one
+    depth missing."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
     ends_s = run.tare_end_s, run.truth.rupture_s[0] + 3.0
     part = slice(*np.searchsorted(run.t_s, ends_s))

@@ -1,4 +1,5 @@
-"""Bad samples are reported and skipped, bad settings refused; what follows is not harmed."""
+"""Bad samples are reported and skipped, bad settings refused; what follows is not
+harmed."""
 
 import math
 import pickle
@@ -100,7 +101,8 @@ def test_a_bad_sample_is_reported_without_a_warning_and_not_used(
     assert found.status is status
     assert pickle.dumps(identifier.snapshot().state) == state
     assert found.enhanced_force_N == before.enhanced_force_N
-    # Time passes if it is given: a missing force does not shift the clock of what follows.
+    # Time passes if it is given: a missing force does not shift the clock of what
+    # follows.
     assert found.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
     if status is not SampleStatus.DEPTH_JUMP:
         assert identifier.update(*GOOD).status is SampleStatus.OK
@@ -189,7 +191,8 @@ def check_rows(rows):
         seen.append(STATUSES[number])
         if number <= LAST_USED:
             depth_m, used_s = depth, used_s + dt_s
-            # What has passed over rejected samples is in the interval of the next one used.
+            # What has passed over rejected samples is in the interval of the next one
+            # used.
             assert memory[TIME] == pytest.approx(used_s)
     return seen, memory[TIME], depth_m
 

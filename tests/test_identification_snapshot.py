@@ -41,13 +41,15 @@ def test_memory_is_bounded(config):
 def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(
     config, least, tmp_path
 ):
-    """Each seventh one, and from a file each fifth one that is taken while work is left."""
+    """Each seventh one, and from a file each fifth one that is taken while work is
+    left."""
     whole, part, files, found, taken = Identifier(config), Identifier(config), 0, [], []
     for k, row in enumerate(samples()):
         found.append(whole.update(*row))
         assert part.update(*row) == found[-1]
         kept = part.snapshot()
-        # Whether the work of a block or the wait for a force drop has begun and not ended.
+        # Whether the work of a block or the wait for a force drop has begun and not
+        # ended.
         is_at_work = (
             kept.state.stage != 0 if config is MULTILAYER else bool(kept.state.ruptured)
         )

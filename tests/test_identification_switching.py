@@ -1,4 +1,5 @@
-"""The switching filter on forces made here: two layers, noise, the tissue's own motion, rests."""
+"""The switching filter on forces made here: two layers, noise, the tissue's own
+motion, rests."""
 
 import numpy as np
 import pytest
@@ -21,7 +22,8 @@ RELEASE_M = 0.3e-3
 
 
 def tissue_N(depth_m, slides=1.0):
-    """Tip force and friction of each layer at a depth, `slides` as 1 when inwards at `SPEED`."""
+    """Tip force and friction of each layer at a depth, `slides` as 1 when inwards at
+    `SPEED`."""
     tip, frictions, start = 0.0, [], 0.0
     for k, thick in enumerate(THICK_M):
         inside = depth_m - start
@@ -35,7 +37,8 @@ def tissue_N(depth_m, slides=1.0):
 
 
 def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0):
-    """Depth, speed, force and interval of moves: (travel [m], seconds), from 4 mm above."""
+    """Depth, speed, force and interval of moves: (travel [m], seconds), from 4 mm
+    above."""
     rng, depth, rows = np.random.default_rng(seed), -4e-3, []
     slides, deepest, t = 1.0, -4e-3, 0.0
     for travel, seconds in moves:
@@ -126,7 +129,8 @@ def test_jitter_of_the_speed_is_no_sign_that_friction_is_the_same_at_all_speeds(
 
 
 def test_friction_at_changing_speed_is_neither_noise_nor_texture():
-    """The speed sways between 1 and 7 mm/s, and the friction with it by up to a newton."""
+    """The speed sways between 1 and 7 mm/s, and the friction with it by up to a
+    newton."""
     stated_N = []
     for rows in (straight(), straight(sway=0.8)):
         _, estimates = run(rows)
@@ -137,7 +141,8 @@ def test_friction_at_changing_speed_is_neither_noise_nor_texture():
 
 
 def test_an_uncertain_force_counts_less_while_the_needle_accelerates():
-    """A newton more for 30 ms, stated as exact, as uncertain, and as that of an arm in motion."""
+    """A newton more for 30 ms, stated as exact, as uncertain, and as that of an arm
+    in motion."""
     rows, moved_N = straight(), []
     for std_N, more_m_s in ((0.0, 0.2), (1.0, 0.0), (1.0, 0.2)):
         identifier, estimates = run(rows[:3000])
@@ -164,7 +169,8 @@ def test_tip_and_friction_are_within_their_deviations(seed):
             np.array(of(estimates[6000:], f"{name}{end}")) for end in ("_N", "_std_N")
         )
         assert np.mean(np.abs(found - truth_N) < 2.0 * std + 5e-3) > 0.9
-    # Before the needle brakes: one speed does not show how much of the friction stays at rest.
+    # Before the needle brakes: one speed does not show how much of the friction stays
+    # at rest.
     assert std[-200] < 0.1 * found[-200]
 
 

@@ -20,7 +20,8 @@ CLOCK_S = -25.0
 def insertion(waves, name="gel-25-constant", seed=5):
     """Estimates of an insertion in tissue that moves, its truth, and the motion in use.
 
-    The caller's clock begins below zero; that of the motion is the time since the first sample.
+    The caller's clock begins below zero; that of the motion is the time since the first
+    sample.
     """
     chosen = replace(
         scenario(name, 0), tissue_motion=TrueMotion(waves=waves) if waves else None

@@ -16,7 +16,8 @@ from identification.speed_trend import NO_TREND, follow_speed
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):
-    """Rest, 4 mm/s from 1 s on, rest from 5 s on, back at 4 mm/s from 7 s on; ramps of 0.1 s."""
+    """Rest, 4 mm/s from 1 s on, rest from 5 s on, back at 4 mm/s from 7 s on; ramps
+    of 0.1 s."""
     rng = np.random.default_rng(seed)
     t_s = np.arange(0.0, seconds, 1.0 / rate_hz)
     t_s = t_s + jitter / rate_hz * rng.uniform(-0.5, 0.5, len(t_s))

@@ -1,4 +1,5 @@
-"""Functions that numba may compile: the same numbers without it, and safe to keep on disk."""
+"""Functions that numba may compile: the same numbers without it, and safe to keep on
+disk."""
 
 import ast
 import os
@@ -19,7 +20,8 @@ PACKAGES = ("residual", "identification", "needleforce")
 
 
 def test_what_is_compiled_uses_nothing_of_another_file():
-    """What numba keeps is made anew when the function's own file changes; `dot` never does."""
+    """What numba keeps is made anew when the function's own file changes; `dot`
+    never does."""
     found, count = {}, 0
     for path in (
         path for package in PACKAGES for path in (ROOT / package).rglob("*.py")
@@ -109,7 +111,8 @@ def test_every_compiled_function_is_compiled_once_before_the_first_sample():
 
 
 def chain_numbers(joint_rows, needle_rows):
-    """What a sensor with both kinds of velocity and both identifiers make of made-up signals."""
+    """What a sensor with both kinds of velocity and both identifiers make of made-up
+    signals."""
     rng, robot, found = np.random.default_rng(0), load_lwr(payload=NeedleTool()), []
     times = 1e-3 * np.arange(joint_rows)[:, None]
     q = 0.3 + 0.05 * np.cos(times * np.arange(1, 8))

@@ -41,7 +41,8 @@ def words(path):
 
 
 def places(path, color):
-    """Points of the lines of a colour in an SVG, shape (n, 2) in points from the upper left."""
+    """Points of the lines of a colour in an SVG, shape (n, 2) in points from the
+    upper left."""
     text = path.read_text(encoding="utf-8")
     drawn = re.findall(rf'<path d="([^"]*)" clip-path[^>]*stroke: {color}', text)
     found = re.findall(r"[ML] ?(-?[\d.]+) (-?[\d.]+)", " ".join(drawn))

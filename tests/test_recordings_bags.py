@@ -1,4 +1,5 @@
-"""ROS 2 bags as robots record them, whole and broken: stamps, joints by name, topics as columns."""
+"""ROS 2 bags as robots record them, whole and broken: stamps, joints by name, topics
+as columns."""
 
 import numpy as np
 import pytest

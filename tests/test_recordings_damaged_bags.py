@@ -46,7 +46,8 @@ def messages_in(path):
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
-    """One of each kind, of several chunks or pages: name and bytes of its file, its messages."""
+    """One of each kind, of several chunks or pages: name and bytes of its file, its
+    messages."""
     folder = tmp_path_factory.mktemp("bags")
     made = {}
     for kind, (storage, compression) in KINDS.items():

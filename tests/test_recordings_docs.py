@@ -1,4 +1,5 @@
-"""The pages on recordings and bags hold: their examples run, their tables are the code's."""
+"""The pages on recordings and bags hold: their examples run, their tables are the
+code's."""
 
 import doctest
 import re

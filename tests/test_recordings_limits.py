@@ -1,4 +1,5 @@
-"""Hostile and damaged files end in one of our errors, soon and within bounded memory."""
+"""Hostile and damaged files end in one of our errors, soon and within bounded
+memory."""
 
 import gzip
 import time

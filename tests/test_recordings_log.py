@@ -1,4 +1,5 @@
-"""From a file to a log: tables, channels, units, time, warnings; and real recordings."""
+"""From a file to a log: tables, channels, units, time, warnings; and real
+recordings."""
 
 import numpy as np
 import pytest
@@ -215,7 +216,8 @@ CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
     ("spec", "columns", "key", "expected"),
     [
         (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
-        # A stated unit wins over the one in the name; each column has its own, and its own scale.
+        # A stated unit wins over the one in the name; each column has its own, and its
+        # own scale.
         (
             ColumnSpec(columns="depth_m", unit="mm"),
             {"depth_m": ONES},

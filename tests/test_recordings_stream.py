@@ -1,4 +1,5 @@
-"""A recording read as it comes is the recording read whole: rows, numbers and warnings."""
+"""A recording read as it comes is the recording read whole: rows, numbers and
+warnings."""
 
 import gzip
 import os

@@ -1,4 +1,5 @@
-"""What is written reads back, bags are valid for others, a failed write leaves no trace."""
+"""What is written reads back, bags are valid for others, a failed write leaves no
+trace."""
 
 from contextlib import suppress
 

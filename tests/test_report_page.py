@@ -1,4 +1,5 @@
-"""The report of a run: every figure, the published numbers beside ours, nothing passed off."""
+"""The report of a run: every figure, the published numbers beside ours, nothing
+passed off."""
 
 from itertools import product
 

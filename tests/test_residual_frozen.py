@@ -10,7 +10,8 @@ from residual.stuck_signals import LONGEST_REFUSAL_S
 
 
 def held(values, samples, rng=None):
-    """A slower source: every value comes several times; with a generator, one time more or less."""
+    """A slower source: every value comes several times; with a generator, one time
+    more or less."""
     lengths = np.full(len(values), samples)
     if rng is not None:
         lengths += rng.integers(-1, 2, size=len(values))
@@ -139,7 +140,8 @@ MILLISECONDS = (2, 5, 20)
 
 
 def moving(robot, noise_rad, seconds=1.5):
-    """Positions, velocities and torques of a brisk motion, up to half a radian a second."""
+    """Positions, velocities and torques of a brisk motion, up to half a radian a
+    second."""
     _, q, dq, tau = swing(robot, seconds=seconds)
     rng = np.random.default_rng(0)
     tau = tau - BIAS + 0.03 * rng.normal(size=q.shape)

@@ -1,4 +1,5 @@
-"""What an odd robot, an odd caller or a wrong convention does: it works, or is reported by name."""
+"""What an odd robot, an odd caller or a wrong convention does: it works, or is
+reported by name."""
 
 import copy
 from dataclasses import replace

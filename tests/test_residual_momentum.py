@@ -29,7 +29,8 @@ def rows(momentum, coriolis, gravity, torque, residual=0.0):
 
 
 def step(before, after, gain, dt_s, alignment="trapezoid"):
-    """Residual at the end of a tick, shape (n,), from rows as above at its start and its end."""
+    """Residual at the end of a tick, shape (n,), from rows as above at its start and
+    its end."""
     known = np.concatenate((before, after[1:]))
     gains = np.atleast_1d(np.asarray(gain, dtype=float))
     weights = np.empty((len(gains), ROWS))

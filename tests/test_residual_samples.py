@@ -1,4 +1,5 @@
-"""What is no sample of real numbers is refused by every estimator alike, without a warning."""
+"""What is no sample of real numbers is refused by every estimator alike, without a
+warning."""
 
 import warnings
 from dataclasses import replace
@@ -89,7 +90,8 @@ def test_real_numbers_of_any_type_are_welcome(lwr, update, valid):
     assert str(UPDATES[update](lwr, valid)) == str(UPDATES[update](lwr, STILL))
 
 
-# What is unusual and valid is taken; what is damaged is refused before compiled code reads it.
+# What is unusual and valid is taken; what is damaged is refused before compiled code
+# reads it.
 
 
 STEPS = [1e-3, np.float32(1e-3), np.longdouble(1e-3), Fraction(1, 1000)]

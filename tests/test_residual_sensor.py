@@ -167,7 +167,8 @@ def test_external_torque_of_the_robot_takes_the_same_way(lwr):
 
 
 def force_noise(robot, config, amplitude):
-    """Deviation of the force read in free motion with a noisy velocity, quiet or quick."""
+    """Deviation of the force read in free motion with a noisy velocity, quiet or
+    quick."""
     rng = np.random.default_rng(0)
     sensor = VirtualForceSensor(robot, config)
     for size in (0.01, amplitude):
@@ -190,7 +191,8 @@ def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(l
 
 
 def worst_force_in_quick_free_motion(robot, config):
-    """Largest force read while an arm that sends no velocity, but noisy positions, swings."""
+    """Largest force read while an arm that sends no velocity, but noisy positions,
+    swings."""
     rng = np.random.default_rng(0)
     sensor = VirtualForceSensor(robot, config)
     for size in (0.02, 0.1):

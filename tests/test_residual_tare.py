@@ -226,14 +226,16 @@ def quintic(s):
 
 
 def place(t_s):
-    """A second of rest, three strokes of 4 s, then on at a tenth of their speed, 0 to 1.3."""
+    """A second of rest, three strokes of 4 s, then on at a tenth of their speed, 0
+    to 1.3."""
     stroke, s = np.divmod(np.clip((t_s - 1.0) / 4.0, 0.0, 3.0), 1.0)
     there = np.where(stroke % 2 == 0, quintic(s), 1.0 - quintic(s))
     return np.where(stroke == 3, 1.0 + 0.03 * (t_s - 13.0), there)
 
 
 class Arm:
-    """Residuals of a simulated arm whose bearings rub; no tissue but what a test adds."""
+    """Residuals of a simulated arm whose bearings rub; no tissue but what a test
+    adds."""
 
     def __init__(self, robot, seed, factor=1.0):
         # 0.02 to 0.1 Nm of friction, equal chance per octave.
@@ -251,7 +253,8 @@ class Arm:
         self.wrench = WrenchEstimator(robot)
 
     def feed(self, estimator, start_s, end_s, force=lambda _t: 0.0, *, record=True):
-        """Feed an estimator; returns error and std of the axial force at every sample."""
+        """Feed an estimator; returns error and std of the axial force at every
+        sample."""
         found = []
         for t in np.arange(start_s, end_s, DT_S):
             q = MIDDLE + place(t) * REACH_RAD

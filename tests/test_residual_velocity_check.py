@@ -1,4 +1,5 @@
-"""Measured velocities that are not the rate of positions are reported; valid ones never are."""
+"""Measured velocities that are not the rate of positions are reported; valid ones
+never are."""
 
 import re
 
@@ -26,7 +27,8 @@ RATE_HZ = 1000.0
 
 
 def stroke():
-    """Times, positions and velocities of a tare stroke in air: out, back and out again."""
+    """Times, positions and velocities of a tare stroke in air: out, back and out
+    again."""
     once = np.arange(round(STROKE_S * RATE_HZ)) / (STROKE_S * RATE_HZ)
     way = once**3 * (10.0 - 15.0 * once + 6.0 * once**2)
     speed = 30.0 * once**2 * (1.0 - once) ** 2 / STROKE_S

@@ -176,7 +176,8 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
         found.append(estimator.solve(MIDDLE, torque, np.zeros(7), memory, lags))
     axial, stated, unsmoothed = np.array([(one[0], one[1], one[-2]) for one in found]).T
     at_rest = slice(500, 2000)
-    # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let more pass.
+    # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let
+    # more pass.
     assert np.std(axial[at_rest]) < 0.35 * np.std(unsmoothed[at_rest])
     assert np.std(unsmoothed[at_rest]) == pytest.approx(stated[-1], rel=0.1)
     assert np.abs(axial[2001:] - 2.0).max() < 2.5 * stated[-1]

@@ -1,4 +1,5 @@
-"""The whole chain in one object: what it estimates, and what it uses for identification."""
+"""The whole chain in one object: what it estimates, and what it uses for
+identification."""
 
 import numpy as np
 import pinocchio as pin
@@ -217,11 +218,13 @@ def test_a_force_that_the_identifier_rejects_was_not_used():
     assert not found[-1].used_for_identification
 
 
-# A push aside is no rupture; one on the elbow looks like one before its mismatch has lasted.
+# A push aside is no rupture; one on the elbow looks like one before its mismatch has
+# lasted.
 
 
 def pushed(rows, force_in_base_N, first, count, joint=None):
-    """Samples, so many of them with a force on the tip, or on a joint, beside the tissue's."""
+    """Samples, so many of them with a force on the tip, or on a joint, beside the
+    tissue's."""
     kinematics, data = ToolKinematics(RUN.robot), RUN.robot.create_data()
     for k, (q, dq, tau, dt_s) in enumerate(rows):
         if first <= k < first + count:

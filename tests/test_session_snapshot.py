@@ -56,7 +56,8 @@ ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 def run_through(session, last, folder, *, with_velocity):
     """Estimates of a run, and the ticks after which a snapshot was written, by tick."""
     found, files = [], {}
-    # While the noise is learnt, while free motion is recorded, in air, in the gel, in its rupture.
+    # While the noise is learnt, while free motion is recorded, in air, in the gel, in
+    # its rupture.
     cuts = {200, TARE - 50, TARE + 500, TARE + 6000}
     for k, sample in samples(short_run(), with_velocity=with_velocity):
         if k == TARE:

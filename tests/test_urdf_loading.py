@@ -210,7 +210,8 @@ def test_a_robot_whose_joints_move_nothing_is_refused_and_a_point_mass_carried(
     path = urdf_file(*ONE_LINK, '<link name="b"/>', joint("idle", "a", "b"))
     with pytest.raises(InertiaError, match="move no inertia: idle"):
         load_urdf(path)
-    # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor refuses.
+    # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor
+    # refuses.
     body = Payload(
         mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0])
     )

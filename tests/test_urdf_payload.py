@@ -1,4 +1,5 @@
-"""Payloads: the algebra of rigid bodies, needle tools, and what is identified from torques."""
+"""Payloads: the algebra of rigid bodies, needle tools, and what is identified from
+torques."""
 
 import numpy as np
 import pinocchio as pin

@@ -1,4 +1,5 @@
-"""Robots: the shipped arms against published tables and another URDF reader; arms from numbers."""
+"""Robots: the shipped arms against published tables and another URDF reader; arms
+from numbers."""
 
 from importlib import metadata
 
@@ -30,7 +31,8 @@ POINT = np.array([1.0, 0, 0, 0.1, 0.02, 0, 0.02, 0, 0, 0.01])
 TWISTED = (0.3, -0.4, 0.5, 1.2, -0.7, 0.9, 0.2)
 
 
-# Posture: flange [m], gravity torque [Nm], diagonal of the mass matrix [kg m^2] of the nominal set.
+# Posture: flange [m], gravity torque [Nm], diagonal of the mass matrix [kg m^2] of the
+# nominal set.
 NOMINAL = {
     (0, np.pi / 2, 0, 0, 0, 0, 0): (
         (-0.868, 0, 0.310),
@@ -181,7 +183,8 @@ def test_panda_has_its_hand_on_unless_it_is_left_out():
 
 @pytest.mark.parametrize("name", UR_TABLES)
 def test_the_ur_arms_are_the_maker_s_table(name):
-    """Denavit-Hartenberg by hand, product of the six transforms, at random joint angles."""
+    """Denavit-Hartenberg by hand, product of the six transforms, at random joint
+    angles."""
     (d1, d4, d5, d6), (a2, a3), mass, effort = UR_TABLES[name]
     rows = [
         *((d1, 0, np.pi / 2), (0, a2, 0), (0, a3, 0)),

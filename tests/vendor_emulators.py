@@ -1,8 +1,9 @@
-"""Emulators of arms that vendors' own clients accept: Franka FER (libfranka 0.9), UR e-Series.
+"""Emulators of arms that vendors' own clients accept: Franka FER (libfranka 0.9), UR
+e-Series.
 
-Each is a function for `emulators.Emulator`. They serve one client after the other on loopback, on
-the fixed ports of the vendors, and know reading only. Layouts are those of the public protocols:
-research interface version 5; RTDE version 2.
+Each is a function for `emulators.Emulator`. They serve one client after the other on
+loopback, on the fixed ports of the vendors, and know reading only. Layouts are those of
+the public protocols: research interface version 5; RTDE version 2.
 """
 
 import socket
@@ -63,7 +64,8 @@ def _listen(port: int) -> socket.socket:
 def _stream(
     settings: ArmSettings, put: Callable[[int], object], ends: Callable[[], bool]
 ) -> int:
-    """Call for each row in real time until it ends, or the other goes; how many were sent."""
+    """Call for each row in real time until it ends, or the other goes; how many were
+    sent."""
     begin_s, number, sent = time.monotonic(), 0, 0
     while not (number % 50 == 0 and ends()):
         t_s = number / settings.rate_hz

@@ -1,10 +1,13 @@
-"""The robot: the LWR 4+ or any other arm as a Pinocchio model with a tool and a payload.
+"""The robot: the LWR 4+ or any other arm as a Pinocchio model with a tool and a
+payload.
 
-Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is given in
-the axes of the robot's flange frame, whose z points outward; gravity in base axes.
+Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is
+given in the axes of the robot's flange frame, whose z points outward; gravity in base
+axes.
 
-Reading order: `robot` (what the estimators get), `loading` with `description` (from a file, or from
-numbers, to a robot), `payload` (with the ten numbers of a body), `payload_identification`.
+Reading order: `robot` (what the estimators get), `loading` with `description` (from a
+file, or from numbers, to a robot), `payload` (with the ten numbers of a body),
+`payload_identification`.
 """
 
 from urdf.errors import (

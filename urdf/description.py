@@ -1,8 +1,10 @@
-"""What a URDF must be before it becomes a model: readable, of sane size, supported, physical.
+"""What a URDF must be before it becomes a model: readable, of sane size, supported,
+physical.
 
-The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when one number in
-it does not parse, and goes on with mass 0; the only sign is a line on stderr. So every number of an
-inertial is parsed here first, as strictly as urdfdom does.
+The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when
+one number in it does not parse, and goes on with mass 0; the only sign is a line on
+stderr. So every number of an inertial is parsed here first, as strictly as urdfdom
+does.
 """
 
 import re
@@ -23,21 +25,23 @@ from urdf.errors import (
 from urdf.payload import require_physical
 
 MAX_LINKS = 1000
-"""Most links of a robot; more are refused. urdfdom and Pinocchio recurse once per link of a chain
-and end the process when the stack is used up (between 3000 and 6000 links at 8 MB). Assign a larger
-number to load a larger robot."""
+"""Most links of a robot; more are refused. urdfdom and Pinocchio recurse once per link
+of a chain and end the process when the stack is used up (between 3000 and 6000 links at
+8 MB). Assign a larger number to load a larger robot."""
 _BYTES_PER_LINK = 64 * 1024  # a file of more than MAX_LINKS times this is not read
 _ONE_NUMBER_JOINTS = ("revolute", "prismatic", "fixed")
 _MOMENTS = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
-# What urdfdom reads as a number: blanks before it but not after it, no nan, inf, hexadecimal or _.
+# What urdfdom reads as a number: blanks before it but not after it, no nan, inf,
+# hexadecimal or _.
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def read_description(path: Path, without: Iterable[str] = ()) -> Element:
-    """Read a URDF file down to what a model needs: links with their inertia, and joints.
+    """Read a URDF file down to what a model needs: links with their inertia, and
+    joints.
 
-    Shapes, materials and extensions are dropped, and so are the links ``without`` with all that
-    they carry. The errors of this file are those of `urdf.load_urdf`.
+    Shapes, materials and extensions are dropped, and so are the links ``without`` with
+    all that they carry. The errors of this file are those of `urdf.load_urdf`.
     """
     if isinstance(without, str):
         raise InputError(
@@ -74,7 +78,9 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 def check_description(
     root: Element, source: str, *, locked: Collection[str], check_inertias: bool
 ) -> None:
-    """Check the joints that will not be locked, and the inertias (always that they parse)."""
+    """Check the joints that will not be locked, and the inertias (always that they
+    parse).
+    """
     for joint in root.findall("joint"):
         name, kind, mimic = (
             joint.get("name", ""),
@@ -111,7 +117,9 @@ def check_description(
 
 
 def build_model(root: Element, source: str) -> pin.Model:
-    """Return the Pinocchio model of a checked description; urdfdom may still refuse it."""
+    """Return the Pinocchio model of a checked description; urdfdom may still refuse
+    it.
+    """
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -122,7 +130,8 @@ def build_model(root: Element, source: str) -> pin.Model:
         float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]")
     )
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
-    # A second line of defence: another build of urdfdom may take other texts for numbers.
+    # A second line of defence: another build of urdfdom may take other texts for
+    # numbers.
     if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
         raise UrdfFileError(
             f"{source}: the masses in the file add up to {written_kg:g} kg, those of the loaded "
@@ -171,7 +180,8 @@ def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
         raise InputError(
             f"{source}: cannot leave out {name!r}, it is the root of the robot"
         )
-    # A URDF may list its joints in any order: repeat until nothing more hangs on what has gone.
+    # A URDF may list its joints in any order: repeat until nothing more hangs on what
+    # has gone.
     behind: set[str | None] = set()
     while behind != gone:
         behind = set(gone)
@@ -195,7 +205,9 @@ def _link_of(joint: Element, end: str) -> str | None:
 def _numbers(
     inertial: Element, tag: str, key: str, owner: str, count: int = 1
 ) -> list[float]:
-    """Return the numbers of an attribute; urdfdom splits vectors at blanks only, not at tabs."""
+    """Return the numbers of an attribute; urdfdom splits vectors at blanks only, not
+    at tabs.
+    """
     element = inertial.find(tag)
     text = None if element is None else element.get(key)
     if text is None:

@@ -15,7 +15,9 @@ class UrdfFileError(UrdfError, ValueError):
 
 
 class UnknownNameError(UrdfError, LookupError):
-    """A frame, link, joint or robot of that name does not exist; the message lists what does."""
+    """A frame, link, joint or robot of that name does not exist; the message lists
+    what does.
+    """
 
 
 class InertiaError(UrdfError, ValueError):
@@ -42,7 +44,9 @@ def read_only(array: ArrayLike) -> Array:
 
 
 def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
-    """Return a read-only copy or raise `InputError`; in ``shape`` -1 is any length above 0."""
+    """Return a read-only copy or raise `InputError`; in ``shape`` -1 is any length
+    above 0.
+    """
     wanted = str(shape).replace("-1", "n")
     try:
         if np.iscomplexobj(value):

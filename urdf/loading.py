@@ -1,4 +1,6 @@
-"""Robots from files (any URDF, the KUKA LWR 4+, well-known arms by name) and from numbers."""
+"""Robots from files (any URDF, the KUKA LWR 4+, well-known arms by name) and from
+numbers.
+"""
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,8 +33,8 @@ from urdf.robot import (
 )
 
 LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
-"""Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4); the torque
-sensors ripple with the motor angle."""
+"""Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4);
+the torque sensors ripple with the motor angle."""
 
 
 def load_urdf(
@@ -50,24 +52,29 @@ def load_urdf(
 
     Args:
         path: The file.
-        tool_frame: Link or joint whose frame is both the tool frame and the flange that carries the
-            payload (a needle tool then moves the tool frame on to its tip). Default: the last link,
-            if there is one only.
-        tool_placement: Where the tool is mounted in that frame, if not at its origin or not along
-            its z axis: ``pin.SE3``, a homogeneous matrix of shape (4, 4), or an offset of shape
-            (3,), m. It adds the frame ``tool``, which is then tool frame and flange.
-        locked_joints: Joints to weld, at zero, or at the positions (rad or m) of a mapping.
-        without: Links to leave out, such as a hand that has been taken off, each with its joint,
-            its inertia and all that it carries.
+        tool_frame: Link or joint whose frame is both the tool frame and the flange that
+            carries the payload (a needle tool then moves the tool frame on to its tip).
+            Default: the last link, if there is one only.
+        tool_placement: Where the tool is mounted in that frame, if not at its origin or
+            not along its z axis: ``pin.SE3``, a homogeneous matrix of shape (4, 4), or
+            an offset of shape (3,), m. It adds the frame ``tool``, which is then tool
+            frame and flange.
+        locked_joints: Joints to weld, at zero, or at the positions (rad or m) of a
+            mapping.
+        without: Links to leave out, such as a hand that has been taken off, each with
+            its joint, its inertia and all that it carries.
         gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
         payload: What hangs on the flange, in its frame.
-        check_inertias: False accepts links no rigid body could be, as identified models have.
+        check_inertias: False accepts links no rigid body could be, as identified models
+            have.
 
     Raises:
         UrdfFileError: Missing, unreadable, malformed or too large a file.
         UnknownNameError: No such tool frame, link or joint, or no single last link.
-        UnsupportedJointError: A joint of several numbers or a mimic, not locked; none that moves.
-        InertiaError: A link with inertia no rigid body can have, or a joint that moves none.
+        UnsupportedJointError: A joint of several numbers or a mimic, not locked; none
+            that moves.
+        InertiaError: A link with inertia no rigid body can have, or a joint that moves
+            none.
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
     source = str(path)
@@ -105,11 +112,12 @@ def load_lwr(
 ) -> Robot:
     """Load the KUKA LWR 4+ that ships with the package.
 
-    Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2, E1, A3, A4,
-    A5, A6), zero when the arm points straight up. The frame ``flange`` lies in the flange's face, z
-    outward; it is the tool frame. A needle tool as payload adds the frames ``ft_sensor`` and
-    ``needle_tip`` (z in the direction of insertion), and ``needle_tip`` is the tool frame then.
-    Arguments and errors are those of `load_urdf`.
+    Joints ``lwr_joint_1`` to ``lwr_joint_7`` in the order of KUKA's interface (A1, A2,
+    E1, A3, A4, A5, A6), zero when the arm points straight up. The frame ``flange`` lies
+    in the flange's face, z outward; it is the tool frame. A needle tool as payload adds
+    the frames ``ft_sensor`` and ``needle_tip`` (z in the direction of insertion), and
+    ``needle_tip`` is the tool frame then. Arguments and errors are those of
+    `load_urdf`.
     """
     return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
 
@@ -149,12 +157,13 @@ def load_example(
 ) -> Robot:
     """Load a well-known arm by name, with its tool frame set and its fingers locked.
 
-    The UR arms have their tool frame in the flange face (``tool0``, z outward), xArm 7 in
-    ``link_eef``, Panda between the finger tips (``panda_hand_tcp``) or, with
+    The UR arms have their tool frame in the flange face (``tool0``, z outward), xArm 7
+    in ``link_eef``, Panda between the finger tips (``panda_hand_tcp``) or, with
     ``without=["panda_hand"]`` and 0.76 kg less, in the flange face (``panda_link8``).
 
-    Names are panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e, ur10e and
-    lwr4plus (shipped here). The other arguments and errors are those of `load_urdf`.
+    Names are panda, ur3, ur5, ur10, xarm7 (from the package example-robot-data), ur5e,
+    ur10e and lwr4plus (shipped here). The other arguments and errors are those of
+    `load_urdf`.
 
     Raises:
         UnknownNameError: Another name.
@@ -178,8 +187,9 @@ def load_example(
 def example_robot_path(name: str) -> Path:
     """Return the URDF file of an arm that `load_example` loads.
 
-    With `load_urdf` Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two finger
-    joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors as there.
+    With `load_urdf` Panda needs ``tool_frame`` (such as ``panda_hand_tcp``) and its two
+    finger joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors
+    as there.
     """
     if name not in _EXAMPLES:
         raise UnknownNameError(
@@ -214,8 +224,8 @@ def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
                 f"{source}: cannot lock {name!r}, there is no such joint; "
                 f"joints: {', '.join(names[1:])}"
             )
-        # Through the tangent, so that a continuous joint (a point on the circle) locks like any
-        # other.
+        # Through the tangent, so that a continuous joint (a point on the circle) locks
+        # like any other.
         step[model.joints[names.index(name)].idx_v] = position
     where = pin.integrate(model, pin.neutral(model), step)
     return pin.buildReducedModel(model, [names.index(name) for name in locked], where)
@@ -238,10 +248,10 @@ def _last_link(model: pin.Model, source: str) -> str:
 class SerialJoint:
     """One revolute joint and the link behind it.
 
-    A row (alpha, a, d) of a modified Denavit-Hartenberg table is the placement Rx(alpha) Tx(a)
-    Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and axis. A placement is that
-    of the joint's frame at zero in the previous one (the base for the first); ``pin.SE3`` or a
-    homogeneous matrix of shape (4, 4), m.
+    A row (alpha, a, d) of a modified Denavit-Hartenberg table is the placement
+    Rx(alpha) Tx(a) Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and
+    axis. A placement is that of the joint's frame at zero in the previous one (the base
+    for the first); ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
 
     Raises:
         InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
@@ -286,11 +296,12 @@ def build_serial_robot(
     Args:
         joints: From base to tip, each name once and none of them ``tool``.
         name: Name of the robot, for messages.
-        tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's frame; default:
-            the same.
+        tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's
+            frame; default: the same.
         gravity_m_s2: See `urdf.load_urdf`, as for ``check_inertias`` and the errors.
         payload: What hangs on the frame ``tool``.
-        check_inertias: False accepts links no rigid body could be, as identified models have.
+        check_inertias: False accepts links no rigid body could be, as identified models
+            have.
     """
     names = [joint.name for joint in joints]
     if not names or len({*names, TOOL_FRAME}) != len(names) + 1:

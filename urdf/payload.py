@@ -1,14 +1,15 @@
 """What hangs on the flange: a rigid body, or a needle behind a force/torque sensor.
 
-The inertial parameters of one rigid body are ten numbers in kg, kg m and kg m^2, in Pinocchio's
-order, linear in every torque the body causes:
+The inertial parameters of one rigid body are ten numbers in kg, kg m and kg m^2, in
+Pinocchio's order, linear in every torque the body causes:
 
     phi = (m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz, I_yz, I_zz),
 
-with c the centre of mass and I the inertia about the frame origin. A body with non-negative density
-exists for phi exactly when m >= 0, the inertia about the centre of mass is positive semidefinite,
-and its principal moments obey the triangle inequality (Wensing, Kim, Slotine, "Linear matrix
-inequalities for physically consistent inertial parameter identification", RA-L 2018).
+with c the centre of mass and I the inertia about the frame origin. A body with
+non-negative density exists for phi exactly when m >= 0, the inertia about the centre of
+mass is positive semidefinite, and its principal moments obey the triangle inequality
+(Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent inertial
+parameter identification", RA-L 2018).
 """
 
 from dataclasses import dataclass, fields
@@ -32,7 +33,9 @@ _LARGEST_PARAMETER = (
 
 
 def require_mass(parameters: Array, owner: str) -> None:
-    """Raise `InertiaError`, naming the owner, for absurd numbers or moments without a mass."""
+    """Raise `InertiaError`, naming the owner, for absurd numbers or moments without
+    a mass.
+    """
     if not np.all(np.abs(parameters) <= _LARGEST_PARAMETER):
         raise InertiaError(
             f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
@@ -46,7 +49,9 @@ def require_mass(parameters: Array, owner: str) -> None:
 
 
 def require_physical(parameters: Array, owner: str) -> None:
-    """Raise `InertiaError` unless a body can have these, to the rounding of a written table."""
+    """Raise `InertiaError` unless a body can have these, to the rounding of a
+    written table.
+    """
     require_mass(parameters, owner)
     mass = parameters[0]
     if mass < 0.0:
@@ -72,7 +77,8 @@ def require_physical(parameters: Array, owner: str) -> None:
 class Payload:
     """A rigid body fixed to a frame (as a robot's load: its flange frame).
 
-    Two payloads in the same frame compose with ``+``. Arrays are stored as read-only copies.
+    Two payloads in the same frame compose with ``+``. Arrays are stored as read-only
+    copies.
 
     Raises:
         InputError: Wrong shape, not finite, or an inertia that is not symmetric.
@@ -118,14 +124,16 @@ class Payload:
     def spatial_inertia(self) -> pin.Inertia:
         """The payload as a Pinocchio inertia in the same frame."""
         body = pin.Inertia(self.mass_kg, self.com_m.copy(), np.zeros((3, 3)))
-        # Set afterwards, for the constructor refuses a moment of -1e-20 that rounding may leave.
+        # Set afterwards, for the constructor refuses a moment of -1e-20 that rounding
+        # may leave.
         body.inertia = self.inertia_kg_m2.copy()
         return body
 
     def moved(self, rotation: ArrayLike, translation_m: ArrayLike) -> "Payload":
         """Describe the same body in another frame, where its points p are at R p + t.
 
-        ``rotation`` R has shape (3, 3), ``translation_m`` t shape (3,), m; `InputError` otherwise.
+        ``rotation`` R has shape (3, 3), ``translation_m`` t shape (3,), m; `InputError`
+        otherwise.
         """
         turn = finite_array(rotation, (3, 3), "rotation")
         shift = finite_array(translation_m, (3,), "translation_m")
@@ -157,22 +165,23 @@ _MAY_BE_ZERO = (
 class NeedleTool:
     """F/T sensor, hub and needle in a row along the flange's z axis, pointing outward.
 
-    Without a sensor give ``sensor_height_m=0``: the hub then sits on the flange, and the default
-    ``sensor_mass_kg`` counts as zero. The defaults are the tool of Ferro et al., which weighs 236 g
-    up to the sensor's measuring plane and 68 g beyond it, and its needle reaches 153 mm from there.
-    Its inertias follow from shapes:
+    Without a sensor give ``sensor_height_m=0``: the hub then sits on the flange, and
+    the default ``sensor_mass_kg`` counts as zero. The defaults are the tool of Ferro et
+    al., which weighs 236 g up to the sensor's measuring plane and 68 g beyond it, and
+    its needle reaches 153 mm from there. Its inertias follow from shapes:
 
     - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor and
       adapters of the same diameter are 40 mm high. A homogeneous cylinder.
     - Shaft: a solid steel cylinder (7850 kg/m^3) of 1.27 mm (18 gauge) from the hub to the tip
-      weighs 1.2 g. A 68 g needle of 153 mm would be 8.5 mm thick, so nearly all of the 68 g is what
-      holds it:
+      weighs 1.2 g. A 68 g needle of 153 mm would be 8.5 mm thick, so nearly all of the
+      68 g is what holds it:
     - Hub: the rest of ``needle_mass_kg``, a homogeneous cylinder at the measuring plane. 67 g of
       aluminium 30 mm across are 35 mm high.
 
     Raises:
-        InputError: A number that is not finite, not positive (masses, density and sensor height
-            may be zero), or a shaft heavier or a hub longer than the needle.
+        InputError: A number that is not finite, not positive (masses, density and
+            sensor height may be zero), or a shaft heavier or a hub longer than the
+            needle.
     """
 
     sensor_mass_kg: float = (
@@ -234,7 +243,9 @@ class NeedleTool:
 
     @property
     def beyond_sensor(self) -> Payload:
-        """Hub and shaft, whose weight and inertia the sensor reads, in the sensor frame."""
+        """Hub and shaft, whose weight and inertia the sensor reads, in the sensor
+        frame.
+        """
         hub_mass = self.needle_mass_kg - self.shaft_mass_kg
         shaft = _cylinder(
             self.shaft_mass_kg,

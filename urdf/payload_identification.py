@@ -1,8 +1,9 @@
 """Mass and centre of mass of what hangs on the flange, from torques at rest.
 
-After Gaz and De Luca, "Payload estimation based on identified coefficients of robot dynamics - with
-an application to collision detection", IROS 2017 (reference [18] of Ferro et al.): the torque that
-the bare arm's model does not explain is linear in the payload's parameters. At rest these are four,
+After Gaz and De Luca, "Payload estimation based on identified coefficients of robot
+dynamics - with an application to collision detection", IROS 2017 (reference [18] of
+Ferro et al.): the torque that the bare arm's model does not explain is linear in the
+payload's parameters. At rest these are four,
 
     tau - g_bare(q) = Y(q) (m, m c_x, m c_y, m c_z),
 
@@ -36,8 +37,9 @@ _REWEIGHTINGS = 3  # Rounds, when the noise of the joints is not given
 class PayloadEstimate:
     """An identified payload with its uncertainty. Arrays are read-only.
 
-    The four parameters are mass and first moments in the flange frame, kg and kg m. A mass that is
-    negative by many standard deviations means a wrong sign, frame, scale or robot model.
+    The four parameters are mass and first moments in the flange frame, kg and kg m. A
+    mass that is negative by many standard deviations means a wrong sign, frame, scale
+    or robot model.
     """
 
     payload: Payload  # a point mass in the flange frame; none where the mass came out negative
@@ -76,16 +78,18 @@ def identify_payload_static(
 ) -> PayloadEstimate:
     """Identify mass and centre of mass of the payload from poses at rest.
 
-    The whole payload is identified: one that ``robot`` carries already is left out of its model.
-    Install the answer with ``robot.with_payload(estimate.payload)``. Poses must turn the flange
-    about horizontal axes, or the centre of mass along the vertical stays unknown.
+    The whole payload is identified: one that ``robot`` carries already is left out of
+    its model. Install the answer with ``robot.with_payload(estimate.payload)``. Poses
+    must turn the flange about horizontal axes, or the centre of mass along the vertical
+    stays unknown.
 
     Args:
         robot: The arm; its flange frame is the frame of the answer.
         q_rad: Joint positions, shape (n, nv), rad.
-        tau_Nm: Measured joint torques, friction and offsets taken off, shape (n, nv), Nm.
-        torque_noise_std_Nm: Torque noise per joint as weights, shape (nv,), Nm; default: from the
-            residual.
+        tau_Nm: Measured joint torques, friction and offsets taken off, shape (n, nv),
+            Nm.
+        torque_noise_std_Nm: Torque noise per joint as weights, shape (nv,), Nm;
+            default: from the residual.
 
     Raises:
         InputError: Wrong shapes, differing lengths, NaN, or noise that is not positive.
@@ -120,7 +124,9 @@ def identify_payload_static(
 
 
 def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]:
-    """Return Y in flange axes and `_UNITS`, shape (n, nv, 4), and the unexplained torque."""
+    """Return Y in flange axes and `_UNITS`, shape (n, nv, 4), and the unexplained
+    torque.
+    """
     model, still = robot.bare_model, np.zeros(robot.nv)
     data = model.createData()
     flange = model.frames[robot.frame_id(robot.flange_frame)]
@@ -138,7 +144,9 @@ def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]
 
 
 def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Array:
-    """Return the noise of each joint: as given, or as large as what a fit leaves there."""
+    """Return the noise of each joint: as given, or as large as what a fit leaves
+    there.
+    """
     std = np.ones(target.shape[1])
     if given is not None:
         std = finite_array(given, std.shape, "torque_noise_std_Nm")
@@ -158,7 +166,9 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
 def _solve(
     regressor: Array, target: Array, std: Array
 ) -> tuple[Array, Array, Array, int]:
-    """Return the shortest solution, singular values, right singular vectors and rank."""
+    """Return the shortest solution, singular values, right singular vectors and
+    rank.
+    """
     matrix = (regressor / std[:, None]).reshape(target.size, -1)
     # The axes are complete also where there are fewer equations than unknowns.
     left, values, axes = np.linalg.svd(

@@ -32,13 +32,13 @@ SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with a loader of `urdf` or with `urdf.build_serial_robot`. ``model`` has the payload
-    and is handed out directly for hot loops: read it, do not write it.
+    Build one with a loader of `urdf` or with `urdf.build_serial_robot`. ``model`` has
+    the payload and is handed out directly for hot loops: read it, do not write it.
 
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
-        UnsupportedJointError: A joint of several numbers, as Pinocchio's continuous and ball joints
-            are, or none that moves.
+        UnsupportedJointError: A joint of several numbers, as Pinocchio's continuous and
+            ball joints are, or none that moves.
     """
 
     bare_model: pin.Model  # the arm without payload; copied on construction
@@ -98,8 +98,8 @@ class Robot:
     def frame_id(self, name: str) -> int:
         """Return the index of a frame in ``model.frames``.
 
-        A joint and the link behind it may share a name; they then share the origin and axes too.
-        `UnknownNameError` lists the names there are.
+        A joint and the link behind it may share a name; they then share the origin and
+        axes too. `UnknownNameError` lists the names there are.
         """
         names = [frame.name for frame in self.model.frames]
         if name not in names:
@@ -110,11 +110,15 @@ class Robot:
         return names.index(name)
 
     def create_data(self) -> pin.Data:
-        """Return fresh Pinocchio workspace for ``model``; each thread or observer needs its own."""
+        """Return fresh Pinocchio workspace for ``model``; each thread or observer
+        needs its own.
+        """
         return self.model.createData()
 
     def with_payload(self, payload: Payload | None) -> "Robot":
-        """Return the robot with another payload, or none; `InputError` for anything else."""
+        """Return the robot with another payload, or none; `InputError` for anything
+        else.
+        """
         if payload is not None and not isinstance(payload, Payload):
             raise InputError(
                 f"with_payload expects a Payload or None, got {type(payload).__name__} "
@@ -123,10 +127,12 @@ class Robot:
         return replace(self, payload=payload)
 
     def with_armature(self, rotor_inertia_kg_m2: ArrayLike) -> "Robot":
-        """Return the robot with rotor inertias added to the diagonal of its mass matrix.
+        """Return the robot with rotor inertias added to the diagonal of its mass
+        matrix.
 
-        For arms whose torque is measured at the motor (the LWR measures behind the gear): as seen
-        at the joints, so times the gear ratio squared, shape (nv,); `InputError` if negative.
+        For arms whose torque is measured at the motor (the LWR measures behind the
+        gear): as seen at the joints, so times the gear ratio squared, shape (nv,);
+        `InputError` if negative.
         """
         rotor = finite_array(rotor_inertia_kg_m2, (self.nv,), "rotor_inertia_kg_m2")
         if np.any(rotor < 0.0):
@@ -139,7 +145,9 @@ class Robot:
 
 
 def _check_joints(model: pin.Model) -> None:
-    """Refuse joints whose position and velocity do not have one number each, or none at all."""
+    """Refuse joints whose position and velocity do not have one number each, or none
+    at all.
+    """
     if model.nv == 0:
         raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
@@ -151,7 +159,9 @@ def _check_joints(model: pin.Model) -> None:
 
 
 def rigid_motion(placement: Any, name: str) -> pin.SE3:
-    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation alone."""
+    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation
+    alone.
+    """
     if isinstance(placement, pin.SE3):
         placement = placement.homogeneous
     if np.shape(placement) == (3,):
@@ -177,7 +187,9 @@ def assemble_robot(
     *,
     check_inertias: bool,
 ) -> Robot:
-    """Set gravity, mount the tool, check the model; arguments and errors as in `urdf.load_urdf`."""
+    """Set gravity, mount the tool, check the model; arguments and errors as in
+    `urdf.load_urdf`.
+    """
     if payload is not None and not isinstance(payload, Payload | NeedleTool):
         raise InputError(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"

@@ -1,7 +1,7 @@
 """One insertion into bovine liver, digitised from a figure.
 
-Okamura, Simone, O'Leary, "Force modeling for needle insertion into soft tissue", IEEE TBME 2004,
-doi 10.1109/TBME.2004.831542.
+Okamura, Simone, O'Leary, "Force modeling for needle insertion into soft tissue", IEEE
+TBME 2004, doi 10.1109/TBME.2004.831542.
 """
 
 from collections.abc import Sequence
@@ -26,10 +26,12 @@ RATE_hz = 1000.0
 CONTACT_m = 8e-3
 """About where the needle meets the liver."""
 PEN_UP_m = 1e-3
-"""Where the depth of one point is so much less than that of the one before, a new stroke begins."""
+"""Where the depth of one point is so much less than that of the one before, a new
+stroke begins."""
 NOISE_N = 0.01
-"""White noise put on it: a drawn line shows none, and every sensor has some. This is sigma_0, and
-what the points of the later strokes scatter by in free air, between two dips there."""
+"""White noise put on it: a drawn line shows none, and every sensor has some. This is
+sigma_0, and what the points of the later strokes scatter by in free air, between two
+dips there."""
 RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
@@ -39,9 +41,9 @@ def read_bovine(
 ) -> tuple[Array, Array, Array]:
     """Time, depth and axial force, shape (n,) each, from the points of the figure.
 
-    The curve was traced in one stroke of 232 points; those that follow it in the file go over parts
-    of it again, less exactly, and would put a zigzag into it. The stroke's points are joined by
-    straight lines; where it falls it goes straight down.
+    The curve was traced in one stroke of 232 points; those that follow it in the file
+    go over parts of it again, less exactly, and would put a zigzag into it. The
+    stroke's points are joined by straight lines; where it falls it goes straight down.
 
     Args:
         data: Folder of recordings.
@@ -76,10 +78,11 @@ NEAR_mm = 1.5
 def run_bovine_real(job: Job, progress: Progress) -> Findings:
     """``bovine-real``: the four ruptures of the insertion, by both methods.
 
-    The curve falls in more places than the annotated ones (docs/limits.md). An alarm that belongs
-    to none of the four counts as false, whatever the force does there; whether it drops there by
-    more than five times the noise, as at a true rupture of a simulated tissue, is reported beside
-    it. `published` is given the depth of first contact, ours finds it.
+    The curve falls in more places than the annotated ones (docs/limits.md). An alarm
+    that belongs to none of the four counts as false, whatever the force does there;
+    whether it drops there by more than five times the noise, as at a true rupture of a
+    simulated tissue, is reported beside it. `published` is given the depth of first
+    contact, ours finds it.
     """
     data = job.recordings
     t_s, depth_m, force_N = read_bovine(data, np.random.default_rng(job.seed))
@@ -110,7 +113,8 @@ def depth_metrics(
 ) -> dict[str, float]:
     """Missed and false ruptures, and how far the others are out, if any.
 
-    Each annotated rupture takes the nearest alarm within `NEAR_mm` that no nearer one has taken.
+    Each annotated rupture takes the nearest alarm within `NEAR_mm` that no nearer one
+    has taken.
     """
     alarm_of = nearest_pairs(true_mm, alarms_mm, NEAR_mm, NEAR_mm)
     values = {

@@ -1,7 +1,7 @@
 """Insertions into real human liver.
 
-de Jong, Dankelman, van den Dobbelsteen, "Dataset on needle insertions in ex vivo human livers",
-Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
+de Jong, Dankelman, van den Dobbelsteen, "Dataset on needle insertions in ex vivo human
+livers", Data in Brief 2017, doi 10.1016/j.dib.2017.01.018.
 """
 
 from collections.abc import Iterator, Sequence
@@ -31,8 +31,8 @@ SETTLED_m = 2e-3
 def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
     """Insertion and withdrawal in a recording that holds the needle in between.
 
-    The insertion ends where the needle is within `HAIR_m` of its deepest; the withdrawal begins
-    when friction has turned round.
+    The insertion ends where the needle is within `HAIR_m` of its deepest; the
+    withdrawal begins when friction has turned round.
     """
     deepest = float(depth_m.max())
     deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
@@ -122,7 +122,8 @@ class LiverInsertion(NamedTuple):
         return tuple(-self.force_at_N(self.withdrawal, mm) for mm in DEPTHS_mm)
 
     def force_at_N(self, part: slice, depth_mm: float) -> float:
-        """Mean force near a depth [mm] in a part of the recording; nan if the needle was not there.
+        """Mean force near a depth [mm] in a part of the recording; nan if the needle
+        was not there.
 
         Negative during withdrawal, where friction holds the needle back.
         """
@@ -130,7 +131,8 @@ class LiverInsertion(NamedTuple):
 
 
 def read_liver(data: Path, index: int) -> LiverInsertion:
-    """Read one insertion from the folder of recordings; the index is one into `NUMBERS`.
+    """Read one insertion from the folder of recordings; the index is one into
+    `NUMBERS`.
 
     Raises:
         DataError: There is no such insertion, or the file is missing or broken.
@@ -145,7 +147,8 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
 
 
 LEAST_N = 0.15
-"""The smallest internal rupture described for the liver recordings; twenty times their noise."""
+"""The smallest internal rupture described for the liver recordings; twenty times
+their noise."""
 LONGEST_m = 2e-3
 """A rupture of liver releases over 0.5 to 2 mm; what takes longer is no rupture."""
 SMOOTHING = 21
@@ -153,7 +156,9 @@ SMOOTHING = 21
 
 
 class ForceDrop(NamedTuple):
-    """One sudden drop of the force, found offline: depths at its top and foot, and its height."""
+    """One sudden drop of the force, found offline: depths at its top and foot, and
+    its height.
+    """
 
     from_m: float
     to_m: float
@@ -161,7 +166,8 @@ class ForceDrop(NamedTuple):
 
 
 NEAR_m = 0.5e-3
-"""An alarm belongs to a drop when it lies between its top and its foot, or so close to either."""
+"""An alarm belongs to a drop when it lies between its top and its foot, or so close
+to either."""
 
 
 def force_drops(
@@ -169,8 +175,8 @@ def force_drops(
 ) -> list[ForceDrop]:
     """Every drop by at least `least_N` within `LONGEST_m` of travel.
 
-    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows down. The
-    needle advances, shapes (n,).
+    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows
+    down. The needle advances, shapes (n,).
     """
     depth = np.maximum.accumulate(depth_m)
     force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
@@ -192,7 +198,9 @@ def force_drops(
 
 
 def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int, int]:
-    """How many alarms, given by their depths, lie at a drop, and how many drops have an alarm."""
+    """How many alarms, given by their depths, lie at a drop, and how many drops have
+    an alarm.
+    """
     is_at = [
         [drop.from_m - NEAR_m <= alarm <= drop.to_m + NEAR_m for drop in drops]
         for alarm in alarms_m
@@ -201,7 +209,9 @@ def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int
 
 
 class LiverReference(NamedTuple):
-    """What the estimates of an insertion are compared with: pull-out force, drops of the force."""
+    """What the estimates of an insertion are compared with: pull-out force, drops of
+    the force.
+    """
 
     pullout_N: tuple[float, ...]  # at each of `DEPTHS_mm`
     drops: list[ForceDrop]  # as large as an internal rupture
@@ -231,7 +241,9 @@ class LiverEstimates(NamedTuple):
 def liver_reference(
     insertion: LiverInsertion, depth_m: Array, force_N: Array
 ) -> LiverReference:
-    """Find the drops of a force over depth, as recorded or as put on an arm, shape (n,) each."""
+    """Find the drops of a force over depth, as recorded or as put on an arm, shape
+    (n,) each.
+    """
     small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
     return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
 
@@ -243,7 +255,9 @@ def liver_estimates(
     method: Method,
     reference: LiverReference,
 ) -> LiverEstimates:
-    """Shaft friction at each depth as estimated when the needle was there, ruptures, and rest."""
+    """Shaft friction at each depth as estimated when the needle was there, ruptures,
+    and rest.
+    """
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
     names = (
         "shaft_friction_N",
@@ -272,7 +286,9 @@ def liver_estimates(
 
 
 def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
-    """Median and 90th percentile of the errors over insertions, and how well they are stated."""
+    """Median and 90th percentile of the errors over insertions, and how well they
+    are stated.
+    """
     true = np.array([each.reference.pullout_N for each in found])
     off = np.abs(np.array([each.friction_N for each in found]) - true)
     for name, percent in (("median", 50.0), ("p90", 90.0)):
@@ -316,8 +332,9 @@ GUESSED_FRICTION = 0.7
 def run_liver_real(job: Job, progress: Progress) -> Findings:
     """``liver-real``: friction estimated during insertion against the pull-out force.
 
-    The needle is pulled out against friction alone, so the pull-out force at a depth is what the
-    shaft friction was there during insertion. Methods see the insertion and the hold only.
+    The needle is pulled out against friction alone, so the pull-out force at a depth is
+    what the shaft friction was there during insertion. Methods see the insertion and
+    the hold only.
     """
     data = job.recordings
     by_method: dict[Method, list[LiverEstimates]] = {

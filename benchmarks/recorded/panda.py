@@ -1,7 +1,8 @@
 """A real Franka Panda in free motion, and its identified model.
 
-Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, "Dynamic identification of the Franka Emika Panda
-robot with retrieval of feasible parameters using penalty-based optimization", RA-L 2019.
+Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, "Dynamic identification of the Franka
+Emika Panda robot with retrieval of feasible parameters using penalty-based
+optimization", RA-L 2019.
 """
 
 from collections.abc import Mapping
@@ -41,9 +42,11 @@ from urdf import Robot, SerialJoint, build_serial_robot
 
 FOLDER = "panda_gaz2019"
 FLANGE_m = 0.107
-"""From frame 7 to the flange, along z; from Franka's documentation, the recording has no tool."""
+"""From frame 7 to the flange, along z; from Franka's documentation, the recording
+has no tool."""
 EFFORT_LIMIT_Nm = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-"""From Franka's documentation; the tare takes the range of the torque sensors from it."""
+"""From Franka's documentation; the tare takes the range of the torque sensors from
+it."""
 
 
 class Panda(NamedTuple):
@@ -133,10 +136,11 @@ OF_MANY = "_p90_pct"
 def identification_values(
     insertion: LiverInsertion, truth: ForceTruth, forces_N: Mapping[Method, Array]
 ) -> list[Measurement]:
-    """Friction and ruptures by both methods, from the force itself and from each one's own sensor.
+    """Friction and ruptures by both methods, from the force itself and from each one's
+    own sensor.
 
-    A real enhanced force has no ground truth; that of the virtual force is compared with that of
-    the same method on the force itself, which an F/T sensor would read.
+    A real enhanced force has no ground truth; that of the virtual force is compared
+    with that of the same method on the force itself, which an F/T sensor would read.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
@@ -158,8 +162,9 @@ def identification_values(
 TARE_s = 4.0
 """Free motion before the tare."""
 FREE_s = 1.0
-"""Free motion between tare and insertion: about the rest at the start of every liver recording,
-from which the identifiers learn the noise of the force. 16 s are left, 80 mm at 5 mm/s."""
+"""Free motion between tare and insertion: about the rest at the start of every liver
+recording, from which the identifiers learn the noise of the force. 16 s are left, 80 mm
+at 5 mm/s."""
 NOT_JUDGED = "wrench_lag_ms"
 """The force changes less than this arm's noise: its lag would be a guess."""
 
@@ -167,14 +172,14 @@ NOT_JUDGED = "wrench_lag_ms"
 def run_panda_liver(job: Job, progress: Progress) -> Findings:
     """``panda-liver``: a real tissue force on a real arm, by both methods.
 
-    The recorded Panda has touched nothing, the recorded needle had no robot. Both are combined: a
-    force F on the flange acts on the joints as ``J' F``, and reduces the measured torque by just
-    that, ``tau = tau_free - J' F``. Tissue that resists with f pushes along minus the flange's z
-    axis, so ``tau = tau_free + f J_z'``.
+    The recorded Panda has touched nothing, the recorded needle had no robot. Both are
+    combined: a force F on the flange acts on the joints as ``J' F``, and reduces the
+    measured torque by just that, ``tau = tau_free - J' F``. Tissue that resists with f
+    pushes along minus the flange's z axis, so ``tau = tau_free + f J_z'``.
 
-    The whole chain runs on it: joint signals in, enhanced force out, beside the same force as an
-    F/T sensor would have read it. Only the depth is the recorded needle's: the Panda moves
-    otherwise.
+    The whole chain runs on it: joint signals in, enhanced force out, beside the same
+    force as an F/T sensor would have read it. Only the depth is the recorded needle's:
+    the Panda moves otherwise.
     """
     panda, insertion = read_panda(job.recordings), read_liver(job.recordings, job.seed)
     truth = _truth(panda, insertion)

@@ -1,7 +1,8 @@
-"""A real UR10e: motor currents without and with a known payload, and its identified model.
+"""A real UR10e: motor currents without and with a known payload, and its identified
+model.
 
-Mamedov, Mikhel, "Practical aspects of model-based collision detection", Front. Robot. AI 7:571574,
-2020.
+Mamedov, Mikhel, "Practical aspects of model-based collision detection", Front. Robot.
+AI 7:571574, 2020.
 """
 
 from pathlib import Path
@@ -93,16 +94,18 @@ GAIN_per_s = 20.0
 SETTLING_s = 5.0 / GAIN_per_s
 PAYLOAD_kg = 2.805
 LEAST_SINGULAR_VALUE = 0.1
-"""Of the Jacobian: nearer to a singular pose an undamped inverse only amplifies noise."""
+"""Of the Jacobian: nearer to a singular pose an undamped inverse only amplifies
+noise."""
 
 
 def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
     """``ur10e-payload``: the weight of a known payload from motor currents.
 
-    Torque is torque constant times current, and the constants read 12 to 16 % low. The arm's own
-    model was identified with the same constants, so model and measurement agree without payload
-    whatever their common scale; only a known weight shows it. One factor on all joint torques
-    (measured, model and friction alike, hence on the residual) is therefore all there is to fit.
+    Torque is torque constant times current, and the constants read 12 to 16 % low. The
+    arm's own model was identified with the same constants, so model and measurement
+    agree without payload whatever their common scale; only a known weight shows it. One
+    factor on all joint torques (measured, model and friction alike, hence on the
+    residual) is therefore all there is to fit.
     """
     arm = read_ur10e(job.recordings)
     residual_unloaded = _residual(arm, arm.unloaded)
@@ -137,7 +140,9 @@ def _settled(signals: JointSignals) -> NDArray[np.bool_]:
 def _force_up(
     robot: Robot, signals: JointSignals, residual: Array, name: str
 ) -> dict[str, float]:
-    """Mean and scatter of the vertical force in base axes, by equation (13), torque scale 1."""
+    """Mean and scatter of the vertical force in base axes, by equation (13), torque
+    scale 1.
+    """
     wrench = WrenchEstimator(robot, PUBLISHED)
     jacobians = tool_jacobians(robot, signals.q_rad)
     regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
@@ -148,9 +153,11 @@ def _force_up(
 
 
 def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) -> float:
-    """Mass whose weight explains the residuals of many poses together, singular ones included.
+    """Mass whose weight explains the residuals of many poses together, singular ones
+    included.
 
-    The residual is what an arm at rest would feel more than its own gravity, with opposite sign.
+    The residual is what an arm at rest would feel more than its own gravity, with
+    opposite sign.
     """
     data = robot.create_data()
     gravity = np.array(

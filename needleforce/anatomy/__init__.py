@@ -1,12 +1,13 @@
-"""The patient: labelled volumes, surfaces, layers along a needle, registration, plan and ruptures.
+"""The patient: labelled volumes, surfaces, layers along a needle, registration, plan
+and ruptures.
 
     labels = read_labels("abdomen.seg.nrrd")
     surfaces = labels.surfaces()                       # name to closed surface
     for layer in labels.layers_along(entry_m, target_m):
         print(layer.name, layer.entry_m, layer.exit_m, layer.is_obstacle)
 
-Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
-Stands alone: no robots, no forces. Not a medical device.
+Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
+metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `reading`, `surface`, `registration`, `plan_match`, `errors`.
 """

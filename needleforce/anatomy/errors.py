@@ -1,4 +1,6 @@
-"""Errors of anatomy: one base; each of the others is also a standard exception. Arrays."""
+"""Errors of anatomy: one base; each of the others is also a standard exception.
+Arrays.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +13,9 @@ class AnatomyError(Exception):
 
 
 class VolumeError(AnatomyError, ValueError):
-    """A volume, a segmentation or a path that cannot be read, or contradicts itself or another."""
+    """A volume, a segmentation or a path that cannot be read, or contradicts itself
+    or another.
+    """
 
 
 class RegistrationError(AnatomyError, ValueError):

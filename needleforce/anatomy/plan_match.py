@@ -1,10 +1,11 @@
 """The plan and the ruptures correct each other.
 
-The plan says at which depths boundaries lie, up to an offset along the needle that registration
-left; ruptures say where the needle went through one, but not through which, and contact where the
-first one lies. Some boundaries rupture without being noticed, some alarms are false, and a membrane
-gives way only after it was pushed in. Bayes over all of it: the offset on a grid, times which
-boundary the last rupture was, by the forward recursion over assignments that keep the order.
+The plan says at which depths boundaries lie, up to an offset along the needle that
+registration left; ruptures say where the needle went through one, but not through
+which, and contact where the first one lies. Some boundaries rupture without being
+noticed, some alarms are false, and a membrane gives way only after it was pushed in.
+Bayes over all of it: the offset on a grid, times which boundary the last rupture was,
+by the forward recursion over assignments that keep the order.
 """
 
 from collections.abc import Sequence
@@ -20,30 +21,37 @@ from needleforce.anatomy.volume import UNLABELLED, Layer, words
 GRID_m = 0.1e-3
 REACH = 5.0  # Of the grid, in standard deviations of the offset
 MISSED, SOFT_MISSED, ENTRY_MISSED = 0.2, 0.6, 0.8
-"""Probability that a boundary ruptures unnoticed; where fat ends, which holds little force; of the
-surface, which ruptures only where a membrane covers it, and then late."""
+"""Probability that a boundary ruptures unnoticed; where fat ends, which holds little
+force; of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 0.5  # False alarms per metre of travel
 LATE, CAPSULE_LATE = 0.25, 0.8
-"""Probability that a boundary is a membrane, which ruptures late; where an organ's name says so."""
+"""Probability that a boundary is a membrane, which ruptures late; where an organ's
+name says so."""
 SKIN = frozenset(("body", "skin", "lean", "fat"))
-"""Words in the names of what begins at the skin: what nothing covers in front of it is air."""
+"""Words in the names of what begins at the skin: what nothing covers in front of it
+is air."""
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
-"""Words in the names of organs in a capsule (liver: Okamura 2004, doi 10.1109/TBME.2004.831542)."""
+"""Words in the names of organs in a capsule (liver: Okamura 2004, doi
+10.1109/TBME.2004.831542)."""
 LATE_m, LATE_STD_m = 5e-3, 2.5e-3  # By so much
 RUPTURE_STD_m = 0.1e-3
-"""Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the virtual sensor."""
+"""Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the
+virtual sensor."""
 CONTACT_STD_m = 0.15e-3
-"""Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor; in the last
-it was found 4.8 mm too high, in the air."""
+"""Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor;
+in the last it was found 4.8 mm too high, in the air."""
 TOGETHER = 0.5
-"""Probability that the surface is off by the plan's offset: so it is where registration errs, and
-not where organs have moved beneath the skin. Nobody knows beforehand which it is."""
+"""Probability that the surface is off by the plan's offset: so it is where registration
+errs, and not where organs have moved beneath the skin. Nobody knows beforehand which it
+is."""
 ALARM_m = 0.5e-3
-"""Travel from a rupture to its alarm: of random stacks behind the virtual sensor 0.15 to 0.9 mm."""
+"""Travel from a rupture to its alarm: of random stacks behind the virtual sensor
+0.15 to 0.9 mm."""
 MOST_m = 1.0  # Depth of a boundary; beyond it the unit is not the metre
 BACK_m = 1e-3  # A tip so far above the deepest point is being withdrawn
 OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
-"""Where the tip is before the first boundary; what a rupture is that belongs to none."""
+"""Where the tip is before the first boundary; what a rupture is that belongs to
+none."""
 NOTHING = Layer("", *[np.nan] * 4, is_obstacle=False)  # Behind the last boundary
 
 
@@ -73,12 +81,13 @@ class PlanState(NamedTuple):
 class PlanMatch:
     """Matches ruptures, in the order in which they came, with a plan.
 
-    It remembers nothing: the same depths give the same answer, so `InsertionSession.follow` can
-    take a false alarm back and go on from a snapshot.
+    It remembers nothing: the same depths give the same answer, so
+    `InsertionSession.follow` can take a false alarm back and go on from a snapshot.
 
     Args:
-        layers: From `layers_along`, the first where the needle starts. `UNLABELLED` in front of
-            ``body``, ``skin``, ``lean`` or ``fat`` is air: the surface is where that begins.
+        layers: From `layers_along`, the first where the needle starts. `UNLABELLED` in
+            front of ``body``, ``skin``, ``lean`` or ``fat`` is air: the surface is
+            where that begins.
         offset_std_m: Standard deviation of the plan's error along the needle, as
             `Registration.std_along_m` gives it.
 
@@ -86,7 +95,8 @@ class PlanMatch:
         fingerprint: Identifies the plan: equal for equal plans.
 
     Raises:
-        PlanError: No boundary in the plan, depths or deviations that cannot be, or not in metres.
+        PlanError: No boundary in the plan, depths or deviations that cannot be, or not
+            in metres.
     """
 
     def __init__(self, layers: Sequence[Layer], offset_std_m: float) -> None:
@@ -94,8 +104,9 @@ class PlanMatch:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
         require_deviation("offset_std_m", offset_std_m, PlanError)
         self.layers = tuple(layers)
-        # Air in front of the skin is no layer: boundaries lie in front of each from the first
-        # tissue on, the first is the surface. Without a body among the labels it is tissue, too.
+        # Air in front of the skin is no layer: boundaries lie in front of each from the
+        # first tissue on, the first is the surface. Without a body among the labels it
+        # is tissue, too.
         is_air = layers[0].name == UNLABELLED and SKIN & words(layers[1].name)
         self._first = 1 if is_air else 0
         bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
@@ -138,7 +149,8 @@ class PlanMatch:
         deepest_m: float | None = None,
         entry_depth_m: float = 0.0,
     ) -> PlanState:
-        """What is known with the tip at a depth: also that nothing ruptured there counts.
+        """What is known with the tip at a depth: also that nothing ruptured there
+        counts.
 
         A boundary that should have ruptured long ago has been missed, or lies deeper.
 
@@ -146,12 +158,14 @@ class PlanMatch:
             depth_m: Of the tip.
             ruptures_m: Depths of all ruptures so far, in the order in which they came.
             contact_m: At which the tip met the surface; None where that is not known.
-            deepest_m: Where the tip has been before it was withdrawn; by default ``depth_m``.
-            entry_depth_m: Depth, from where the others count, of the plan's entry point.
+            deepest_m: Where the tip has been before it was withdrawn; by default
+                ``depth_m``.
+            entry_depth_m: Depth, from where the others count, of the plan's entry
+                point.
 
         Raises:
-            PlanError: A depth that is not finite, or of a rupture more than 1 mm above the one
-                before.
+            PlanError: A depth that is not finite, or of a rupture more than 1 mm above
+                the one before.
         """
         if not np.isfinite(
             [depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]
@@ -229,7 +243,9 @@ class PlanMatch:
         return float(np.interp(part, np.cumsum(each) - 0.5 * each, self._offset_m))
 
     def _withdrawn(self, joint: Array, depth_m: float) -> Array:
-        """How likely so many boundaries lie above a tip that comes back from further below."""
+        """How likely so many boundaries lie above a tip that comes back from further
+        below.
+        """
         passed = np.arange(len(joint))[:, None]
         above = np.searchsorted(self._bound_m, depth_m - self._offset_m, "right")
         counts = np.bincount(
@@ -238,7 +254,9 @@ class PlanMatch:
         return counts.astype(float, copy=False)
 
     def _expected(self, contact_m: float | None) -> "_Expected":
-        """What is expected of the ruptures, with the surface met there, or not known."""
+        """What is expected of the ruptures, with the surface met there, or not
+        known.
+        """
         weight, rupture_m, std_m = self._untouched
         if contact_m is None:
             return self._untouched
@@ -251,7 +269,8 @@ class PlanMatch:
         alone_m = np.hypot(std, self._offset_std_m)
         alone = _student(off_m / alone_m) / alone_m
         weight = weight * (TOGETHER * together + (1.0 - TOGETHER) * alone)
-        # A membrane on it, where there is one, is pushed in from there, wherever it was planned.
+        # A membrane on it, where there is one, is pushed in from there, wherever it was
+        # planned.
         rupture_m, std_m = rupture_m.copy(), std_m.copy()
         met_m, met_std_m = _at_once_and_late(contact_m, CONTACT_STD_m)
         rupture_m[:, 0], std_m[:, 0] = met_m[:, None], met_std_m
@@ -260,7 +279,9 @@ class PlanMatch:
     def _after(
         self, expected: "_Expected", ruptures_m: Sequence[float]
     ) -> tuple[Array, Array]:
-        """Weights after ruptures, and the part of them in which the last one was a false alarm."""
+        """Weights after ruptures, and the part of them in which the last one was a
+        false alarm.
+        """
         weight, rupture_m, std_m = expected
         false, last_m = weight, -np.inf
         for depth_m in ruptures_m:
@@ -278,7 +299,9 @@ class PlanMatch:
         return weight, false
 
     def _ahead(self, expected: "_Expected", depth_m: float) -> tuple[Array, Array]:
-        """How likely a boundary is not felt yet, or was passed unnoticed, with the tip there."""
+        """How likely a boundary is not felt yet, or was passed unnoticed, with the
+        tip there.
+        """
         later = ndtr((expected.rupture_m - depth_m + ALARM_m) / expected.std_m)
         waiting = (self._kind * later).sum(axis=0)
         passed = self._missed * (expected.rupture_m[0] <= depth_m)
@@ -296,18 +319,24 @@ class _Expected(NamedTuple):
 
 
 def _student(x: Any) -> Any:
-    """Density of Student's t, 3 degrees: a deviation stated too small does not deceive."""
+    """Density of Student's t, 3 degrees: a deviation stated too small does not
+    deceive.
+    """
     return 6.0 * np.sqrt(3.0) / np.pi / (3.0 + x * x) ** 2
 
 
 def _at_once_and_late(place_m: Any, std_m: Any) -> tuple[Array, Array]:
-    """Where boundaries rupture, at once and as membranes (rows), and the deviations of that."""
+    """Where boundaries rupture, at once and as membranes (rows), and the deviations
+    of that.
+    """
     both_m = np.array([std_m, np.hypot(std_m, LATE_STD_m)])[..., None]
     return np.array([place_m, place_m + LATE_m]), both_m
 
 
 def _chances(names: list[str]) -> tuple[Array, Array]:
-    """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures late."""
+    """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures
+    late.
+    """
     missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
     for k, name in enumerate(names):
         if name not in names[:k] and CAPSULES & words(name):
@@ -347,7 +376,9 @@ def _matched(
 
 
 def _arriving(weight: Array, slips: Array) -> Array:
-    """Weight in front of each boundary, the last row behind all: also what slipped past others."""
+    """Weight in front of each boundary, the last row behind all: also what slipped
+    past others.
+    """
     came = weight.copy()
     for boundary, slip in enumerate(slips):
         came[boundary + 1] += slip * came[boundary]

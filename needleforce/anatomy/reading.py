@@ -1,7 +1,8 @@
 """Scans and segmentations from files, and what is refused of them.
 
-SimpleITK reads every format, in LPS millimetres, and takes much as it comes: it fills what is
-missing of a file with zeros, and where a file does not say how it lies it invents that.
+SimpleITK reads every format, in LPS millimetres, and takes much as it comes: it fills
+what is missing of a file with zeros, and where a file does not say how it lies it
+invents that.
 """
 
 import gzip
@@ -41,9 +42,9 @@ def read_volume(path: Path | str) -> Volume:
     """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
 
     Raises:
-        VolumeError: Not readable, damaged, not three-dimensional, not in millimetres, or without a
-            word on how it lies; of DICOM: no series or several, slices that are missing, doubled,
-            of different sizes or sheared.
+        VolumeError: Not readable, damaged, not three-dimensional, not in millimetres,
+            or without a word on how it lies; of DICOM: no series or several, slices
+            that are missing, doubled, of different sizes or sheared.
     """
     arrays, grid, _ = _read(Path(path))
     if len(arrays) != 1:
@@ -56,18 +57,19 @@ def read_labels(
     names: Mapping[Any, str] | Path | str | None = None,
     scan: Volume | None = None,
 ) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label per voxel.
+    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label
+    per voxel.
 
     Args:
         path: The file, or a folder with a DICOM series.
-        names: Of label values, or a JSON file with them (``{"5": "liver"}``), by default
-            ``labels.json`` beside the file; labels without a name are called ``label_5``. Segments
-            of a ``.seg.nrrd`` bring names and colours.
+        names: Of label values, or a JSON file with them (``{"5": "liver"}``), by
+            default ``labels.json`` beside the file; labels without a name are called
+            ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
         scan: The CT to which the labels belong: places must agree.
 
     Raises:
-        VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or labels that
-            lie elsewhere than the scan.
+        VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or
+            labels that lie elsewhere than the scan.
     """
     arrays, grid, header = _read(Path(path))
     beside = Path(path).with_name("labels.json")
@@ -128,7 +130,9 @@ def _plain_structures(
 
 
 def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
-    """Return the segments that 3D Slicer described in the file's header, none in other files."""
+    """Return the segments that 3D Slicer described in the file's header, none in
+    other files.
+    """
     found: dict[tuple[int, int], Structure] = {}
     count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
     for k in range(count):
@@ -216,9 +220,11 @@ def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
 def _require_sound_nifti(
     path: Path, header: Mapping[str, str], spacing_mm: Array
 ) -> None:
-    """Refuse a file that is cut short or damaged, or does not say how it lies, or says two things.
+    """Refuse a file that is cut short or damaged, or does not say how it lies, or says
+    two things.
 
-    SimpleITK fills what is missing with zeros, and takes spacing and directions from two places.
+    SimpleITK fills what is missing with zeros, and takes spacing and directions from
+    two places.
     """
     sizes = [int(header[f"dim[{k}]"]) for k in range(1, int(header["dim[0]"]) + 1)]
     needed = float(header["vox_offset"]) + np.prod(sizes) * int(header["bitpix"]) / 8

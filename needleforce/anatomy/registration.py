@@ -1,13 +1,15 @@
-"""Rigid registration, by landmarks and by touching a surface, and how far off it is at any point.
+"""Rigid registration, by landmarks and by touching a surface, and how far off it is at
+any point.
 
-The model (CT, LPS) is carried into the robot's base: y = R x + t. Landmarks: least squares (Arun,
-Huang, Blostein 1987); the covariance of the six parameters gives the target registration error at
-any point, equal to Fitzpatrick's formula (1998) for isotropic errors. Residuals at the landmarks do
-not say how large the error at the target is (Fitzpatrick 2009); they serve to estimate the touches'
-deviation, and to refuse.
+The model (CT, LPS) is carried into the robot's base: y = R x + t. Landmarks: least
+squares (Arun, Huang, Blostein 1987); the covariance of the six parameters gives the
+target registration error at any point, equal to Fitzpatrick's formula (1998) for
+isotropic errors. Residuals at the landmarks do not say how large the error at the
+target is (Fitzpatrick 2009); they serve to estimate the touches' deviation, and to
+refuse.
 
-Touches: Gauss-Newton on distances to the nearest triangles with Tukey's weights, so that touches
-that slipped count nothing.
+Touches: Gauss-Newton on distances to the nearest triangles with Tukey's weights, so
+that touches that slipped count nothing.
 """
 
 from collections.abc import Iterator
@@ -27,13 +29,15 @@ from needleforce.anatomy.errors import Array, RegistrationError, require_deviati
 from needleforce.anatomy.surface import Surface
 
 LEAST_WIDTH_m = 5e-3
-"""Root mean square distance of landmarks from a line below which they count as collinear."""
+"""Root mean square distance of landmarks from a line below which they count as
+collinear."""
 FALSE_REFUSAL = 1e-6  # Probability that good landmarks do not fit
 TOUCH_STD_m = 0.5e-3
 SURFACE_STD_m, SURFACE_EDGES, SURFACE_REACH_m = 0.24e-3, 5.0, 3.7e-3
-"""Least error of a flat segmented surface, its growth towards edges, 1 + 5 (1 - flatness), and the
-reach of its correlation exp(-(distance / reach)^2 / 2): measured on liver, kidneys, gallbladder,
-bladder, femur and two muscles against what segmenting them at 3 mm leaves."""
+"""Least error of a flat segmented surface, its growth towards edges, 1 + 5 (1 -
+flatness), and the reach of its correlation exp(-(distance / reach)^2 / 2): measured on
+liver, kidneys, gallbladder, bladder, femur and two muscles against what segmenting them
+at 3 mm leaves."""
 HOLD_REACH_m = (
     2.0 * SURFACE_REACH_m
 )  # Normals averaged so far around hold hardly any of that error
@@ -63,8 +67,8 @@ TRIES = np.diag(
 class Registration:
     """Where the model lies in the robot's base, with its uncertainty.
 
-    The covariance is that of a small rotation [rad] about the pivot, and a shift [m], in the
-    robot's base; nan where nothing can be said.
+    The covariance is that of a small rotation [rad] about the pivot, and a shift [m],
+    in the robot's base; nan where nothing can be said.
     """
 
     rotation: Array  # R, (3, 3)
@@ -83,7 +87,9 @@ class Registration:
         return (np.asarray(points_m, dtype=float) - self.translation_m) @ self.rotation
 
     def covariance_at(self, point_m: ArrayLike) -> Array:
-        """Covariance of the error at a point of the model, in the robot's base, shape (3, 3)."""
+        """Covariance of the error at a point of the model, in the robot's base,
+        shape (3, 3).
+        """
         lever = _jacobian(self.to_robot(point_m) - self.pivot_m)
         return lever @ self.covariance @ lever.T
 
@@ -92,14 +98,18 @@ class Registration:
         return float(np.sqrt(np.trace(self.covariance_at(point_m))))
 
     def std_along_m(self, axis: ArrayLike, point_m: ArrayLike) -> float:
-        """Standard deviation at a point of the model along an axis in the robot's base."""
+        """Standard deviation at a point of the model along an axis in the robot's
+        base.
+        """
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         return float(np.sqrt(unit @ self.covariance_at(point_m) @ unit))
 
     def region_contains(
         self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95
     ) -> bool:
-        """Whether a place in the robot's base lies in the region of that level about a point."""
+        """Whether a place in the robot's base lies in the region of that level about
+        a point.
+        """
         error = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
         least = 1e-18 * np.eye(3)  # a nanometre, of a fit without any error
         distance = error @ np.linalg.solve(self.covariance_at(point_m) + least, error)
@@ -108,7 +118,9 @@ class Registration:
 
 
 def _jacobian(lever_m: Array) -> Array:
-    """Displacement of points (..., 3) about a pivot by a small rotation and shift, (..., 3, 6)."""
+    """Displacement of points (..., 3) about a pivot by a small rotation and shift,
+    (..., 3, 6).
+    """
     turned = np.cross(lever_m[..., None, :], np.eye(3))
     return np.concatenate((turned, np.broadcast_to(np.eye(3), turned.shape)), axis=-1)
 
@@ -119,7 +131,9 @@ def _rms(vectors: Array) -> float:
 
 
 def _widths_m(points_m: Array) -> Array:
-    """Root mean square extents of points (n, 3) about their mean, the largest first, (3,)."""
+    """Root mean square extents of points (n, 3) about their mean, the largest first,
+    (3,).
+    """
     return (
         np.linalg.svd(points_m - points_m.mean(axis=0), compute_uv=False)
         / len(points_m) ** 0.5
@@ -145,16 +159,18 @@ def fit_landmarks(
 
     Args:
         model_m: Landmarks in the CT [m], LPS, shape (n, 3).
-        robot_m: The same, in the same order, touched with the robot's pointer [m], base axes.
-        std_m: Standard deviation of a touch along each axis, localisation in the CT included: what
-            does not fit with several times as much is refused.
-        is_std_known: Use it for the covariance too; else that is estimated from the residuals,
-            and with three landmarks, which leave next to none, nothing is claimed.
+        robot_m: The same, in the same order, touched with the robot's pointer [m], base
+            axes.
+        std_m: Standard deviation of a touch along each axis, localisation in the CT
+            included: what does not fit with several times as much is refused.
+        is_std_known: Use it for the covariance too; else that is estimated from the
+            residuals, and with three landmarks, which leave next to none, nothing is
+            claimed.
 
     Raises:
-        RegistrationError: Too few, collinear, mirrored or swapped landmarks, millimetres for
-            metres, a deviation that is none, one landmark elsewhere. Three landmarks cannot show a
-            mirror image.
+        RegistrationError: Too few, collinear, mirrored or swapped landmarks,
+            millimetres for metres, a deviation that is none, one landmark elsewhere.
+            Three landmarks cannot show a mirror image.
     """
     require_deviation("std_m", std_m, RegistrationError)
     model, robot = _checked_landmarks(model_m, robot_m)
@@ -214,7 +230,9 @@ def _fits(model: Array, robot: Array, std_m: float) -> bool:
 
 
 def _explanations(model: Array, robot: Array) -> Iterator[tuple[str, Array, Array]]:
-    """What may be wrong, and the landmarks without it: order, mirror, scale, one, in this order."""
+    """What may be wrong, and the landmarks without it: order, mirror, scale, one, in
+    this order.
+    """
     count = len(model)
     for i, j in combinations(range(count), 2):
         order = np.arange(count)
@@ -267,9 +285,10 @@ def fit_surface(
         check: Look for other solutions (four times the work).
 
     Raises:
-        RegistrationError: Too few or narrow touches, millimetres for metres, a deviation that is
-            none; too many touches off the surface, or the middle one further than noise; a surface
-            along which the solution slides or spins; another solution that fits as well or better.
+        RegistrationError: Too few or narrow touches, millimetres for metres, a
+            deviation that is none; too many touches off the surface, or the middle one
+            further than noise; a surface along which the solution slides or spins;
+            another solution that fits as well or better.
     """
     touches = _checked_touches(surface, touches_m, touch_std_m)
     noise_m = float(np.hypot(touch_std_m, COARSE_STD_m))
@@ -334,8 +353,9 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
         places, normals = surface.nearest(points)
         apart = points - places
         distances, far = (apart * normals).sum(axis=1), np.linalg.norm(apart, axis=1)
-        # While far away everything counts; then what lies further than the rest does not; last
-        # what lies further than noise: many that slipped together would widen their own scale.
+        # While far away everything counts; then what lies further than the rest does
+        # not; last what lies further than noise: many that slipped together would widen
+        # their own scale.
         middle_m, scale = float(np.median(far)), noise_m
         if count < WIDE_ROUNDS:
             scale = max(1.4826 * middle_m, scale)
@@ -349,7 +369,8 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
         found = _Fit(
             points, levers, rows, flatness, distances, weights, normal, middle_m
         )
-        # What the touches do not hold is held a little, so that a sphere has a solution too.
+        # What the touches do not hold is held a little, so that a sphere has a solution
+        # too.
         spins, slides = np.split(np.diag(normal), 2)
         held = normal + 1e-6 * np.diag(np.repeat([spins.sum(), slides.sum()], 3))
         step = -np.linalg.lstsq(held, rows.T @ (weights * distances))[
@@ -369,8 +390,11 @@ def _moved(points: Array, step: Array) -> Array:
 
 
 def _require_no_other(surface: Surface, found: _Fit, noise_m: float) -> None:
-    """Refuse a surface that the solution slides along, and one that fits better elsewhere."""
-    # Directions along which distances change least, each a root mean square of 1 at the touches.
+    """Refuse a surface that the solution slides along, and one that fits better
+    elsewhere.
+    """
+    # Directions along which distances change least, each a root mean square of 1 at the
+    # touches.
     motion = np.einsum("nij,nik->jk", found.levers, found.levers) / len(found.points)
     for direction in eigh(found.normal, motion)[1][:, :3].T:
         again = _fitted(surface, _moved(found.points, PUSH_m * direction), noise_m)
@@ -396,7 +420,9 @@ def _require_no_other(surface: Surface, found: _Fit, noise_m: float) -> None:
 def _registration(
     surface: Surface, touches: Array, found: _Fit, touch_std_m: float
 ) -> Registration:
-    """The fit from model to robot, with a covariance of touches and correlated surface errors."""
+    """The fit from model to robot, with a covariance of touches and correlated
+    surface errors.
+    """
     weights, kept = (
         found.weights,
         found.weights > 0.0,

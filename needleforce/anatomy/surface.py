@@ -1,8 +1,8 @@
 """Closed surfaces of labelled structures.
 
-Marching cubes on the binary mask, Taubin's smoothing, simplification that keeps the surface closed,
-and a step along the normals that gives back the volume of the voxels. All but the last line works
-in voxels, so that unequal spacings are smoothed alike.
+Marching cubes on the binary mask, Taubin's smoothing, simplification that keeps the
+surface closed, and a step along the normals that gives back the volume of the voxels.
+All but the last line works in voxels, so that unequal spacings are smoothed alike.
 """
 
 from dataclasses import dataclass
@@ -21,18 +21,20 @@ if TYPE_CHECKING:
 
 SMOOTHING = 0.5, 0.53, 80  # Factors and steps (Taubin 1995, doi 10.1145/218380.218473)
 TOLERANCE_VOXELS = 0.1
-"""Simplification moves the surface at most so far: a triangle stays where fewer would show."""
+"""Simplification moves the surface at most so far: a triangle stays where fewer
+would show."""
 VOLUME_ROUNDS = 50  # At most; an organ needs two or three, a single voxel more
 PIECES, FINEST = 20_000, 250.0
-"""The nearest triangle is found by pieces with edges as long as those of so many squares on the
-surface, but no shorter than this part of its extent."""
+"""The nearest triangle is found by pieces with edges as long as those of so many
+squares on the surface, but no shorter than this part of its extent."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
     """A surface of one structure, triangles seen counter-clockwise from outside.
 
-    What `trimesh` says of it: ``mesh.volume`` [m^3], ``mesh.is_volume`` for closed and consistent.
+    What `trimesh` says of it: ``mesh.volume`` [m^3], ``mesh.is_volume`` for closed and
+    consistent.
     """
 
     name: str
@@ -55,7 +57,9 @@ class Surface:
 
     @cached_property
     def _faces(self) -> tuple[Array, Array, Array]:
-        """Corners [mm], normals and areas of the triangles; the mesh would be checked each time."""
+        """Corners [mm], normals and areas of the triangles; the mesh would be
+        checked each time.
+        """
         mesh = self.mesh
         return (
             1e3 * mesh.triangles,
@@ -65,7 +69,8 @@ class Surface:
 
     @cached_property
     def _pieces(self) -> tuple[KDTree, NDArray[np.intp], float]:
-        """Middles of small pieces of those triangles, which these are, and the pieces' size.
+        """Middles of small pieces of those triangles, which these are, and the pieces'
+        size.
 
         The size is the most that a point of a piece lies from its middle.
         """
@@ -88,7 +93,8 @@ class Surface:
     def nearest(self, points_m: Array) -> tuple[Array, Array]:
         """Nearest places on the surface, and the normals there, of points (n, 3)."""
         tree, of, size_m = self._pieces
-        # The place lies no further than a place on any triangle, its piece's middle by a size more.
+        # The place lies no further than a place on any triangle, its piece's middle by
+        # a size more.
         every = np.arange(len(points_m))
         first = tree.query(points_m)[1]
         places_m = self._places(of[first], points_m)
@@ -109,11 +115,14 @@ class Surface:
         """Nearest places of points (n, 3) on one triangle each."""
         from trimesh.triangles import closest_point
 
-        # In millimetres: its tolerances are absolute, and in metres as large as a small triangle.
+        # In millimetres: its tolerances are absolute, and in metres as large as a small
+        # triangle.
         return 1e-3 * closest_point(self._faces[0][faces], 1e3 * points_m)
 
     def mean_normals(self, places_m: Array, normals: Array, reach_m: float) -> Array:
-        """Means of the normals so far around places (n, 3) on it; as long as 1 where it is flat."""
+        """Means of the normals so far around places (n, 3) on it; as long as 1 where
+        it is flat.
+        """
         (tree, kept), (_, every, area) = self._middles, self._faces
         means = normals.copy()
         for k, near in enumerate(tree.query_ball_point(places_m, reach_m)):
@@ -133,12 +142,15 @@ def closed_surface(
     axes_m: Array,
     colour: tuple[float, ...],
 ) -> Surface:
-    """Return the closed surface of a mask (i, j, k), whose volume is that of its voxels.
+    """Return the closed surface of a mask (i, j, k), whose volume is that of its
+    voxels.
 
-    Voxel 0, 0, 0 lies at the corner; the columns of the axes are the steps to the next ones.
+    Voxel 0, 0, 0 lies at the corner; the columns of the axes are the steps to the next
+    ones.
 
-    A structure that the volume cuts off is closed there. One in several parts stays so, but beside
-    a larger part one of less than some 30 voxels shrinks or vanishes, its volume goes to the rest.
+    A structure that the volume cuts off is closed there. One in several parts stays so,
+    but beside a larger part one of less than some 30 voxels shrinks or vanishes, its
+    volume goes to the rest.
     """
     import manifold3d
     from skimage.measure import marching_cubes

@@ -1,12 +1,14 @@
-"""Scans and segmentations: which structure each voxel belongs to, and what a needle crosses.
+"""Scans and segmentations: which structure each voxel belongs to, and what a needle
+crosses.
 
-LPS and metres; arrays are (i, j, k) along the axes of their `Grid`. Two of them may be stored in
-different orders and still agree, so only places are ever compared.
+LPS and metres; arrays are (i, j, k) along the axes of their `Grid`. Two of them may be
+stored in different orders and still agree, so only places are ever compared.
 
-Around each point of a needle's path every voxel votes for its label, weighted by a smooth kernel;
-the label with most votes holds the point. Where the winner changes is a boundary, refined between
-two points. The layers therefore follow each other without gaps or overlaps, which rays through the
-surfaces of neighbouring structures do not grant.
+Around each point of a needle's path every voxel votes for its label, weighted by a
+smooth kernel; the label with most votes holds the point. Where the winner changes is a
+boundary, refined between two points. The layers therefore follow each other without
+gaps or overlaps, which rays through the surfaces of neighbouring structures do not
+grant.
 """
 
 import re
@@ -28,7 +30,8 @@ OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum
 OBSTACLES += " scapula clavicula clavicle humerus pelvis skull bones spine vertebral coccyx ribcage"
 OBSTACLES += " scapulae mandible radius ulna patella tibia fibula"
 SOFT = frozenset(("renal", "kidney", "artery", "vein", "muscle", "nerve"))
-"""Words in the names of structures that stop a needle, and those beside which they do not count."""
+"""Words in the names of structures that stop a needle, and those beside which they
+do not count."""
 _COLOURS = {
     OBSTACLES: (241, 214, 145),
     "liver": (221, 130, 101),
@@ -50,16 +53,19 @@ _COLOURS = {
 
 UNLABELLED = "unlabelled"  # Name of what no structure covers
 WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
-"""Of the kernel: standard deviation and reach; and the distance of points on the path."""
+"""Of the kernel: standard deviation and reach; and the distance of points on the
+path."""
 MOST_OUTSIDE_m = 1.0  # The first point; beyond it the unit is not the metre
 VOTE_STD = 0.105
-"""Standard deviation of the difference of two votes, from the voxels' size alone: of the analytic
-torso's seeds below 1000, at 1 and 3 mm."""
+"""Standard deviation of the difference of two votes, from the voxels' size alone: of
+the analytic torso's seeds below 1000, at 1 and 3 mm."""
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """Where voxels lie: point = origin + axes @ index; whole indices are voxel centres."""
+    """Where voxels lie: point = origin + axes @ index; whole indices are voxel
+    centres.
+    """
 
     shape: tuple[int, ...]  # voxels along each of three axes
     origin_m: Array  # (3,) centre of voxel 0, 0, 0 in LPS
@@ -86,7 +92,9 @@ class Grid:
         ).T
 
     def corners_m(self, box: Sequence[slice] = ()) -> Array:
-        """Centres of the eight voxels in the corners, of the grid or of a box in it, (8, 3)."""
+        """Centres of the eight voxels in the corners, of the grid or of a box in it,
+        (8, 3).
+        """
         whole = [slice(0, size) for size in self.shape]
         return self.points_m(
             list(product(*((part.start, part.stop - 1) for part in box or whole)))
@@ -115,7 +123,9 @@ class Structure:
 
     @classmethod
     def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
-        """Return a structure whose colour, and whether it stops a needle, its name implies."""
+        """Return a structure whose colour, and whether it stops a needle, its name
+        implies.
+        """
         stated = words(name)
         stated -= set(OBSTACLES.split()) if stated & SOFT else set()
         fitting = [
@@ -135,7 +145,9 @@ class Structure:
 
 @dataclass(frozen=True)
 class Layer:
-    """A stretch of the path inside one structure; depths along the needle from the entry point."""
+    """A stretch of the path inside one structure; depths along the needle from the
+    entry point.
+    """
 
     name: str  # of the structure, or `UNLABELLED`
     entry_m: float  # depth at which the needle enters it
@@ -202,7 +214,8 @@ class Labels:
         With ``fat`` it comes as two structures, ``lean`` and ``fat``.
 
         Raises:
-            VolumeError: Labels that lie elsewhere than the scan, only air, or no air around.
+            VolumeError: Labels that lie elsewhere than the scan, only air, or no air
+                around.
         """
         require_agreement(self, scan)
         parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
@@ -224,7 +237,8 @@ class Labels:
         kinds = inside.astype(np.uint8)
         if fat:  # among the neighbours, not in every voxel: scans are noisy
             kinds += inside & (ndimage.median_filter(scan.values, 3) < FAT_HU)
-        # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or finer.
+        # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or
+        # finer.
         first = scan.grid.indices(self.grid.origin_m).tolist()
         steps = np.linalg.solve(scan.grid.axes_m, self.grid.axes_m)
         body = ndimage.affine_transform(
@@ -242,7 +256,8 @@ class Labels:
         names: Iterable[str] | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> dict[str, Surface]:
-        """Closed surfaces by name, of all structures or those named; see `closed_surface`.
+        """Closed surfaces by name, of all structures or those named; see
+        `closed_surface`.
 
         ``progress`` gets the fraction done.
 
@@ -268,18 +283,20 @@ class Labels:
     ) -> list[Layer]:
         """Return what a straight path crosses, in order, without gaps or overlaps.
 
-        Where structures overlap the smaller one counts. Layers thinner than about 1.5 voxels may be
-        missed.
+        Where structures overlap the smaller one counts. Layers thinner than about 1.5
+        voxels may be missed.
 
         Args:
             entry_m: First point, (3,) in LPS.
             target_m: Last point, inside the volume.
-            boundary_std_m: Standard deviation of the segmentation's boundaries along their normals.
-                The stated deviations hold what the voxels' size brings, and this.
+            boundary_std_m: Standard deviation of the segmentation's boundaries along
+                their normals. The stated deviations hold what the voxels' size brings,
+                and this.
 
         Raises:
-            VolumeError: A point is not finite, both are the same, the target lies outside, or the
-                entry more than a metre; a deviation that is negative or in millimetres.
+            VolumeError: A point is not finite, both are the same, the target lies
+                outside, or the entry more than a metre; a deviation that is negative or
+                in millimetres.
         """
         if boundary_std_m != 0.0:
             require_deviation("boundary_std_m", boundary_std_m, VolumeError)
@@ -340,7 +357,9 @@ def words(name: str) -> set[str]:
 
 
 def require_agreement(labels: Labels, scan: Volume) -> None:
-    """Refuse labels on a grid as large as the scan's elsewhere, or with voxels outside the scan."""
+    """Refuse labels on a grid as large as the scan's elsewhere, or with voxels
+    outside the scan.
+    """
     last = np.array(scan.grid.shape) - 1.0
     corners = scan.grid.indices(labels.grid.corners_m())
     off = float(np.minimum(np.abs(corners), np.abs(corners - last)).max())
@@ -365,11 +384,13 @@ def require_agreement(labels: Labels, scan: Volume) -> None:
 
 
 def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]]]:
-    """Votes at points (n, 3), (n, 1 + structures), rows sum to 1; of what: name, if an obstacle.
+    """Votes at points (n, 3), (n, 1 + structures), rows sum to 1; of what: name, if an
+    obstacle.
 
-    Where structures overlap the last, which is the smallest, holds the voxel. The kernel, a
-    Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries that curve in place
-    where a Gaussian would pull them inwards (Wand and Schucany 1990).
+    Where structures overlap the last, which is the smallest, holds the voxel. The
+    kernel, a Gaussian times 5/2 - r^2 / 2, has no second moment: it keeps boundaries
+    that curve in place where a Gaussian would pull them inwards (Wand and Schucany
+    1990).
     """
     offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
     voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
@@ -403,10 +424,11 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
 def _steepest_1_m(
     labels: Labels, cuts: Array, left: NDArray[np.intp], right: NDArray[np.intp]
 ) -> Array:
-    """By how much the lead falls per metre along the boundaries' normals at these indices (n, 3).
+    """By how much the lead falls per metre along the boundaries' normals at these
+    indices (n, 3).
 
-    Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension; how long a
-    voxel is there depends on the normal.
+    Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension;
+    how long a voxel is there depends on the normal.
     """
     around = cuts[:, None] + 0.5 * np.vstack((np.eye(3), -np.eye(3)))
     votes, kinds = _votes(labels, around.reshape(-1, 3))
@@ -422,7 +444,9 @@ def _steepest_1_m(
 
 
 def _outer(combine: np.ufunc, parts: NDArray[Any]) -> NDArray[Any]:
-    """Combine what belongs to three axes, (n, 3, m), for each voxel of a cube, (n, m, m, m)."""
+    """Combine what belongs to three axes, (n, 3, m), for each voxel of a cube, (n,
+    m, m, m).
+    """
     x, y, z = np.moveaxis(parts, 1, 0)
     return combine(
         combine(x[:, :, None, None], y[:, None, :, None]), z[:, None, None, :]

@@ -1,12 +1,12 @@
 """The command `needleforce`: a robot's joint signals to forces, forces to layers.
 
-Here stand the commands of the chain, in `live_commands` those of the packages around it: an arm, a
-scene, demonstrations; `options` has what they take. Whatever computes is imported when a command is
-run, so that `--help` answers at once.
+Here stand the commands of the chain, in `live_commands` those of the packages around
+it: an arm, a scene, demonstrations; `options` has what they take. Whatever computes is
+imported when a command is run, so that `--help` answers at once.
 
-Reading order: `options`, `terminal` (errors, signals, printing), `log` (a command's log, files and
-page), `robot` (the robot from options and TOML files), `force_replay` and `force`, `identify`,
-`simulate`.
+Reading order: `options`, `terminal` (errors, signals, printing), `log` (a command's
+log, files and page), `robot` (the robot from options and TOML files), `force_replay`
+and `force`, `identify`, `simulate`.
 """
 
 import re
@@ -26,7 +26,9 @@ __all__ = ["app", "live_commands", "main"]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command with its arguments, or those of the process, and return its exit code."""
+    """Run a command with its arguments, or those of the process, and return its exit
+    code.
+    """
 
     def dispatch() -> int:
         tokens = list(sys.argv[1:] if argv is None else argv)
@@ -64,8 +66,8 @@ def simulate_command(
 ) -> int:
     """Simulate an insertion and write it as a recording.
 
-    Joint positions, velocities and torques of a KUKA LWR 4+, and the wrench of a force sensor at
-    the needle, as a robot would have recorded them.
+    Joint positions, velocities and torques of a KUKA LWR 4+, and the wrench of a force
+    sensor at the needle, as a robot would have recorded them.
 
     needleforce simulate gel-25-constant -o insertion.mcap --truth truth.csv
     """
@@ -86,9 +88,10 @@ def force_command(
 ) -> int:
     """Estimate the force on a needle from a robot's recorded joint signals.
 
-    Read a log with time, q, tau and perhaps dq. The estimates are valid once the sensor has been
-    tared on motion without contact. Without --tare and --no-tare, that is the first 2 s after the
-    filters have settled; if contact is seen there, the command stops and says so.
+    Read a log with time, q, tau and perhaps dq. The estimates are valid once the sensor
+    has been tared on motion without contact. Without --tare and --no-tare, that is the
+    first 2 s after the filters have settled; if contact is seen there, the command
+    stops and says so.
 
     needleforce force insertion.csv --tare 0:4 -o forces.csv --figure forces.png
     """
@@ -106,11 +109,12 @@ def identify_command(
     options: cli.IdentificationOptions = cli.IdentificationOptions(),
     columns: cli.DepthColumns = cli.DepthColumns(),
 ) -> int:
-    """Identify ruptures, layers, stiffness and friction from depth, speed and axial force.
+    """Identify ruptures, layers, stiffness and friction from depth, speed and axial
+    force.
 
-    Read a log with time, depth, force and perhaps speed. Depth grows into the tissue; force is
-    positive when tissue pushes back. Times are on the log's clock. A ? marks values that the data
-    do not identify.
+    Read a log with time, depth, force and perhaps speed. Depth grows into the tissue;
+    force is positive when tissue pushes back. Times are on the log's clock. A ? marks
+    values that the data do not identify.
 
     needleforce identify forces.csv -o layers.csv --figure layers.png
     """
@@ -134,9 +138,9 @@ def report_command(
 ) -> int:
     """Write a page with charts, results, warnings and settings of a log into a folder.
 
-    From a log with joint positions and torques: the forces, as by `needleforce force`, and the
-    layers found in them, as by `needleforce identify`. From a log with depth and force: the layers.
-    DIR/index.html needs no other file.
+    From a log with joint positions and torques: the forces, as by `needleforce force`,
+    and the layers found in them, as by `needleforce identify`. From a log with depth
+    and force: the layers. DIR/index.html needs no other file.
 
     needleforce report insertion.csv report
     """

@@ -1,4 +1,5 @@
-"""`needleforce demo`: the needle moved in closed loop on the simulated arm, as a table and a page.
+"""`needleforce demo`: the needle moved in closed loop on the simulated arm, as a table
+and a page.
 
 Simulation only; nothing here is a medical device or claimed of one.
 """
@@ -47,7 +48,9 @@ class Shown(NamedTuple):
     def write(
         self, kind: str, folder: Path | None, first: Drawn = lambda _: []
     ) -> None:
-        """Print the table, and write it with the figures as a page, if there is a folder for it."""
+        """Print the table, and write it with the figures as a page, if there is a
+        folder for it.
+        """
         write_out(f"{self.title}\n{aligned(self.rows)}{NEVER}\n")
         if folder is None:
             return
@@ -273,7 +276,9 @@ PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 7.0, 10.0, 2.0
 
 
 def _guidance(progress: Progress) -> Shown:
-    """A hand pushes the hub aside with a growing force and lets go; the arm yields and rests."""
+    """A hand pushes the hub aside with a growing force and lets go; the arm yields
+    and rests.
+    """
 
     def push_N(t_s: float) -> tuple[float, float, float]:
         inside = PUSH_S <= t_s < PUSH_END_S

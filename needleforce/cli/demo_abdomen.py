@@ -1,8 +1,9 @@
 """`needleforce demo abdomen`: from a CT to a needle whose ruptures correct the plan.
 
-A segmented torso, registered to the robot by landmarks and touches; a plan to a target in the
-liver; a simulated insertion through those tissues, which lie a few millimetres deeper than the plan
-says; ruptures found from joint torques, matched with the plan. Simulation only.
+A segmented torso, registered to the robot by landmarks and touches; a plan to a target
+in the liver; a simulated insertion through those tissues, which lie a few millimetres
+deeper than the plan says; ruptures found from joint torques, matched with the plan.
+Simulation only.
 """
 
 from collections.abc import Callable
@@ -48,7 +49,8 @@ FRONT = np.array([0.0, -1.0, 0.0])
 STEEPEST_deg, DRAWS = 35.0, 1000
 LENGTHS_m = (0.05, 0.1)
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
-"""What a needle may cross on its way into an organ: neither lung nor bowel nor large vessel."""
+"""What a needle may cross on its way into an organ: neither lung nor bowel nor large
+vessel."""
 CLEARANCE_m = 6e-3
 LEAST_LAYER_m = (
     6.5e-3  # Thinner layers are no tissue of the simulation's: they join the one before
@@ -87,7 +89,8 @@ class Insertion(NamedTuple):
     def errors_m(self) -> tuple[float, float]:
         """How far from the target the tip stops: by the plan alone, corrected.
 
-        The shift lies along the needle; what registration errs by across it stays in both.
+        The shift lies along the needle; what registration errs by across it stays in
+        both.
         """
         truth = self.truth[0] @ self.target_m + self.truth[1]
         axis = self.truth[0] @ (self.target_m - self.entry_m) / self.length_m
@@ -135,8 +138,9 @@ def plan_path(
 ) -> tuple[Array, Array]:
     """Entry on the skin and a target inside an organ: the way through the most tissues.
 
-    Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`, and of
-    `LENGTHS_m`; of as many tissues the shortest. `CommandError` if there is none from the front.
+    Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`,
+    and of `LENGTHS_m`; of as many tissues the shortest. `CommandError` if there is none
+    from the front.
     """
     organ_mask, corner = labels.mask(organ), [part.start for part in labels[organ].box]
     core = ndimage.binary_erosion(organ_mask, iterations=3)
@@ -183,7 +187,9 @@ def _is_clear(labels: Labels, entry: Array, target: Array, organ: str) -> bool:
 def _skin_along(
     grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array
 ) -> float | None:
-    """Distance at which a ray from inside leaves the body; None where the volume ends first."""
+    """Distance at which a ray from inside leaves the body; None where the volume
+    ends first.
+    """
     step = 0.5 * float(grid.spacing_m.min())
     distance = step * np.arange(1, int(0.3 / step))
     index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
@@ -196,9 +202,11 @@ def _skin_along(
 def register(
     labels: Labels, entry_m: Array, truth: tuple[Array, Array], rng: np.random.Generator
 ) -> tuple[Registration, Registration]:
-    """Register by landmarks, and by touches of the skin around the entry, with a pointer.
+    """Register by landmarks, and by touches of the skin around the entry, with a
+    pointer.
 
-    Where the touches cannot register (a torso that could spin), it is the landmarks twice.
+    Where the touches cannot register (a torso that could spin), it is the landmarks
+    twice.
     """
     body = [inside_body(labels).astype(np.uint8)]
     skin = Labels.of(body, labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
@@ -246,7 +254,9 @@ def thick_layers(layers: list[Layer]) -> list[Layer]:
 
 
 def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
-    """Layers of the simulation as thick as those of the plan, and one behind the target."""
+    """Layers of the simulation as thick as those of the plan, and one behind the
+    target.
+    """
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "fat": fat, "cavity": fat}
     thick_m = np.array([layer.exit_m - layer.entry_m for layer in plan])
@@ -289,7 +299,9 @@ def insert(
 def _followed(
     run: Run, match: PlanMatch, shift_m: float, length_m: float
 ) -> dict[str, Any]:
-    """The session over the run's signals, its ruptures matched with the plan: the other fields."""
+    """The session over the run's signals, its ruptures matched with the plan: the
+    other fields.
+    """
     signals, true, session = run.signals, run.truth, InsertionSession(run.robot)
     velocity = (
         signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
@@ -303,8 +315,8 @@ def _followed(
         last_s = t_s
         if not session.tared and t_s > run.tare_end_s:
             session.tare()
-            # The robot knows where its tip is, and where the planned entry; the tissue lies deeper
-            # by what nobody knows.
+            # The robot knows where its tip is, and where the planned entry; the tissue
+            # lies deeper by what nobody knows.
             entry_m = -float(true.depth_m[k]) - shift_m
             start_m, axis = session.snapshot().zero
             session.follow(match, start_m + entry_m * axis)

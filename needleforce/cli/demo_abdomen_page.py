@@ -1,4 +1,6 @@
-"""`needleforce demo abdomen` on a page: table, forces, the needle's plane, the scene."""
+"""`needleforce demo abdomen` on a page: table, forces, the needle's plane, the
+scene.
+"""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -30,7 +32,9 @@ NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
 
 
 def run(options: DemoOptions) -> int:
-    """Do it, print a table, and write a page or its first picture; return the exit code."""
+    """Do it, print a table, and write a page or its first picture; return the exit
+    code.
+    """
     folder, picture = options.report, options.figure
     if folder is not None or picture is not None:
         require_matplotlib("demo")
@@ -54,7 +58,9 @@ def run(options: DemoOptions) -> int:
 
 
 def write_scene(made: Insertion, path: Path) -> Path:
-    """Write the insertion as a film in the scene; the patient lies where the needle meets it."""
+    """Write the insertion as a film in the scene; the patient lies where the needle
+    meets it.
+    """
     from needleforce.scene import PlanScene, Viewer
 
     way = made.target_m - made.entry_m
@@ -190,7 +196,9 @@ def draw_slice(made: Insertion, path: Path) -> Path:
 def _section(
     made: Insertion, along: Any, across: Any
 ) -> tuple[Any, list[tuple[str, int, int]]]:
-    """Colours in the needle's plane, and each large structure's name where it is widest."""
+    """Colours in the needle's plane, and each large structure's name where it is
+    widest.
+    """
     axis = (made.target_m - made.entry_m) / made.length_m
     side = np.cross(axis, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)

@@ -1,7 +1,9 @@
-"""Closed loops on the simulated arm that demonstrations and benchmarks share: a hand-driven needle.
+"""Closed loops on the simulated arm that demonstrations and benchmarks share: a
+hand-driven needle.
 
-The arm tares over a free stroke and stops above the tissue; then a hand takes over, whose wish goes
-inwards in strokes of what a haptic device reaches, with the clutch open while it goes back.
+The arm tares over a free stroke and stops above the tissue; then a hand takes over,
+whose wish goes inwards in strokes of what a haptic device reaches, with the clutch open
+while it goes back.
 """
 
 from collections.abc import Callable
@@ -135,7 +137,9 @@ def teleoperate(
     sensor: SensorConfig = DEFAULT,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Teleinsertion:
-    """Tare over a stroke, then let a hand drive the needle; the arm starts `STANDOFF_M` above."""
+    """Tare over a stroke, then let a hand drive the needle; the arm starts
+    `STANDOFF_M` above.
+    """
     session, control = (
         InsertionSession(arm.robot, sensor),
         Controller(arm.robot, Limits(arm.robot)),

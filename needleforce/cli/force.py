@@ -1,4 +1,6 @@
-"""`needleforce force`: forces from joint signals, as table, summary, figure and page."""
+"""`needleforce force`: forces from joint signals, as table, summary, figure and
+page.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -38,7 +40,9 @@ def run(
     columns: cli.JointColumns,
     layers: cli.IdentificationOptions | None = None,
 ) -> int:
-    """Run the command, with the layers that the forces show if they are asked for, too."""
+    """Run the command, with the layers that the forces show if they are asked for,
+    too.
+    """
     robot = robots.robot_from_options(robot_options, columns.mapping)
     known = logs.mapping_from_options(columns)
     torque, joints = "tau_ext" if sensor.external_torque else "tau", robot.joint_names
@@ -88,7 +92,9 @@ def estimate_forces(
     output: cli.Output,
     layers: cli.IdentificationOptions | None = None,
 ) -> "ForceResult":
-    """Run the sensor over a log and write its forces; with options, find the layers in them."""
+    """Run the sensor over a log and write its forces; with options, find the layers
+    in them.
+    """
     config = replay.config
     tracked = ["axial_N", "axial_std_N", "force_status", "after_gap"]
     tracked += ["force_N", "std"] if config.mode != "axial" else []
@@ -119,7 +125,9 @@ def estimate_forces(
 
 
 def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
-    """Return the columns in the order in which they are written; names carry the unit."""
+    """Return the columns in the order in which they are written; names carry the
+    unit.
+    """
     table = {name: rows[name] for name in ("t_s", "travel_m", "axial_N", "axial_std_N")}
     for name, unit, values, std in _vectors(rows, config):
         for column, numbers in ((name, values), (f"{name}_std", std)):
@@ -132,7 +140,9 @@ def force_table(rows: Rows, config: SensorConfig) -> dict[str, NDArray]:
 
 
 def _vectors(rows: Rows, config: SensorConfig) -> list[tuple[str, str, NDArray, Any]]:
-    """Return name, unit, components and their standard deviations, None where none are known."""
+    """Return name, unit, components and their standard deviations, None where none
+    are known.
+    """
     std = None if config.mode == "axial" else rows["std"][:, :3]
     vectors: list[tuple[str, str, NDArray, Any]] = [
         ("force", "N", rows["force_N"], std)
@@ -154,7 +164,8 @@ class ForceResult:
         self.counts: Counter[Status] = Counter()
         self.warnings: Counter[SensorWarning] = Counter()
         self._rate_hz = np.nan
-        # Of the axial force of the rows of a status: least, largest, sum of standard deviations.
+        # Of the axial force of the rows of a status: least, largest, sum of standard
+        # deviations.
         self._axial_N = {status: (np.inf, -np.inf, 0.0) for status in Status}
 
     def add(self, rows: Rows) -> None:
@@ -182,7 +193,9 @@ class ForceResult:
         return summary if self.layers is None else f"{summary}\n{self.layers.text()}"
 
     def summary(self) -> Iterator[tuple[str, str]]:
-        """Yield label and text of every line: what was used, what was done, what came out."""
+        """Yield label and text of every line: what was used, what was done, what
+        came out.
+        """
         replay, payload = self.replay, self.replay.robot.payload
         mass_kg = payload.mass_kg if payload is not None else 0.0
         name, joints = replay.robot.model.name, replay.robot.nv
@@ -281,7 +294,9 @@ class ForceResult:
         )
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
-        """Save the charts of a report in a folder and return the sections of its page."""
+        """Save the charts of a report in a folder and return the sections of its
+        page.
+        """
         travel_m = self.rows["travel_m"][has_status(self.rows, Status.OK)]
         is_moving = len(travel_m) and np.ptp(travel_m) >= _LEAST_TRAVEL_M
         figures: tuple[plots.PageFigure, ...] = ()
@@ -331,11 +346,12 @@ _Component = tuple[str, LineStyle, NDArray[np.float64], NDArray[np.float64]]
 def panel_of(
     label: str, rows: Rows, x: NDArray, components: Sequence[_Component]
 ) -> Panel:
-    """Return of each component the tared part with its band, below it what was not tared in grey.
+    """Return of each component the tared part with its band, below it what was not
+    tared in grey.
 
-    The scale is that of the tared rows, if there are any. A rejected row leaves no hole, a gap in
-    time does. Before a tare the band is the prior's, wider than any chart: the line alone shows
-    more.
+    The scale is that of the tared rows, if there are any. A rejected row leaves no
+    hole, a gap in time does. Before a tare the band is the prior's, wider than any
+    chart: the line alone shows more.
     """
     kept = ~has_status(rows, Status.REJECTED)
     x, tared = x[kept], has_status(rows, Status.OK)[kept]

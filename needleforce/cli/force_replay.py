@@ -22,8 +22,8 @@ from urdf import Robot
 # When the sensor is tared.
 
 AUTOMATIC_S = 2.0
-"""Without a choice of the user's, so much from the start of the log is taken for free motion [s]:
-whoever records an insertion starts before contact, but not long before."""
+"""Without a choice of the user's, so much from the start of the log is taken for free
+motion [s]: whoever records an insertion starts before contact, but not long before."""
 
 _WINDOW = (
     "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
@@ -47,7 +47,9 @@ _AS_OPTIONS = {
 
 
 class TareWindow(NamedTuple):
-    """A stretch of motion without contact, in seconds of the log's clock, and its tare if taken."""
+    """A stretch of motion without contact, in seconds of the log's clock, and its
+    tare if taken.
+    """
 
     start_s: float
     end_s: float
@@ -67,7 +69,9 @@ def tare_window(text: str, first_s: float) -> TareWindow:
 
 
 def _log_time(option: str, text: str, first_s: float) -> float:
-    """Return a time on the log's clock [s]; after a + it counts from the log's start."""
+    """Return a time on the log's clock [s]; after a + it counts from the log's
+    start.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -78,7 +82,9 @@ def _log_time(option: str, text: str, first_s: float) -> float:
 
 
 def rejections(rejected: Counter[str]) -> str:
-    """Return how many samples were rejected, and how often for which reasons; empty if none."""
+    """Return how many samples were rejected, and how often for which reasons; empty
+    if none.
+    """
     reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(4)]
     if others := len(rejected) - len(reasons):
         reasons.append(f"{others} other reasons")
@@ -114,7 +120,9 @@ class Taring:
             self._tare(window)
 
     def after(self, t_s: float, status: Status) -> None:
-        """Learn from the status of the sample of time ``t_s`` [s] when the filters have settled."""
+        """Learn from the status of the sample of time ``t_s`` [s] when the filters
+        have settled.
+        """
         if status is not Status.NOT_TARED or self._must_start:
             return
         self._has_settled = True
@@ -122,7 +130,9 @@ class Taring:
             self._window = TareWindow(t_s, t_s + AUTOMATIC_S)
 
     def finish(self, last_s: float, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log; one that was broken off may end before."""
+        """Take a tare whose window ends with the log; one that was broken off may
+        end before.
+        """
         window = self._window
         if self._options.no_tare or self.done is not None:
             return
@@ -184,11 +194,12 @@ _MOST_REASONS = 50
 Rows = dict[str, NDArray]
 """One estimate per row of the log; numbers are NaN where a row was rejected.
 
-`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`, `axial_std_N` and
-`axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N, Nm] of shape (n, 3), `std` of
-the components that the mode estimates of shape (n, 1), (n, 3) or (n, 6), `model_mismatch`,
-`force_warnings` (see `residual.WrenchEstimate`), `force_status` (`STATUS_CODES`) and `after_gap`,
-whether the filters restarted after a gap in time; of shape (n,) but where stated.
+`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`,
+`axial_std_N` and `axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N,
+Nm] of shape (n, 3), `std` of the components that the mode estimates of shape (n, 1),
+(n, 3) or (n, 6), `model_mismatch`, `force_warnings` (see `residual.WrenchEstimate`),
+`force_status` (`STATUS_CODES`) and `after_gap`, whether the filters restarted after a
+gap in time; of shape (n,) but where stated.
 """
 
 
@@ -227,7 +238,8 @@ class Replay:
         self._axis = self._tool.axis_in_base
         self._taring: Taring | None = None
         self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
-        # Of the clock of the first rows, which runs on when the log's clock is set back.
+        # Of the clock of the first rows, which runs on when the log's clock is set
+        # back.
         self._first_s, self._latest_s, self._shift_s = 0.0, -math.inf, 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
@@ -305,13 +317,17 @@ class Replay:
         return self._latest_s - self._first_s
 
     def finish(self, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log, which was read to its end or not."""
+        """Take a tare whose window ends with the log, which was read to its end or
+        not.
+        """
         if self._taring is not None:
             self._taring.finish(self._latest_s, is_whole=is_whole)
             self.tare = self._taring.done
 
     def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the travel along the insertion axis as it stood in the first finite row [m]."""
+        """Return the travel along the insertion axis as it stood in the first finite
+        row [m].
+        """
         positions = np.full((len(q_rad), 3), np.nan)
         for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
             self._tool.update(q_rad[k])
@@ -321,7 +337,8 @@ class Replay:
                 self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
         if self._start_m is None:
             return positions[:, 0]
-        # Not a matrix product, whose rounding may depend on how many rows come at a time.
+        # Not a matrix product, whose rounding may depend on how many rows come at a
+        # time.
         x, y, z = (positions - self._start_m).T * self._axis[:, None]
         return 0.0 + x + y + z
 

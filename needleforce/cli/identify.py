@@ -1,4 +1,6 @@
-"""`needleforce identify`: layers and ruptures from depth and force, as table, figure and page."""
+"""`needleforce identify`: layers and ruptures from depth and force, as table, figure
+and page.
+"""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -39,7 +41,9 @@ def run(
     options: cli.IdentificationOptions,
     columns: cli.DepthColumns,
 ) -> int:
-    """Run the command and return its exit code; what it raises is reported in one line."""
+    """Run the command and return its exit code; what it raises is reported in one
+    line.
+    """
     known = logs.mapping_from_options(columns)
     force, optional = known.channels.get("force"), OPTIONAL
     if force is not None and "axial" not in force.patterns[0].lower():
@@ -67,7 +71,8 @@ _DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
 
 
 def usable_force(chunk: LogChunk, left_out: Counter[str]) -> NDArray[np.float64]:
-    """Return the force [N], NaN and counted where it is marked: untared it is off by a newton.
+    """Return the force [N], NaN and counted where it is marked: untared it is off by a
+    newton.
 
     The others are those that `needleforce.InsertionSession` gives to its identifier.
     """
@@ -86,7 +91,9 @@ def identify_layers(
     options: cli.IdentificationOptions,
     table: OpenTable | None = None,
 ) -> "IdentificationResult":
-    """Run the identifier over a log and write its estimates into a table, if there is one."""
+    """Run the identifier over a log and write its estimates into a table, if there
+    is one.
+    """
     stream, left_out = ReplayStream(METHODS[options.method]), Counter[str]()
     drawn = (*(force for force, _, _ in _FORCES), *_PARAMETERS, "identified_layer")
     overview = logs.RowOverview(drawn)
@@ -147,10 +154,11 @@ _read = attrgetter(*_NUMBERS, "status.is_used", *_EVENTS)
 def estimate_table(t_s: NDArray[np.float64], estimates: list[Estimate]) -> Rows:
     """Return the columns of the estimates of at least one row; names carry the unit.
 
-    `used` is 0 for rows that were rejected. On the rows of events stands the number of a layer,
-    else 0: `rupture` on the row of the alarm, `identified_layer` where its friction was identified,
-    provisionally or, with `is_final`, finally, `retracted` where the alarm proved false. Standard
-    deviations that a method does not state are nan.
+    `used` is 0 for rows that were rejected. On the rows of events stands the number of
+    a layer, else 0: `rupture` on the row of the alarm, `identified_layer` where its
+    friction was identified, provisionally or, with `is_final`, finally, `retracted`
+    where the alarm proved false. Standard deviations that a method does not state are
+    nan.
     """
     *numbers, ruptures, layers, retracted = zip(*map(_read, estimates), strict=True)
     table = {"t_s": t_s}
@@ -179,7 +187,9 @@ class IdentificationResult:
     rows: Rows  # for a figure: `depth_m`, `force_N` and the columns of `estimate_table`
 
     def text(self) -> str:
-        """Return a text table, one line per layer; `?` marks what the data do not identify."""
+        """Return a text table, one line per layer; `?` marks what the data do not
+        identify.
+        """
         if not self.layers:
             return "no rupture detected\n"
         lines = [HEADER, *map(layer_cells, self.layers)]
@@ -188,7 +198,9 @@ class IdentificationResult:
         return "".join("  ".join(line) + "\n" for line in cells)
 
     def chart(self, over: cli.Over = "time") -> Chart:
-        """Return forces above, the identified parameters below, as in the paper's Figure 8."""
+        """Return forces above, the identified parameters below, as in the paper's
+        Figure 8.
+        """
         start_s, x_label = logs.time_axis(self.rows["t_s"])
         # Nothing is estimated before the first row that was used.
         is_unknown = np.cumsum(self.rows["used"]) == 0
@@ -229,7 +241,9 @@ class IdentificationResult:
         )
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
-        """Save the chart of a report in a folder and return the sections of its page."""
+        """Save the chart of a report in a folder and return the sections of its
+        page.
+        """
         place = folder / "layers.svg"
         alt = f"Forces and identified parameters of {self.log} over time"
         figure = plots.save_page_figure(

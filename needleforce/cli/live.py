@@ -1,4 +1,6 @@
-"""`needleforce record` and `needleforce live`: an arm's joint signals into a file, or watched."""
+"""`needleforce record` and `needleforce live`: an arm's joint signals into a file,
+or watched.
+"""
 
 import signal
 import sys
@@ -102,10 +104,13 @@ def arm_named(
 
 
 def _until(arm: Any, options: LiveOptions) -> Iterator[ArmSample]:
-    """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or SIGHUP."""
+    """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or
+    SIGHUP.
+    """
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
-    # What nohup has the process ignore does not end it; else a signal does while nothing comes.
+    # What nohup has the process ignore does not end it; else a signal does while
+    # nothing comes.
     others = [
         n
         for n in (signal.SIGTERM, signal.SIGHUP)

@@ -37,7 +37,8 @@ def view_command(
     options: ViewOptions = ViewOptions(),
     robot: RobotOptions = LWR,
 ) -> int:
-    """Show a recording of joint signals in a 3-D scene: a page for the browser, until Ctrl-C.
+    """Show a recording of joint signals in a 3-D scene: a page for the browser, until
+    Ctrl-C.
 
     needleforce view insertion.csv --tare 13
     """
@@ -78,7 +79,8 @@ def live_command(
     watch: WatchOptions = WatchOptions(),
     robot: RobotOptions = LWR,
 ) -> int:
-    """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until Ctrl-C.
+    """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until
+    Ctrl-C.
 
     Move the needle in free air first: the tare is taken after --tare seconds.
 
@@ -99,10 +101,11 @@ def demo_command(
     *,
     options: DemoOptions = DemoOptions(),
 ) -> int:
-    """Show the needle moved in closed loop on the simulated arm, or planned on a CT (abdomen).
+    """Show the needle moved in closed loop on the simulated arm, or planned on a CT
+    (abdomen).
 
-    Prints a table and writes a page into DIR; --figure writes its first figure alone. Simulation
-    only: not a medical device.
+    Prints a table and writes a page into DIR; --figure writes its first figure alone.
+    Simulation only: not a medical device.
 
     needleforce demo teleop --report demo
     """

@@ -1,4 +1,6 @@
-"""Options of `record`, `live`, `view` and `demo`; the text below a field is its help."""
+"""Options of `record`, `live`, `view` and `demo`; the text below a field is its
+help.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,8 +24,8 @@ class LiveOptions:
     seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
     """Stop after this time [s]; else at Ctrl-C or when the arm stops sending."""
     motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None
-    """For ur: joint torque per motor current of each joint [Nm/A]; a UR sends no torques
-    (docs/panda.md)."""
+    """For ur: joint torque per motor current of each joint [Nm/A]; a UR sends no
+    torques (docs/panda.md)."""
 
 
 @Parameter(name="*", group=OUTPUT)
@@ -34,8 +36,8 @@ class WatchOptions:
     plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
     """Plan to match ruptures with (plan.json, or its folder): see docs/scene.md."""
     reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
-    """ATI Net F/T between flange and tool: its axial force, and the rms difference since the tare,
-    are shown next to the estimate."""
+    """ATI Net F/T between flange and tool: its axial force, and the rms difference
+    since the tare, are shown next to the estimate."""
     reference_axis: Annotated[Vector, Parameter(metavar="X Y Z", group=LOG)] = (
         0.0,
         0.0,
@@ -47,8 +49,8 @@ class WatchOptions:
     port: Annotated[int, Parameter(metavar="N")] = 8080
     """Port of that page (default: 8080); another is used if it is busy."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4); if it is refused, again
-    after as many."""
+    """Tare after so many seconds of motion without contact (default: 4); if it is
+    refused, again after as many."""
 
 
 @Parameter(name="*", group=LOG)
@@ -57,12 +59,14 @@ class ViewOptions:
     """What is shown beside a recording, and where."""
 
     anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
-    """Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see docs/scene.md."""
+    """Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see
+    docs/scene.md."""
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """TOML file that says which columns are which, as `needleforce force --print-config` writes."""
+    """TOML file that says which columns are which, as `needleforce force
+    --print-config` writes."""
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = 4.0
-    """Tare after so many seconds of motion without contact (default: 4); if it is refused, again
-    after as many."""
+    """Tare after so many seconds of motion without contact (default: 4); if it is
+    refused, again after as many."""
     export: Annotated[Path | None, Parameter(metavar="FILE", group=OUTPUT)] = None
     """Write the scene as one page (.html) with the insertion as a film, and end."""
     host: Annotated[str, Parameter(metavar="ADDRESS", group=OUTPUT)] = "127.0.0.1"

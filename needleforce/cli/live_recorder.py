@@ -1,7 +1,8 @@
-"""Joint signals into a file, from a process of its own: the loop that hands them over never waits.
+"""Joint signals into a file, from a process of its own: the loop that hands them over
+never waits.
 
-Fifty samples take a bag some milliseconds to write, more than the millisecond in which an arm wants
-its answer.
+Fifty samples take a bag some milliseconds to write, more than the millisecond in which
+an arm wants its answer.
 """
 
 import multiprocessing
@@ -28,7 +29,8 @@ COLUMNS = {
     "external_Nm": "tau_ext_Nm",
     "current_A": "current_A",
 }
-"""Columns of a recording, by the fields of `ArmSample`; those that are None are left out."""
+"""Columns of a recording, by the fields of `ArmSample`; those that are None are left
+out."""
 
 
 class Recorder:
@@ -94,7 +96,8 @@ class Recorder:
             self._queue.put(columns)
 
     def __enter__(self) -> Self:
-        # Signals are for the loop, which then ends the process: it inherits that they are blocked.
+        # Signals are for the loop, which then ends the process: it inherits that they
+        # are blocked.
         ours = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ours)
         try:
@@ -118,7 +121,9 @@ class Recorder:
 
 
 def leave_real_time() -> None:
-    """Go on with ordinary priority: a child inherits the loop's, and would take the loop's time."""
+    """Go on with ordinary priority: a child inherits the loop's, and would take the
+    loop's time.
+    """
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 

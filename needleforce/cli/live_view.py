@@ -77,7 +77,9 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class SessionTare:
-    """Tares a session after so much motion without contact, and again where that is refused."""
+    """Tares a session after so much motion without contact, and again where that is
+    refused.
+    """
 
     def __init__(self, every_s: float) -> None:
         if not 0.0 < every_s < math.inf:
@@ -147,7 +149,9 @@ def description(options: RobotOptions) -> Path | None:
 def replayed(
     recording: Path, model: Robot, options: ViewOptions, plan: Planned | None = None
 ) -> np.ndarray:
-    """Rows of the session over a recording of joint signals; says what is wrong with it."""
+    """Rows of the session over a recording of joint signals; says what is wrong with
+    it.
+    """
     tare, session, rows = SessionTare(options.tare), InsertionSession(model), []
     rejected, mapping = (
         Counter[str](),
@@ -184,7 +188,9 @@ def replayed(
 
 
 def read_plan(place: Path) -> Planned:
-    """A plan from its file, or from a folder with `plan.json`; labels may lie beside it."""
+    """A plan from its file, or from a folder with `plan.json`; labels may lie beside
+    it.
+    """
     path = place / PLAN if place.is_dir() else place
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)

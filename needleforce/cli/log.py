@@ -68,7 +68,9 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
 
 
 class LogSession:
-    """Iterates over the log of the command line; reports on stderr what is wrong with it."""
+    """Iterates over the log of the command line; reports on stderr what is wrong
+    with it.
+    """
 
     def __init__(
         self,
@@ -92,7 +94,9 @@ class LogSession:
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command that has done its work: Ctrl-C is how following ends."""
+        """Exit code of a command that has done its work: Ctrl-C is how following
+        ends.
+        """
         return (
             terminal.INTERRUPTED if self.is_stopped() and not self._output.follow else 0
         )
@@ -145,7 +149,9 @@ class Result(Protocol):
         ...
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
-        """Save the charts of a report in a folder and return the sections of its page."""
+        """Save the charts of a report in a folder and return the sections of its
+        page.
+        """
         ...
 
 
@@ -238,7 +244,9 @@ def check_outputs(source: str, output: Output) -> None:
 def open_output(
     output: Output, log: LogSession, labels: Labels
 ) -> Iterator[OpenTable | None]:
-    """Open the table that the command line names, on the log's clock; None if it names none."""
+    """Open the table that the command line names, on the log's clock; None if it
+    names none.
+    """
     path = output.output
     if path is None:
         yield None
@@ -278,7 +286,9 @@ _NUMBER = "number of the row"
 
 
 class RowOverview:
-    """Keeps rows for a figure: all of a short log, else those with the extremes of each stretch."""
+    """Keeps rows for a figure: all of a short log, else those with the extremes of
+    each stretch.
+    """
 
     def __init__(self, tracked: Sequence[str], most_rows: int = MOST_ROWS) -> None:
         self._tracked, self._most_rows = tuple(tracked), most_rows
@@ -286,7 +296,9 @@ class RowOverview:
         self._seen = self._kept = 0
 
     def add(self, columns: Mapping[str, np.ndarray]) -> None:
-        """Take further rows, columns of shape (n,) or (n, k); the same in every call."""
+        """Take further rows, columns of shape (n,) or (n, k); the same in every
+        call.
+        """
         rows = len(next(iter(columns.values())))
         self._parts.append(
             {_NUMBER: np.arange(self._seen, self._seen + rows), **columns}
@@ -307,7 +319,8 @@ class RowOverview:
         values = np.column_stack([whole[name] for name in self._tracked]).astype(
             np.float64
         )
-        # In stretches of equal length of the log: the first row, and every least and largest value.
+        # In stretches of equal length of the log: the first row, and every least and
+        # largest value.
         stretches = max(self._most_rows // (2 * values.shape[1] + 1), 1)
         numbers = np.arange(stretches) * self._seen // stretches
         edges = np.unique(np.searchsorted(whole[_NUMBER], numbers))

@@ -40,7 +40,9 @@ _COLUMN = Parameter(metavar="COLUMNS")
 @Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Which columns are which channels; a field of a channel's name holds its columns."""
+    """Which columns are which channels; a field of a channel's name holds its
+    columns.
+    """
 
     time: Annotated[str | None, _COLUMN] = None
     """Time stamp (s, ms, us, ns)."""
@@ -71,7 +73,8 @@ class DepthColumns(Columns):
     """Channels of `identify`."""
 
     depth: Annotated[str | None, _COLUMN] = None
-    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm, um, inch)."""
+    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm,
+    um, inch)."""
     speed: Annotated[str | None, _COLUMN] = None
     """Rate of depth (m/s, cm/s, mm/s, um/s)."""
     force: Annotated[str | None, _COLUMN] = None
@@ -99,8 +102,8 @@ class Output:
         str | None,
         Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True),
     ] = None
-    """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or - for CSV
-    on standard output."""
+    """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or
+    - for CSV on standard output."""
     figure: Annotated[
         Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
     ] = None
@@ -108,7 +111,8 @@ class Output:
     over: Over = "time"
     """Draw the figure over time (default), or over the depth of the needle."""
     start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
-    """Start of the figure on its own axis, in seconds or, with --over depth, millimetres."""
+    """Start of the figure on its own axis, in seconds or, with --over depth,
+    millimetres."""
     end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
     """End of the figure, likewise."""
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
@@ -121,12 +125,13 @@ class RobotOptions:
     """The robot on which the log was recorded."""
 
     robot: Annotated[str | None, Parameter(metavar="NAME")] = None
-    """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e, xarm7."""
+    """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e,
+    xarm7."""
     urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
     """URDF of any other robot."""
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
-    """Link that carries the payload and whose z axis is the insertion direction (default: that of
-    the known arm; of a URDF the last link, if there is one only)."""
+    """Link that carries the payload and whose z axis is the insertion direction
+    (default: that of the known arm; of a URDF the last link, if there is one only)."""
     tip_offset: Annotated[
         tuple[float, float, float] | None, Parameter(metavar="X Y Z")
     ] = None
@@ -134,14 +139,17 @@ class RobotOptions:
     without: Annotated[
         tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)
     ] = ()
-    """Links to leave out with all that they carry, such as panda_hand where the hand is off."""
+    """Links to leave out with all that they carry, such as panda_hand where the hand
+    is off."""
     lock: Annotated[
         tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
     ] = ()
-    """With --urdf: joints that are not in the log, held at a position in rad or m (default: 0)."""
+    """With --urdf: joints that are not in the log, held at a position in rad or m
+    (default: 0)."""
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
-    """What is on the flange: a TOML file; the paper's 304 g force sensor and needle (default of the
-    LWR); or nothing (default of other robots). It overrides the mapping."""
+    """What is on the flange: a TOML file; the paper's 304 g force sensor and needle
+    (default of the LWR); or nothing (default of other robots). It overrides the
+    mapping."""
 
     def __post_init__(self) -> None:
         if (
@@ -158,11 +166,11 @@ class SensorOptions:
     gain: Annotated[float | None, Parameter(metavar="K")] = None
     """Observer gain K in 1/s (lag 1/K; default: 70)."""
     alignment: Literal["hold", "trapezoid"] | None = None
-    """Torques are commands held until the next sample (hold), or a sensor's samples (trapezoid,
-    default)."""
+    """Torques are commands held until the next sample (hold), or a sensor's samples
+    (trapezoid, default)."""
     mode: Literal["axial", "point", "full"] | None = None
-    """Contact: force along the needle (axial), 3-D force at the tip (point, default), 6-D wrench
-    (full)."""
+    """Contact: force along the needle (axial), 3-D force at the tip (point, default),
+    6-D wrench (full)."""
     insertion_axis: Annotated[
         tuple[float, float, float] | None, Parameter(metavar="X Y Z")
     ] = None
@@ -176,12 +184,14 @@ class SensorOptions:
     gravity_compensated: bool = False
     """Gravity is already subtracted from the measured torque, as some drivers do."""
     external_torque: bool = False
-    """Read the external torque that the robot estimates itself (tau_ext) instead of tau."""
+    """Read the external torque that the robot estimates itself (tau_ext) instead of
+    tau."""
     tare: Annotated[
         str | None,
         Parameter(metavar="START:END", allow_leading_hyphen=True, group=TARE),
     ] = None
-    """Motion without contact, in seconds of the log's clock, or (+0:+4) from its first stamp."""
+    """Motion without contact, in seconds of the log's clock, or (+0:+4) from its
+    first stamp."""
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
     """Do not tare: the forces keep the errors of model and torque sensors."""
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
@@ -197,9 +207,11 @@ class IdentificationOptions:
     """How forces become layers."""
 
     method: Method = "multilayer"
-    """Ours (multilayer, default), or as published with the multi-layer or Kelvin-Voigt model."""
+    """Ours (multilayer, default), or as published with the multi-layer or
+    Kelvin-Voigt model."""
     ignore_status: bool = False
-    """Also use rows that `needleforce force` has marked as not tared, initializing or doubtful."""
+    """Also use rows that `needleforce force` has marked as not tared, initializing
+    or doubtful."""
 
 
 @Parameter(name="*", group=OUTPUT)

@@ -1,4 +1,6 @@
-"""The robot and its sensor from options and TOML files: arm, payload, friction, settings."""
+"""The robot and its sensor from options and TOML files: arm, payload, friction,
+settings.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, fields, is_dataclass, replace
@@ -34,8 +36,9 @@ NOTHING = "none"  # how a file says None, for which TOML has no word
 def decoded(kind: type[T], table: Any, where: str, preset: Any = None) -> T:
     """Return a dataclass with the values of a table as TOML gives it.
 
-    The dataclass has numbers, text, choices, arrays and further dataclasses; ``where`` names file
-    and table in messages; a preset has the values that the table does not give.
+    The dataclass has numbers, text, choices, arrays and further dataclasses; ``where``
+    names file and table in messages; a preset has the values that the table does not
+    give.
     """
     if not isinstance(table, dict):
         raise CommandError(f"{where} is {type(table).__name__}, expected a table")
@@ -46,7 +49,8 @@ def decoded(kind: type[T], table: Any, where: str, preset: Any = None) -> T:
         values[name] = (
             values[name] | value if is_inner else None if value == NOTHING else value
         )
-    # msgspec asks for fields that are no arguments, too; __post_init__ replaces these values.
+    # msgspec asks for fields that are no arguments, too; __post_init__ replaces these
+    # values.
     declared: Any = kind
     values |= {item.name: [0.0] for item in fields(declared) if not item.init}
     try:
@@ -90,7 +94,9 @@ LWR = "lwr"
 
 
 def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
-    """Return the robot that the options describe; a mapping file may name the payload."""
+    """Return the robot that the options describe; a mapping file may name the
+    payload.
+    """
     payload = payload_from_options(options, mapping)
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots; give one of them")
@@ -131,11 +137,12 @@ def _locked(text: str) -> tuple[str, float]:
 def payload_from_options(
     options: RobotOptions, mapping: str | None
 ) -> Payload | NeedleTool | None:
-    """Return the payload of the option, else of the mapping, else the robot's usual one.
+    """Return the payload of the option, else of the mapping, else the robot's usual
+    one.
 
-    A table holds either ``mass_kg``, ``com_m`` and ``inertia_kg_m2`` (about the centre of mass; a
-    point mass without it) in flange axes, or a table ``[needle]`` with fields of
-    `urdf.NeedleTool`.
+    A table holds either ``mass_kg``, ``com_m`` and ``inertia_kg_m2`` (about the centre
+    of mass; a point mass without it) in flange axes, or a table ``[needle]`` with
+    fields of `urdf.NeedleTool`.
     """
     value, where = options.payload, "--payload"
     if value is None and mapping is not None:
@@ -198,10 +205,12 @@ _MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
 
 
 def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
-    """Return the robot with the rotors, and the friction if any, of the file of ``--friction``.
+    """Return the robot with the rotors, and the friction if any, of the file of
+    ``--friction``.
 
-    It holds one table, ``[viscous_coulomb]`` with the fields of `residual.JointFriction` or
-    ``[sigmoid]`` with those of `residual.SigmoidFriction`, and may hold ``rotor_inertia_kg_m2``.
+    It holds one table, ``[viscous_coulomb]`` with the fields of
+    `residual.JointFriction` or ``[sigmoid]`` with those of `residual.SigmoidFriction`,
+    and may hold ``rotor_inertia_kg_m2``.
     """
     if path is None:
         return robot, None
@@ -230,7 +239,9 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
 def sensor_config(
     options: SensorOptions, friction: FrictionModel | None
 ) -> SensorConfig:
-    """Return the preset with the file's settings, then the options', in place of its own."""
+    """Return the preset with the file's settings, then the options', in place of its
+    own.
+    """
     config = PUBLISHED if options.published else DEFAULT
     if options.config is not None:
         table = read_toml(options.config, "config file")

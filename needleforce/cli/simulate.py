@@ -1,4 +1,6 @@
-"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth beside it."""
+"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth
+beside it.
+"""
 
 from pathlib import Path
 
@@ -55,9 +57,11 @@ def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:
-    """Return what the robot and its F/T sensor gave: one row per sample, units in the names.
+    """Return what the robot and its F/T sensor gave: one row per sample, units in the
+    names.
 
-    Time stamps begin at zero at the earliest; an arm that reports no velocities has none.
+    Time stamps begin at zero at the earliest; an arm that reports no velocities has
+    none.
     """
     signals = run.signals
     columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
@@ -70,11 +74,12 @@ def signal_table(run: Run) -> dict[str, NDArray]:
 
 
 def truth_table(run: Run) -> dict[str, NDArray]:
-    """Return the ground truth at the same samples; see `groundtruth.Truth` for the meaning.
+    """Return the ground truth at the same samples; see `groundtruth.Truth` for the
+    meaning.
 
-    `rupture` is the number of the layer that the tip begins to leave at a row, counted from 1, else
-    0; of two that rupture within one row the second stands in the next. `surface_rupture` is 1
-    where a membrane on the surface ruptures.
+    `rupture` is the number of the layer that the tip begins to leave at a row, counted
+    from 1, else 0; of two that rupture within one row the second stands in the next.
+    `surface_rupture` is 1 where a membrane on the surface ruptures.
     """
     truth = run.truth
     names = ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer")
@@ -89,7 +94,9 @@ def truth_table(run: Run) -> dict[str, NDArray]:
 
 
 def _shift_s(run: Run) -> float:
-    """Return what makes the first stamp of a clock with jitter no less than zero, as bags want."""
+    """Return what makes the first stamp of a clock with jitter no less than zero, as
+    bags want.
+    """
     return max(0.0, -float(run.signals.t_s[0]))
 
 

@@ -33,7 +33,9 @@ class _Terminated(BaseException):
 
 
 def run_command(work: Callable[[], int]) -> int:
-    """Run what returns an exit code; every foreseen failure is one line on stderr and a code."""
+    """Run what returns an exit code; every foreseen failure is one line on stderr
+    and a code.
+    """
     is_terminated = False
 
     def end(_number: int, _frame: FrameType | None) -> None:
@@ -80,7 +82,9 @@ def _explained(error: BaseException) -> str:
 def handled(
     handler: Callable[[int, FrameType | None], None], *numbers: int
 ) -> Iterator[None]:
-    """Let a handler have signals while the block runs; only a process's first thread may."""
+    """Let a handler have signals while the block runs; only a process's first thread
+    may.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -96,7 +100,9 @@ def handled(
 def stop_request(
     *others: int, then: Callable[[], None] = lambda: None
 ) -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C or another of these signals came; the second interrupts at once."""
+    """Yield whether Ctrl-C or another of these signals came; the second interrupts
+    at once.
+    """
     is_asked = False
 
     def hear(_number: int, _frame: FrameType | None) -> None:
@@ -114,7 +120,9 @@ def stop_request(
 def progress_bar(
     what: str, *, is_wanted: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show on stderr, if that is a terminal, how far work has come; yield what takes it."""
+    """Show on stderr, if that is a terminal, how far work has come; yield what takes
+    it.
+    """
     if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return

@@ -1,9 +1,11 @@
-"""One tick: joint velocities for a sample of the arm and a stack of tasks in strict priority.
+"""One tick: joint velocities for a sample of the arm and a stack of tasks in strict
+priority.
 
     lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
 
-with limits of the joints and a wish w of theirs that comes last, zero or a posture (Kanoun et al.,
-IEEE T-RO 2011). Norms are of rows scaled to length one: a row counts by how far joints move for it.
+with limits of the joints and a wish w of theirs that comes last, zero or a posture
+(Kanoun et al., IEEE T-RO 2011). Norms are of rows scaled to length one: a row counts by
+how far joints move for it.
 """
 
 import itertools
@@ -38,7 +40,8 @@ from needleforce.jit import (
 from urdf import Robot
 
 SLACK_rad_s = 1e-7
-"""Speeds and their changes stay this far inside, and a solver may exceed the box by as much."""
+"""Speeds and their changes stay this far inside, and a solver may exceed the box by
+as much."""
 LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3  # Rows of `Limits.table`
 
 _REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
@@ -58,10 +61,12 @@ class Limits:
         robot: Its model names positions and speeds.
         velocity_rad_s: Slower speeds, one or one per joint; the robot's where None.
         acceleration_rad_s2: One or one per joint. A low one lengthens every stop.
-        margin_rad: Kept from the position limits, for what moves the arm besides the command.
+        margin_rad: Kept from the position limits, for what moves the arm besides the
+            command.
 
     Attributes:
-        table: Lowest, highest position [rad], speed [rad/s], acceleration [rad/s^2], shape (4, n).
+        table: Lowest, highest position [rad], speed [rad/s], acceleration [rad/s^2],
+            shape (4, n).
 
     Raises:
         SettingError: A limit is missing, not positive, or above the robot's.
@@ -125,11 +130,11 @@ def joint_bounds(
 
         u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
 
-    and l alike. The root is the fastest speed from which the arm, braking at a after this tick of
-    T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the box the next tick has
-    such a speed within reach of a again. Where noise or a push has moved the arm too close, the
-    clip lets it brake as hard as it may; l <= u. Limits are a `Limits.table`, bounds of shape
-    (2, n), and nan where a position is.
+    and l alike. The root is the fastest speed from which the arm, braking at a after
+    this tick of T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the
+    box the next tick has such a speed within reach of a again. Where noise or a push
+    has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
+    Limits are a `Limits.table`, bounds of shape (2, n), and nan where a position is.
     """
     speed, rate = limits[SPEED], limits[ACCELERATION]
     change = rate * step_s - SLACK_rad_s
@@ -146,7 +151,8 @@ class Stack:
     Attributes:
         rows: J of the other tasks, shape (m, n).
         rates: v of them, shape (m,).
-        wish: w, shape (n,): a joint velocity as the last task, which needs no rows; else zero.
+        wish: w, shape (n,): a joint velocity as the last task, which needs no rows;
+            else zero.
         bounds: l and u, shape (2, n), for its user to fill in.
         levels: Rows and rates of each task, views of the above.
     """
@@ -178,7 +184,8 @@ class Stack:
 
 
 Solver = Callable[[Stack], tuple[Array, bool]]
-"""Joint velocities for a stack, in an array of their own, and whether one is at a limit."""
+"""Joint velocities for a stack, in an array of their own, and whether one is at a
+limit."""
 
 
 def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
@@ -202,8 +209,8 @@ def all_met(
 ) -> bool:
     """Change a velocity as little as meets all rows; whether it is then within bounds.
 
-    Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its i-th
-    direction meets row i and leaves the rows before it met.
+    Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its
+    i-th direction meets row i and leaves the rows before it met.
     """
     joints = velocity.size
     if rates.size > joints:
@@ -232,7 +239,8 @@ def all_met(
 def hierarchical(stack: Stack) -> tuple[Array, bool]:
     """Strict priorities within hard limits, level by level; see `Solver`.
 
-    Each level moves within the null space N of the rows above it, which therefore keep what they
+    Each level moves within the null space N of the rows above it, which therefore keep
+    what they
     have got:  dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u.
     """
     velocity = stack.wish.copy()
@@ -272,10 +280,12 @@ def null_space(rows: Matrix) -> Matrix:
 def blocking(
     velocity: Vector, step: Vector, bounds: Matrix, is_held: Vector
 ) -> tuple[float, int]:
-    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for none.
+    """The part of a step that bounds allow, 0 to 1, and the joint that ends it; -1 for
+    none.
 
-    Of joints that meet their bounds almost at once the one that moves most, so that near a singular
-    posture none is held for a motion that is rounding (Harris, Math. Programming 1973).
+    Of joints that meet their bounds almost at once the one that moves most, so that
+    near a singular posture none is held for a motion that is rounding (Harris, Math.
+    Programming 1973).
     """
     part, joint, most = 1.0, -1, 0.0
     ends = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
@@ -292,13 +302,14 @@ def blocking(
 def serve_level(
     rows: Matrix, rates: Vector, free: Matrix, bounds: Matrix, start: Vector
 ) -> tuple[Array, Array]:
-    """One level by a primal active-set method: its velocity, and the N of the levels below.
+    """One level by a primal active-set method: its velocity, and the N of the levels
+    below.
 
-    On the joints that are held at a bound the nearest velocity is a least-squares solution. The
-    way there ends where another joint meets its bound, which is then held too. At its end that
-    joint is let go which gains most from it, the first of them after many changes, so that no
-    circle can form; with none the level is served. Rows are of length one, N is orthonormal, the
-    levels above are content with the start.
+    On the joints that are held at a bound the nearest velocity is a least-squares
+    solution. The way there ends where another joint meets its bound, which is then held
+    too. At its end that joint is let go which gains most from it, the first of them
+    after many changes, so that no circle can form; with none the level is served. Rows
+    are of length one, N is orthonormal, the levels above are content with the start.
     """
     velocity, is_held = start.copy(), np.zeros(start.size)
     seen = rows @ free
@@ -352,7 +363,8 @@ class Controller:
     Args:
         robot: The arm; the z axis of its tool frame is the needle.
         limits: What its joints may do; `SettingError` for those of another robot.
-        solve: Strict priority within limits; another one to compare with, not to move an arm.
+        solve: Strict priority within limits; another one to compare with, not to move
+            an arm.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample.
@@ -375,10 +387,11 @@ class Controller:
         self.reset()
 
     def reset(self, dq_rad_s: Array | None = None) -> None:
-        """Begin from the velocity that the arm has, shape (n,), within its limits, or from rest.
+        """Begin from the velocity that the arm has, shape (n,), within its limits, or
+        from rest.
 
-        Call it when the arm has not followed: its commands were refused, or it has stopped itself.
-        `SettingError` for anything but n finite numbers.
+        Call it when the arm has not followed: its commands were refused, or it has
+        stopped itself. `SettingError` for anything but n finite numbers.
         """
         rest = np.zeros(self._joints)
         now = rest if dq_rad_s is None else vector(dq_rad_s, self._joints, "dq_rad_s")
@@ -387,8 +400,9 @@ class Controller:
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """The command for the coming cycle. It never raises and always answers.
 
-        Errors of tasks are of the measured positions, and the command starts from the last one:
-        that keeps noise of measured velocities out of it, and the accelerations within limits.
+        Errors of tasks are of the measured positions, and the command starts from the
+        last one: that keeps noise of measured velocities out of it, and the
+        accelerations within limits.
 
         Args:
             sample: What the arm reports.

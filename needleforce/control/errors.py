@@ -1,4 +1,6 @@
-"""Errors of `needleforce.control`: one base; each of the others is also a standard exception."""
+"""Errors of `needleforce.control`: one base; each of the others is also a standard
+exception.
+"""
 
 import math
 from collections.abc import Container, Mapping

@@ -1,21 +1,24 @@
-"""Manual guidance: the arm yields to a hand anywhere on it, felt through the joint residual.
+"""Manual guidance: the arm yields to a hand anywhere on it, felt through the joint
+residual.
 
     T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -z h, z h)
 
-with r the residual, D a damping per joint, h = f r_max + s sigma a dead zone: a fraction f of the
-torque limit and s standard deviations. Without a hand r stays within h and v is exactly zero, so
-nothing creeps. Once a hand is felt, by any joint, most of the dead zone only makes the arm heavy:
-z falls from 1, and returns when all joints are within h again.
+with r the residual, D a damping per joint, h = f r_max + s sigma a dead zone: a
+fraction f of the torque limit and s standard deviations. Without a hand r stays within
+h and v is exactly zero, so nothing creeps. Once a hand is felt, by any joint, most of
+the dead zone only makes the arm heavy: z falls from 1, and returns when all joints are
+within h again.
 
-A stiff hand makes a loop with the arm that swings unless the damping is high, the more so the later
-the torques come; and a hand that leads wants it low. So the damping grows while what is felt swings
-(compare Landi et al., IROS 2017), and fades:
+A stiff hand makes a loop with the arm that swings unless the damping is high, the more
+so the later the torques come; and a hand that leads wants it low. So the damping grows
+while what is felt swings (compare Landi et al., IROS 2017), and fades:
 
     d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
 
-Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that hardly
-accelerates; in guidance it turns acceleration into residual, and the arm chatters at 26 Hz.
+Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that
+hardly accelerates; in guidance it turns acceleration into residual, and the arm
+chatters at 26 Hz.
 """
 
 import math
@@ -31,7 +34,8 @@ from residual.input_validation import MOST_PLAUSIBLE, as_float, known_limits
 from urdf import Robot
 
 LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
-"""T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
+"""T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean,
+0.4 h on FRI."""
 LEFT, OPEN_s, CLOSE_s = (
     0.15,
     0.05,
@@ -47,28 +51,34 @@ LWR_DAMPING_Nms = (
     0.1,
 )  # D per rad: 10 to 25 Ns/m at the hub
 STEADY_s, STEADY = 0.12, 0.9
-"""Time of the means, and q_0: a hand that begins to lead stays above it, if not by much."""
+"""Time of the means, and q_0: a hand that begins to lead stays above it, if not by
+much."""
 RISE_per_s, FADE_per_s, FIRST, MOST = 30.0, 4.0, 3.0, 50.0
-"""a, b, c when a hand is first felt, and c_max. With c = 1 at first a hand of 5000 N/m swings an
-arm by 30 mm where torques come late; with c_max = 20 the arm runs away from it."""
+"""a, b, c when a hand is first felt, and c_max. With c = 1 at first a hand of 5000 N/m
+swings an arm by 30 mm where torques come late; with c_max = 20 the arm runs away from
+it."""
 HOLD_s = 0.02
-"""The last residual stands in for rejected ones for so long, and fades after that: a hand that lets
-go looks like a spike, and an arm that stopped at once for it would make the next one."""
+"""The last residual stands in for rejected ones for so long, and fades after that: a
+hand that lets go looks like a spike, and an arm that stopped at once for it would make
+the next one."""
 GROWTH_s = 20.0
-"""Time over which sigma may grow by e: torques drift slowly since the tare, hands come at once."""
+"""Time over which sigma may grow by e: torques drift slowly since the tare, hands
+come at once."""
 REST_rad_s, LONGEST_s = 1e-6, 0.1
-"""What counts as rest, and the most time that a step stands for: a longer one is a pause."""
+"""What counts as rest, and the most time that a step stands for: a longer one is a
+pause."""
 
 
 class Guidance:
     """Joint velocities that yield to a hand, as a task that belongs last in a stack.
 
-    With a needle in tissue stack it below `Fixture` and `AxialSpeed(0)`: a push from the side shows
-    up along the needle too, and would withdraw it.
+    With a needle in tissue stack it below `Fixture` and `AxialSpeed(0)`: a push from
+    the side shows up along the needle too, and would withdraw it.
 
     Args:
         robot: The arm; its torque limits set the dead zone.
-        damping_Nms_per_rad: D of every joint, shape (n,); None for those of an LWR (`lwr...`).
+        damping_Nms_per_rad: D of every joint, shape (n,); None for those of an LWR
+            (`lwr...`).
 
     Raises:
         SettingError: A damping is not positive, or the robot is no LWR and has none.
@@ -97,10 +107,12 @@ class Guidance:
     def update(
         self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
     ) -> JointVelocity:
-        """The task of the coming cycle. A number that is not finite counts as a rejected sample.
+        """The task of the coming cycle. A number that is not finite counts as a
+        rejected sample.
 
         Args:
-            residual_Nm: Torque of the environment on the joints, `WrenchEstimate.residual`.
+            residual_Nm: Torque of the environment on the joints,
+                `WrenchEstimate.residual`.
             sigma_Nm: Its standard deviation, `VirtualForceSensor.residual_std_Nm`.
             dt_s: Time since the last call.
             is_valid: Whether the residual is of this cycle, `Status.OK`.
@@ -108,8 +120,8 @@ class Guidance:
         if not 0.0 < as_float(dt_s) < math.inf:
             return JointVelocity(self._wish / self._heavy)
         dt_s = min(dt_s, LONGEST_s)
-        # A hand is no contact at the tip: the sensor takes it for an error of its own and widens
-        # sigma as the residual grows. What counts is sigma without a hand.
+        # A hand is no contact at the tip: the sensor takes it for an error of its own
+        # and widens sigma as the residual grows. What counts is sigma without a hand.
         if is_valid:
             self._sigma_Nm = np.fmin(
                 math.exp(dt_s / GROWTH_s) * self._sigma_Nm, sigma_Nm

@@ -1,8 +1,9 @@
 """An insertion by itself: approach, tare stroke, insertion, dwell, withdrawal.
 
-A program follows a plan: from what the manager knows it returns the speed along the needle and the
-event that ends the present state. Planned ends are reached with gentle braking; a stop asks for
-rest at once, and the controller brakes with all that the limits of the arm allow.
+A program follows a plan: from what the manager knows it returns the speed along the
+needle and the event that ends the present state. Planned ends are reached with gentle
+braking; a stop asks for rest at once, and the controller brakes with all that the
+limits of the arm allow.
 """
 
 import math
@@ -27,8 +28,9 @@ _SMOOTH_S, _PEAK_S = (
     0.1,
 )  # Time constants: of the force, and of the memory of its last peak
 _BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
-"""Ordinary is the largest fall of the last seconds, without those newer than a block and of counted
-ruptures. A heartbeat is, once the needle has been in tissue for a second."""
+"""Ordinary is the largest fall of the last seconds, without those newer than a block
+and of counted ruptures. A heartbeat is, once the needle has been in tissue for a
+second."""
 _LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = (
     0.03,
     0.15,
@@ -37,20 +39,24 @@ _LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = (
     0.03,
     1.5e-3,
 )
-"""A fall by so much of the force, more in that second, in newtons, and so many times the ordinary
-one is a rupture, if it lasts longer than a jerk of the arm; and the least fall of an alarm."""
+"""A fall by so much of the force, more in that second, in newtons, and so many times
+the ordinary one is a rupture, if it lasts longer than a jerk of the arm; and the least
+fall of an alarm."""
 _MOST_RISE_N_per_s = (
     15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
 )
 _GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
-"""A step so long, and so many usual ones, is a gap: an arm stops and starts, the force is off."""
+"""A step so long, and so many usual ones, is a gap: an arm stops and starts, the
+force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
 _SETTLED_S = 0.1  # So long after its last change a command is steady: late forces fall until then
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InsertionPlan:
-    """What to do, along the needle, inwards positive; `SettingError` for numbers that cannot be."""
+    """What to do, along the needle, inwards positive; `SettingError` for numbers
+    that cannot be.
+    """
 
     speed_m_s: float  # of insertion and withdrawal
     depth_m: float  # where the insertion ends at the latest, from the place of the tare
@@ -73,9 +79,11 @@ class InsertionPlan:
 def depth_of(
     target_m: ArrayLike, tip_m: ArrayLike, axis: Array, *, tolerance_m: float = 1e-3
 ) -> float:
-    """Depth [m] of a planned target, base frame, shape (3,), from the place of the tip at the tare.
+    """Depth [m] of a planned target, base frame, shape (3,), from the place of the tip
+    at the tare.
 
-    `SettingError` where it lies behind the tip, or off the needle's line by more than a tolerance.
+    `SettingError` where it lies behind the tip, or off the needle's line by more than a
+    tolerance.
     """
     if not np.linalg.norm(axis) > 0.0:
         raise SettingError(f"axis is {axis!r}, expected a direction of three numbers")
@@ -93,10 +101,11 @@ def depth_of(
 class RuptureCount:
     """Ruptures, counted by a program that knows how the needle is commanded.
 
-    By itself the identification must wait whether a fall of the force is a needle that brakes. At a
-    steady command it is none, but a beating heart, a jerky arm and slow noise make the force fall,
-    too, again and again. So one counts that is large, or likely a rupture, and several times the
-    largest of the last seconds; with an alarm any larger one: a tip at a membrane has left nothing.
+    By itself the identification must wait whether a fall of the force is a needle that
+    brakes. At a steady command it is none, but a beating heart, a jerky arm and slow
+    noise make the force fall, too, again and again. So one counts that is large, or
+    likely a rupture, and several times the largest of the last seconds; with an alarm
+    any larger one: a tip at a membrane has left nothing.
     """
 
     def __init__(self) -> None:
@@ -117,7 +126,9 @@ class RuptureCount:
         *,
         is_steady: bool,
     ) -> bool:
-        """Whether one more layer has been left; steady is the speed that is commanded."""
+        """Whether one more layer has been left; steady is the speed that is
+        commanded.
+        """
         if not math.isfinite(axial_N):
             return False
         self._inside_s = max(
@@ -178,9 +189,10 @@ class Step(NamedTuple):
 class InsertionProfile:
     """Runs a plan once; call `update` after every `Manager.update`.
 
-    What is refused, released or stopped before the insertion ends the plan. What is commanded lies
-    ahead of the tip of a soft arm, which would follow when the force falls. So a rupture takes the
-    command back to where the tip is; then the tip is held there.
+    What is refused, released or stopped before the insertion ends the plan. What is
+    commanded lies ahead of the tip of a soft arm, which would follow when the force
+    falls. So a rupture takes the command back to where the tip is; then the tip is held
+    there.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
@@ -274,7 +286,9 @@ class InsertionProfile:
         return step
 
     def _hold(self, depth_m: float) -> float:
-        """Speed after an insertion: first back, if it has not come to rest by itself."""
+        """Speed after an insertion: first back, if it has not come to rest by
+        itself.
+        """
         if self._held_m is None:
             return 0.0
         ahead_m = self._asked_m - depth_m

@@ -1,8 +1,8 @@
 """The system manager: what may move when, and why something was stopped or refused.
 
-One table of rules is the whole machine; `transition` applies it and is all that a replay needs.
-The manager reads the arm's samples, runs the session and the monitors, and logs every event, as a
-JSON line at once and as MCAP afterwards.
+One table of rules is the whole machine; `transition` applies it and is all that a
+replay needs. The manager reads the arm's samples, runs the session and the monitors,
+and logs every event, as a JSON line at once and as MCAP afterwards.
 """
 
 import math
@@ -45,7 +45,8 @@ class State(StrEnum):
 
 
 MOVING = frozenset(State) - {State.IDLE, State.STOPPED, State.FAULTED}
-"""States in which the arm may be commanded to move; in the others it is commanded to rest."""
+"""States in which the arm may be commanded to move; in the others it is commanded to
+rest."""
 _PLACED = MOVING - {State.GUIDANCE}  # States whose motions depend on the depth
 
 
@@ -104,13 +105,15 @@ REFUSALS = {
     "device": "no haptic device answers: connect it and read it in every cycle",
     "healthy": "the fault persists: see the last reason",
 }
-"""The facts that guards look at, and why an event is refused where one does not hold."""
+"""The facts that guards look at, and why an event is refused where one does not
+hold."""
 
 
 def transition(state: State, event: str, facts: Collection[str]) -> tuple[State, str]:
     """The state after an event, and why it was refused; empty if it was not.
 
-    Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown event.
+    Facts are those of `REFUSALS` that held when it came. `SettingError` for an unknown
+    event.
     """
     rules = {
         name: rule
@@ -148,7 +151,8 @@ _ENCODER = msgspec.json.Encoder(enc_hook=str)
 
 
 def write_mcap(events: Iterable[LoggedEvent], path: str | Path) -> None:
-    """Write events as JSON messages of an MCAP file, on the manager's clock; it replaces another.
+    """Write events as JSON messages of an MCAP file, on the manager's clock; it
+    replaces another.
 
     Raises:
         SettingError: The extra ``recordings`` is not installed.
@@ -178,8 +182,9 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
     """Read a log back, of JSON lines or, where its name ends in ``.mcap``, of MCAP.
 
     Raises:
-        SettingError: A line is no event, or the numbers of the events do not follow each other;
-            they start anew where another session was appended. Or the file is no MCAP, or damaged.
+        SettingError: A line is no event, or the numbers of the events do not follow
+            each other; they start anew where another session was appended. Or the file
+            is no MCAP, or damaged.
         OSError: The file cannot be read.
     """
     data, events = Path(path).read_bytes(), list[LoggedEvent]()
@@ -210,7 +215,9 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
 
 
 def replay(events: Iterable[LoggedEvent]) -> list[State]:
-    """States after each event, from the events and the facts they met; a session begins idle."""
+    """States after each event, from the events and the facts they met; a session
+    begins idle.
+    """
     state, states = State.IDLE, []
     for event in events:
         before = State.IDLE if event.seq == 0 else state
@@ -248,21 +255,24 @@ _HEARTBEAT_S = 0.1  # Longest time between two heartbeats
 class Manager:
     """Schedules the modes of the arm, watches them, and logs why.
 
-    Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s is
-    stopped. At the end of the state ``tare``, with the arm at rest, `request` takes a few tenths
-    of a second; what an arm that does not wait has sent meanwhile may be lost.
+    Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s
+    is stopped. At the end of the state ``tare``, with the arm at rest, `request` takes
+    a few tenths of a second; what an arm that does not wait has sent meanwhile may be
+    lost.
 
     Args:
         session: Force sensor and identification, for the manager alone to update.
         limits: What stops a motion; without them nothing moves.
-        log: File to append the events to, one JSON object per line; None: `events` keeps them.
+        log: File to append the events to, one JSON object per line; None: `events`
+            keeps them.
 
     Attributes:
-        events: Events so far, refusals included. What could not be written, `Situation.reason` says
-            so, is written with the next event.
+        events: Events so far, refusals included. What could not be written,
+            `Situation.reason` says so, is written with the next event.
 
     Raises:
-        SettingError: The session or the limits are none, or the session names a frame or an axis.
+        SettingError: The session or the limits are none, or the session names a frame
+            or an axis.
         OSError: The log cannot be written.
     """
 
@@ -304,7 +314,9 @@ class Manager:
         self._beat_s = self._time_s
 
     def update(self, sample: ArmSample, beside: Beside = NOTHING) -> Situation:
-        """Take one sample of the arm and what came beside it; never raises for a bad one."""
+        """Take one sample of the arm and what came beside it; never raises for a bad
+        one.
+        """
         names = "q_rad", "dq_rad_s", "tau_Nm", "dt_s"
         signals: list[Any] = [getattr(sample, name, None) for name in names]
         since_s = as_float(signals[-1])
@@ -331,7 +343,9 @@ class Manager:
         return Situation(self._state, state_s, self._time_s, self._reason, estimate)
 
     def _find_entry(self, estimate: "SessionEstimate") -> None:
-        """Where tissue begins: infinitely deep before it is met, -inf for who begins inside it."""
+        """Where tissue begins: infinitely deep before it is met, -inf for who begins
+        inside it.
+        """
         if estimate.status is Status.REJECTED:
             return  # it repeats the last depth, or none
         is_first, is_inside = (
@@ -363,7 +377,8 @@ class Manager:
 
         Args:
             event: One of `EVENTS`; `SettingError` for any other.
-            data: What the log should hold beside it; a ``reason`` shows in `Situation.reason`.
+            data: What the log should hold beside it; a ``reason`` shows in
+                `Situation.reason`.
         """
         if event == "arrived" and self._state is State.TARE:
             start_s = monotonic()
@@ -406,7 +421,9 @@ class Manager:
         return refused
 
     def _write(self, log: str | Path) -> None:
-        """Write events at once, so that a crash loses none; a full disk stops no monitor."""
+        """Write events at once, so that a crash loses none; a full disk stops no
+        monitor.
+        """
         size = None
         try:
             with Path(log).open("ab") as file:

@@ -1,7 +1,8 @@
 """What stops a motion: force, side force, signals, commands, device; each says why.
 
-Forces are judged ahead of time: from the reading and its rate to the force at which the arm will
-have come to rest. A stiff contact is then noticed while its force is still small.
+Forces are judged ahead of time: from the reading and its rate to the force at which the
+arm will have come to rest. A stiff contact is then noticed while its force is still
+small.
 """
 
 import math
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SafetyLimits:
-    """What a motion must not exceed; `SettingError` for a limit that is no positive number."""
+    """What a motion must not exceed; `SettingError` for a limit that is no positive
+    number.
+    """
 
     axial_N: float  # force against the motion along the needle
     lateral_N: float = 0.5  # force across the needle
@@ -79,11 +82,13 @@ _DRIVEN = (
 )  # Without the force a needle can be held, and must come out
 _RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
 _TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
-"""Memory of commanded and made motion, time by which an arm may follow, least motion compared."""
+"""Memory of commanded and made motion, time by which an arm may follow, least motion
+compared."""
 _CLEAR_S = 0.1  # A fault must be gone for so long before a reset
 _GAP_S, _GAP_STEPS, _FADE_LAGS = 5e-3, 3.0, 3.0
-"""A step so long, and so many usual ones, is a gap: an arm that nobody commanded has stopped and
-started in it, and what torques nobody saw did to the force fades within so many of its lags."""
+"""A step so long, and so many usual ones, is a gap: an arm that nobody commanded has
+stopped and started in it, and what torques nobody saw did to the force fades within so
+many of its lags."""
 
 
 class Monitors:
@@ -109,7 +114,9 @@ class Monitors:
         self.enter("idle")
 
     def enter(self, state: str) -> None:
-        """A new state begins: commands and forces are compared with what they are now."""
+        """A new state begins: commands and forces are compared with what they are
+        now.
+        """
         self._state = state
         self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
         self._made_rad = self._asked_rad = np.zeros(1)
@@ -124,7 +131,8 @@ class Monitors:
         beside: Beside,
         step_s: float,
     ) -> tuple[str, str]:
-        """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty if none.
+        """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty
+        if none.
 
         The step [s] is that of the sample, or the one before where the clock was set.
         """

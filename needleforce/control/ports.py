@@ -1,7 +1,7 @@
 """What lies outside: an arm, and the samples of arm and haptic device, as protocols.
 
-A driver of a real arm, the simulated rig and the tests implement them; nothing here knows which.
-SI units; vectors in the axes of the robot's base unless said otherwise.
+A driver of a real arm, the simulated rig and the tests implement them; nothing here
+knows which. SI units; vectors in the axes of the robot's base unless said otherwise.
 """
 
 from collections.abc import Iterator
@@ -52,7 +52,9 @@ class Arm(Protocol):
         ...
 
     def send(self, dq_rad_s: Array) -> bool:
-        """Velocity for the coming cycle, which the arm integrates; False if it refuses it."""
+        """Velocity for the coming cycle, which the arm integrates; False if it
+        refuses it.
+        """
         ...
 
 

@@ -1,13 +1,14 @@
 """Tasks: what joint velocities should do to the needle, as rows J dq = v.
 
-A task of the tip selects components S of its velocity and angular velocity, and returns to a goal:
+A task of the tip selects components S of its velocity and angular velocity, and returns
+to a goal:
 
     J = S J_tip,    v = w + K S e,    e = (g - p, log(R_d R^T))
 
-with p and R the tip's place and axes, g and R_d where they should be, w a wanted rate. So an error
-fades with time constant 1/K where no limit and no task above it is in the way. Errors are of
-*measured* positions; the loop is stable while K times the delay from measurement to motion stays
-below about 0.6. A stack is a list of tasks, the first wins.
+with p and R the tip's place and axes, g and R_d where they should be, w a wanted rate.
+So an error fades with time constant 1/K where no limit and no task above it is in the
+way. Errors are of *measured* positions; the loop is stable while K times the delay from
+measurement to motion stays below about 0.6. A stack is a list of tasks, the first wins.
 """
 
 from abc import abstractmethod
@@ -23,11 +24,12 @@ from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compil
 from urdf import Robot
 
 GAIN_PER_S = 30.0
-"""K of the constraints. 60 / s hold a pushed needle closer where positions are fine; where they are
-rounded to an encoder's steps they make the command rough."""
+"""K of the constraints. 60 / s hold a pushed needle closer where positions are fine;
+where they are rounded to an encoder's steps they make the command rough."""
 LONGEST_STEP_s = 0.02  # A sample that comes later moves the arm no more than this one
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-# Of w x r, the matrix on w, linear in r. On small arrays `dot` takes half the time of ``@``.
+# Of w x r, the matrix on w, linear in r. On small arrays `dot` takes half the time of
+# ``@``.
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1).reshape(9, 3)
 _NO_TURN = np.zeros(3)
 
@@ -40,8 +42,8 @@ class ToolState:
 
     Attributes:
         q_rad: Joint positions of the last `update`, shape (n,).
-        jacobian: Velocity of the tip (rows 0 to 2) and angular velocity (3 to 5) per joint
-            velocity, both in base axes, shape (6, n).
+        jacobian: Velocity of the tip (rows 0 to 2) and angular velocity (3 to 5) per
+            joint velocity, both in base axes, shape (6, n).
         pose: Of the tip in the base, homogeneous, shape (4, 4).
     """
 
@@ -87,7 +89,9 @@ class Task(Protocol):
 
 
 def vector(value: ArrayLike, size: int, name: str) -> Array:
-    """Numbers in an array of their own; `SettingError` if there are more, less or none."""
+    """Numbers in an array of their own; `SettingError` if there are more, less or
+    none.
+    """
     try:
         given = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -154,7 +158,8 @@ def _tip_task(
 
 
 class Fixture(TipTask):
-    """The needle moves along a line fixed in space and keeps its orientation; five rows.
+    """The needle moves along a line fixed in space and keeps its orientation; five
+    rows.
 
     Args:
         origin_m: A point g of the line, shape (3,).
@@ -186,7 +191,8 @@ class Fixture(TipTask):
 
 
 class TipVelocity(TipTask):
-    """A velocity of the tip, J_v dq = w + K (g - p), three rows; without g the velocity alone.
+    """A velocity of the tip, J_v dq = w + K (g - p), three rows; without g the velocity
+    alone.
 
     Args:
         velocity_m_s: w in base axes, shape (3,).
@@ -211,9 +217,11 @@ class TipVelocity(TipTask):
 
 
 class DecoupledMotion(TipTask):
-    """Linear and angular velocity set apart: neither moves what the other has not asked for.
+    """Linear and angular velocity set apart: neither moves what the other has not asked
+    for.
 
-    Feedback holds the place and the orientation that the wishes of `move` add up to; six rows.
+    Feedback holds the place and the orientation that the wishes of `move` add up to;
+    six rows.
 
     Args:
         tool: Where to begin.
@@ -238,7 +246,8 @@ class DecoupledMotion(TipTask):
     ) -> None:
         """Wish velocities in base axes, shape (3,) each, for the coming tick.
 
-        A longer time than `LONGEST_STEP_s` counts as that, one that is no positive number as none.
+        A longer time than `LONGEST_STEP_s` counts as that, one that is no positive
+        number as none.
         """
         behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
         behind_rad = np.linalg.norm(pin.log3(self.rotation @ tool.pose[:3, :3].T))
@@ -257,8 +266,9 @@ class RemoteCentre:
 
         e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
 
-    with N the tool's x and y axes, c the point: what the tool has there moves across the needle
-    towards it (after Aghakhani et al., ICRA 2013, without their unknown, its place on the needle).
+    with N the tool's x and y axes, c the point: what the tool has there moves across
+    the needle towards it (after Aghakhani et al., ICRA 2013, without their unknown, its
+    place on the needle).
 
     Args:
         point_m: The point c in the base, shape (3,).

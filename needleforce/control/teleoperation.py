@@ -1,7 +1,9 @@
-"""Teleoperation: a hand on a haptic device moves the needle and feels the force at its tip.
+"""Teleoperation: a hand on a haptic device moves the needle and feels the force at its
+tip.
 
-The device's side and the needle's side exchange packets over a line that may be late. Motion goes
-one way, scaled; force comes back, scaled and kept passive at both ends, see `passivity`.
+The device's side and the needle's side exchange packets over a line that may be late.
+Motion goes one way, scaled; force comes back, scaled and kept passive at both ends, see
+`passivity`.
 
     tele = Teleoperation(motion_scale=0.4, shown="tip")
     move = tele.update(device.read(), session_estimate, dt_s)
@@ -38,18 +40,20 @@ _CATCH_UP_PER_S = (
 _SPEED_LAG_S = (
     0.01  # low-pass on the speed of the handle, which comes from its encoder's steps
 )
-# A delayed spring drives a hand (a stiffness k takes k T of damping away: more than the usual T is
-# made up for), and so does unknown friction, both the more the less its motion is scaled down; and
-# it springs forward at a rupture. So what is not steady is damped: at least so much, and per scale.
+# A delayed spring drives a hand (a stiffness k takes k T of damping away: more than the
+# usual T is made up for), and so does unknown friction, both the more the less its
+# motion is scaled down; and it springs forward at a rupture. So what is not steady is
+# damped: at least so much, and per scale.
 _LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S, _USUAL_LAG_S = 15.0, 50.0, 0.3, 0.015
-# Where both oscillate all the same, by 3 Hz or more, damping grows up to the port's: of means over
-# so long, twice the square of the mean is no swing, nor is what is slow.
+# Where both oscillate all the same, by 3 Hz or more, damping grows up to the port's: of
+# means over so long, twice the square of the mean is no swing, nor is what is slow.
 _SWING_S, _STEADIER, _CALM_m_s = 0.12, 2.0, 3e-3
 _FADE_S = 0.05  # a force that is not known any more fades
-# Noise that is shown moves a light hand by millimetres per second, friction follows, and what comes
-# back has the opposite sign: neither the loop nor the identification stands that. So the shown
-# force is smooth, but never further from the known one, until a rupture shows at once for a while.
-# With travel it grows by the stiffness identified, at most so much: a force that grows is not late.
+# Noise that is shown moves a light hand by millimetres per second, friction follows,
+# and what comes back has the opposite sign: neither the loop nor the identification
+# stands that. So the shown force is smooth, but never further from the known one, until
+# a rupture shows at once for a while. With travel it grows by the stiffness identified,
+# at most so much: a force that grows is not late.
 _SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
 _RUPTURE_S, _AT_ONCE_S = 0.3, 0.014
 _COUPLING_S = (
@@ -58,8 +62,8 @@ _COUPLING_S = (
 _OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
 _HELD_S, _GAP_MEMORY_S = 0.02, 1.0
-"""Between two samples of the device its force stays; without one for so long it ends. For so long
-a gap between two of them may come again."""
+"""Between two samples of the device its force stays; without one for so long it ends.
+For so long a gap between two of them may come again."""
 _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 
 
@@ -85,15 +89,17 @@ class Line(Protocol[Packet]):
     """One way between the two sides."""
 
     def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
-        """Send a packet, let time pass, and return the newest that has arrived so far."""
+        """Send a packet, let time pass, and return the newest that has arrived so
+        far.
+        """
         ...
 
 
 def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     """The force to be felt [N], positive against insertion.
 
-    Never beyond the measured force nor against it: a friction estimate extrapolated to the speed
-    of a jump would else pull the hand, with energy that no tissue has given.
+    Never beyond the measured force nor against it: a friction estimate extrapolated to
+    the speed of a jump would else pull the hand, with energy that no tissue has given.
     """
     axial_N = estimate.wrench.axial_unsmoothed  # as the tip force, which is made of it
     if shown == "raw":
@@ -106,7 +112,9 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
 def _along(
     axis: Array, sample: MasterSample | None
 ) -> tuple[float, float, bool] | None:
-    """Place and speed along an axis, and the clutch; None if no handle can have such ones."""
+    """Place and speed along an axis, and the clutch; None if no handle can have such
+    ones.
+    """
     try:
         numbers = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
         clutch = bool(sample.clutch)  # type: ignore[union-attr]
@@ -142,7 +150,9 @@ class DeviceSide:
         )
 
     def release(self, travel_m: float = 0.0) -> None:
-        """No force is held any more, after about so much travel; begin from where the handle is."""
+        """No force is held any more, after about so much travel; begin from where
+        the handle is.
+        """
         self.port.release(travel_m)
         self.position_m, self.force_N, self._since_s = None, 0.0, _HELD_S
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
@@ -155,8 +165,8 @@ class DeviceSide:
     ) -> HandPacket:
         """Find the force to render, and return the packet to send.
 
-        Between samples of the handle, its place and speed inwards and the clutch, both stay: then
-        the energy through the port is known exactly.
+        Between samples of the handle, its place and speed inwards and the clutch, both
+        stay: then the energy through the port is known exactly.
         """
         self._since_s += dt_s
         if handle is None:
@@ -173,7 +183,8 @@ class DeviceSide:
         )
         self._coupled += (is_coupled - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
-        # A handle that moves changes its place; one that only says so repeats an old sample.
+        # A handle that moves changes its place; one that only says so repeats an old
+        # sample.
         self._still_s = self._still_s + dt_s if position_m == before_m else 0.0
         speed_m_s = 0.0 if self._still_s > _SILENCE_S else rate_m_s
         self._rate_m_s += (speed_m_s - self._rate_m_s) * dt_s / (_SPEED_LAG_S + dt_s)
@@ -196,11 +207,14 @@ class DeviceSide:
         return self._packet
 
     def _damping_for(self, swing_m_s: float, dt_s: float) -> float:
-        """Damping of what is not steady in the hand's motion [Ns/m]: more where it oscillates."""
+        """Damping of what is not steady in the hand's motion [Ns/m]: more where it
+        oscillates.
+        """
         part = dt_s / (_SWING_S + dt_s)
         self._swing_m_s += part * (swing_m_s - self._swing_m_s)
         self._square += part * (swing_m_s**2 - self._square)
-        # The mean square of a hand that springs forward is that of its mean, of a swing it is more.
+        # The mean square of a hand that springs forward is that of its mean, of a swing
+        # it is more.
         swing = max(self._square - _STEADIER * self._swing_m_s**2, 0.0)
         share, least = swing / (self._square + _CALM_m_s**2), self._damping_Ns_m
         # A light device that is read seldom would be thrown back by more.
@@ -209,7 +223,8 @@ class DeviceSide:
 
 
 class NeedleSide:
-    """The end at the robot: follows the hand within a speed limit, sends the force to be shown.
+    """The end at the robot: follows the hand within a speed limit, sends the force to
+    be shown.
 
     Energy at the hand is that at the needle times force scale / motion scale.
     """
@@ -272,19 +287,23 @@ class Teleoperation:
     """Both sides and the line between them, for a loop that has the device and the arm.
 
     Args:
-        axis: Direction of the handle, in the device's axes, that drives the needle inwards.
+        axis: Direction of the handle, in the device's axes, that drives the needle
+            inwards.
         motion_scale: Needle travel per travel of the handle, 0.1 to 1.
         force_scale: Force at the hand per force at the needle.
-        shown: Force at the tip; ``enhanced``, less friction of layers traversed; ``raw``, measured.
+        shown: Force at the tip; ``enhanced``, less friction of layers traversed;
+            ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle.
-        force_lag_s: Lag of the session's observer, one over its gain; a later force is damped more.
+        force_lag_s: Lag of the session's observer, one over its gain; a later force is
+            damped more.
         lines: From the device to the needle, and back; None for no delay.
 
     Attributes:
         shown_N: The force that is to be felt, before scale, delay and passivity.
 
     Raises:
-        SettingError: A scale out of range, a limit not positive, an unknown force, a zero axis.
+        SettingError: A scale out of range, a limit not positive, an unknown force, a
+            zero axis.
     """
 
     def __init__(
@@ -323,7 +342,8 @@ class Teleoperation:
     def reset(self) -> None:
         """Begin anew from where handle and needle are; accounts of energy go on.
 
-        Call it after a pause or a new zero of depth, or the needle makes up for the hand's motion.
+        Call it after a pause or a new zero of depth, or the needle makes up for the
+        hand's motion.
         """
         self.device.release()
         self.needle.start_m = None
@@ -334,9 +354,11 @@ class Teleoperation:
         """Take the device's newest sample and the newest force; never raises.
 
         Args:
-            sample: Of the haptic device, or None; one that no handle can have counts as none.
+            sample: Of the haptic device, or None; one that no handle can have counts as
+                none.
             estimate: Of the session: force and depth.
-            dt_s: Since the last call; if it does not advance, the needle stands, the force stays.
+            dt_s: Since the last call; if it does not advance, the needle stands, the
+                force stays.
         """
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:

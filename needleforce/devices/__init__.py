@@ -1,11 +1,12 @@
 """Real arms, force sensors and haptic devices, and emulators of them.
 
-Whoever has no arm runs the same program against an emulator, which speaks the device's own protocol
-from a process of its own, or on the simulated arm. Links bind and connect to loopback unless an
-address is named. What is malformed, old or foreign is counted in a `LinkReport`, never handed on.
+Whoever has no arm runs the same program against an emulator, which speaks the device's
+own protocol from a process of its own, or on the simulated arm. Links bind and connect
+to loopback unless an address is named. What is malformed, old or foreign is counted in
+a `LinkReport`, never handed on.
 
-Reading order: `proxy` (what a device offers, samples, reports), `fri` (KUKA LWR 4+), `rdt` (ATI Net
-F/T), `research_arms` (Franka, UR), `haptic`, `emulators`.
+Reading order: `proxy` (what a device offers, samples, reports), `fri` (KUKA LWR 4+),
+`rdt` (ATI Net F/T), `research_arms` (Franka, UR), `haptic`, `emulators`.
 """
 
 from needleforce.devices.fri import FriArm as FriArm

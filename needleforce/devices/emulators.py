@@ -1,7 +1,9 @@
-"""Emulators of an LWR's controller and of a Net F/T sensor, each in a process of its own.
+"""Emulators of an LWR's controller and of a Net F/T sensor, each in a process of its
+own.
 
-They speak the protocols of `fri` and `rdt` over loopback, in real time, and break on demand: lost,
-late, reordered, repeated, truncated packets, garbage, silence, a connection that gets worse.
+They speak the protocols of `fri` and `rdt` over loopback, in real time, and break on
+demand: lost, late, reordered, repeated, truncated packets, garbage, silence, a
+connection that gets worse.
 """
 
 import multiprocessing
@@ -62,7 +64,8 @@ class _Wire(DatagramLink):
 
     def received(self, end_s: float) -> Iterator[tuple[bytes, tuple[str, int]]]:
         """Datagrams that come before a time, and from where: from anywhere."""
-        # `select` waits for microseconds, a socket's own timeout for whole milliseconds.
+        # `select` waits for microseconds, a socket's own timeout for whole
+        # milliseconds.
         while (left_s := end_s - time.monotonic()) > 0.0:
             if select.select([self._socket], [], [], left_s)[0]:
                 with suppress(ConnectionError, BlockingIOError):  # nobody listens yet
@@ -100,8 +103,9 @@ class Emulator(AbstractContextManager["Emulator"]):
     """A process that emulates a device; for the ``with`` statement.
 
     Args:
-        work: Module-level function: takes a connection to this process and the settings; sends
-            what is `ready`, ends when something comes back, and returns counts.
+        work: Module-level function: takes a connection to this process and the
+            settings; sends what is `ready`, ends when something comes back, and returns
+            counts.
         settings: Passed on.
 
     Attributes:
@@ -131,7 +135,9 @@ class Emulator(AbstractContextManager["Emulator"]):
         )
 
     def counts(self, wait_s: float | None = None) -> dict[str, Any]:
-        """What it has counted, once it has ended by itself, however long that takes if None."""
+        """What it has counted, once it has ended by itself, however long that takes
+        if None.
+        """
         found = self._reply(wait_s)
         self._process.join(START_s)
         return found
@@ -157,7 +163,8 @@ def _run(
 class FriSettings:
     """What the emulated controller does.
 
-    Rows of the signals are sent in turn, one a cycle; commands move only the reported command.
+    Rows of the signals are sent in turn, one a cycle; commands move only the reported
+    command.
     """
 
     port: int  # to which it sends
@@ -221,7 +228,9 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class RdtSettings:
-    """What the emulated sensor does: rows of wrenches are sent over and over once it is asked."""
+    """What the emulated sensor does: rows of wrenches are sent over and over once it
+    is asked.
+    """
 
     wrench: Array  # force [N] and torque [Nm], shape (m, 6)
     rate_hz: float = 7000.0

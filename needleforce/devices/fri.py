@@ -1,7 +1,8 @@
 """KUKA LWR 4+ through the Fast Research Interface 1.0 of its controller (KRC2 lr).
 
-The controller sends a measurement of 916 bytes every cycle and wants a command of 376 bytes back
-within it. A cycle is answered before its sample is handed on, with the motion asked for before.
+The controller sends a measurement of 916 bytes every cycle and wants a command of 376
+bytes back within it. A cycle is answered before its sample is handed on, with the
+motion asked for before.
 """
 
 from collections.abc import Iterator
@@ -41,8 +42,8 @@ def _packet(size: int, fields: dict[str, tuple[object, int]]) -> np.dtype:
     return np.dtype(table)  # pyright: ignore[reportCallIssue, reportArgumentType]
 
 
-# Little endian; from published descriptions of the interface (Schreiber, Stemmer, Bischoff, ICRA
-# 2010 workshop, and public drivers). Only what is used here.
+# Little endian; from published descriptions of the interface (Schreiber, Stemmer,
+# Bischoff, ICRA 2010 workshop, and public drivers). Only what is used here.
 _MEASURED = {
     "stamp_s": ("<f4", 140),
     "state": ("<u2", 144),
@@ -60,7 +61,8 @@ COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS),
 COMMAND_KIND, POSITION_FLAG = 0x1005, 0x1
 SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
 LONGEST_COUNTED_s = 1.0
-"""Of a longer gap the counter may have gone round or begun anew: our own clock says how long."""
+"""Of a longer gap the counter may have gone round or begun anew: our own clock says
+how long."""
 MOST_WAIT_s = 3600.0  # A socket waits for no infinite time
 LATEST_s = 0.1  # By which one datagram may come later than others
 
@@ -83,7 +85,9 @@ class Quality(IntEnum):
 
 
 def read_measurement(data: bytes) -> np.void | None:
-    """Decode a datagram; None if it is no measurement of this version, or has impossible values."""
+    """Decode a datagram; None if it is no measurement of this version, or has
+    impossible values.
+    """
     if len(data) != MEASUREMENT.itemsize:
         return None
     found = np.frombuffer(data, MEASUREMENT)[0]
@@ -108,15 +112,17 @@ def read_measurement(data: bytes) -> np.void | None:
 class FriArm(DatagramLink):
     """The arm at the end of the interface.
 
-    In monitor mode every answer mirrors the position that the controller commands, as it demands.
-    In command mode, which the program on the controller begins (friStart), with a good or perfect
-    connection and no error, velocities given to `send` are integrated. The interface transmits no
-    velocity: samples have ``dq_rad_s=None``. After `close` the controller goes to monitor mode.
+    In monitor mode every answer mirrors the position that the controller commands, as
+    it demands. In command mode, which the program on the controller begins (friStart),
+    with a good or perfect connection and no error, velocities given to `send` are
+    integrated. The interface transmits no velocity: samples have ``dq_rad_s=None``.
+    After `close` the controller goes to monitor mode.
 
     Args:
         host: Address of this machine on which the controller sends.
         port: The port set in its configuration; 0 for any free one, see `address`.
-        peer: Address or name of the controller; others are dropped. None: who is valid first.
+        peer: Address or name of the controller; others are dropped. None: who is valid
+            first.
         wait_s: A silence longer than this counts as an outage.
         give_up_s: After so long without a valid measurement the samples end.
         robot: The model of the arm, kept for those who need both.
@@ -174,8 +180,8 @@ class FriArm(DatagramLink):
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Joint velocity for the coming cycles [rad/s], shape (7,).
 
-        It holds for five cycles; then the arm is held where it is. False where the arm takes no
-        commands, and for numbers that are not finite.
+        It holds for five cycles; then the arm is held where it is. False where the arm
+        takes no commands, and for numbers that are not finite.
         """
         velocity = np.array(dq_rad_s, dtype=float)
         is_usable = velocity.shape == (JOINTS,) and bool(np.isfinite(velocity).all())
@@ -194,7 +200,8 @@ class FriArm(DatagramLink):
         if found is None:
             self.report.malformed += 1
             return
-        # Both this and the last may have waited to be read: no more time is between them.
+        # Both this and the last may have waited to be read: no more time is between
+        # them.
         cycles, most_s = 1, now_s - self._after_s + LATEST_s
         # The period as it was meant: 1 ms is not a number of 32 bits.
         period_s = round(float(found["period_s"]), 6)

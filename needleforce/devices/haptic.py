@@ -1,8 +1,10 @@
-"""A haptic device a lab can buy: Haply's Inverse3, through its local service; and an emulator.
+"""A haptic device a lab can buy: Haply's Inverse3, through its local service; and an
+emulator.
 
-The service speaks JSON over a websocket on this machine, in its format 3.1 as public examples show
-it. It sends the state of its devices, and the next one after a force has come. The clutch is button
-A of the grip where there is one; without a grip the hand always moves the needle.
+The service speaks JSON over a websocket on this machine, in its format 3.1 as public
+examples show it. It sends the state of its devices, and the next one after a force has
+come. The clutch is button A of the grip where there is one; without a grip the hand
+always moves the needle.
 """
 
 import json
@@ -30,7 +32,8 @@ LOST_s = 0.1  # After so long a silence the force is asked for again
 
 
 class HaplyMaster(Link):
-    """An impedance device of three degrees of freedom; forces above `most_force_N` are shortened.
+    """An impedance device of three degrees of freedom; forces above `most_force_N` are
+    shortened.
 
     Raises:
         MissingClientError: websockets is not installed.
@@ -57,7 +60,9 @@ class HaplyMaster(Link):
         self._begin_s = self._last_s = self._asked_s = time.monotonic()
 
     def read(self) -> MasterSample | None:
-        """The newest state, or None: nothing has come, or the device is gone; see `report`."""
+        """The newest state, or None: nothing has come, or the device is gone; see
+        `report`.
+        """
         found, now_s = None, time.monotonic()
         with suppress(TimeoutError, self._gone):
             while True:
@@ -76,7 +81,9 @@ class HaplyMaster(Link):
         return found
 
     def render(self, force_N: ArrayLike) -> None:
-        """Force on the hand [N], shape (3,), sent with the next state; zero if it is not finite."""
+        """Force on the hand [N], shape (3,), sent with the next state; zero if it is
+        not finite.
+        """
         force = np.array(force_N, dtype=float)
         if force.shape != (3,) or not np.isfinite(force).all():
             force = np.zeros(3)
@@ -121,10 +128,12 @@ class HaplyMaster(Link):
 def emulate_haply(
     pipe: Connection, wish_m: np.ndarray, period_s: float = 1e-3
 ) -> dict[str, Any]:
-    """The service with one device in an emulated operator's hand; a function for `Emulator`.
+    """The service with one device in an emulated operator's hand; a function for
+    `Emulator`.
 
-    The person wants the handle at ``wish_m``: a row per period, shape (m, 3); the last row holds
-    from then on. It returns how many cycles passed, and the energy that went through the handle.
+    The person wants the handle at ``wish_m``: a row per period, shape (m, 3); the last
+    row holds from then on. It returns how many cycles passed, and the energy that went
+    through the handle.
     """
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.server import ServerConnection, serve

@@ -1,7 +1,9 @@
-"""What every device offers, real or emulated, and how a link reports what it has missed.
+"""What every device offers, real or emulated, and how a link reports what it has
+missed.
 
-An arm is iterated over: one sample per cycle, in SI units; what the interface lacks is None. Arms
-and haptic devices satisfy the protocols of `needleforce.control.ports`, as the simulated ones do.
+An arm is iterated over: one sample per cycle, in SI units; what the interface lacks is
+None. Arms and haptic devices satisfy the protocols of `needleforce.control.ports`, as
+the simulated ones do.
 """
 
 import socket
@@ -19,7 +21,9 @@ Array = NDArray[np.float64]
 
 
 class DeviceError(Exception):
-    """Base of all errors of this package; each of the others is also a standard exception."""
+    """Base of all errors of this package; each of the others is also a standard
+    exception.
+    """
 
 
 class DeviceSettingError(DeviceError, ValueError):
@@ -27,7 +31,9 @@ class DeviceSettingError(DeviceError, ValueError):
 
 
 class LinkError(DeviceError, ConnectionError):
-    """A device that cannot be reached, does not answer or has stayed away for too long."""
+    """A device that cannot be reached, does not answer or has stayed away for too
+    long.
+    """
 
 
 class MissingClientError(DeviceError, ImportError):
@@ -35,7 +41,9 @@ class MissingClientError(DeviceError, ImportError):
 
 
 def client(module: str, package: str) -> Any:
-    """A module of a vendor's library; `MissingClientError` where it is not installed."""
+    """A module of a vendor's library; `MissingClientError` where it is not
+    installed.
+    """
     try:
         return import_module(module)
     except ImportError as error:
@@ -58,8 +66,10 @@ class ArmSample(NamedTuple):
         dt_s: Time since the previous sample, by the arm's own count of cycles.
         q_rad: Joint positions, shape (n,).
         dq_rad_s: Joint velocities, shape (n,); None where the interface has none.
-        tau_Nm: Torques measured behind the gears, with gravity, shape (n,); None where it has none.
-        external_Nm: The arm's own estimate of the external torques, shape (n,), or None.
+        tau_Nm: Torques measured behind the gears, with gravity, shape (n,); None where
+            it has none.
+        external_Nm: The arm's own estimate of the external torques, shape (n,), or
+            None.
         missed: Cycles since the previous sample that brought nothing valid.
         accepts_commands: Whether the arm would move now.
         current_A: Motor currents of an arm without torque sensors, shape (n,), or None.
@@ -88,7 +98,9 @@ class LinkReport:
     longest_gap_s: float = 0.0  # between two valid ones
 
     def use(self, cycles: int, gap_s: float) -> None:
-        """Count a sample that came so many cycles, and so long, after the one before."""
+        """Count a sample that came so many cycles, and so long, after the one
+        before.
+        """
         self.used += 1
         self.missed += cycles - 1
         self.longest_gap_s = max(self.longest_gap_s, gap_s)
@@ -112,7 +124,9 @@ class MasterSample(NamedTuple):
 
 
 def paced(arm: Iterable[ArmSample]) -> Iterator[ArmSample]:
-    """The samples of a recorded arm in real time: each waits until its time has come."""
+    """The samples of a recorded arm in real time: each waits until its time has
+    come.
+    """
     due_s = monotonic()
     for sample in arm:
         due_s += sample.dt_s
@@ -131,7 +145,9 @@ class Link:
         self.report, self._is_open = LinkReport(), True
 
     def end(self) -> None:
-        """Let the samples end, at the latest with the present wait; a signal handler may."""
+        """Let the samples end, at the latest with the present wait; a signal handler
+        may.
+        """
         self._is_open = False
 
     def close(self) -> None:
@@ -154,12 +170,16 @@ class ReadOnlyArm(Link):
 
 
 class ReplayArm(ReadOnlyArm):
-    """Recorded joint signals as an `Arm` that takes no commands; reports how many it gave out."""
+    """Recorded joint signals as an `Arm` that takes no commands; reports how many it
+    gave out.
+    """
 
     def __init__(
         self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array
     ) -> None:
-        """Take m samples: time steps, shape (m,), the others (m, n); velocities may be None."""
+        """Take m samples: time steps, shape (m,), the others (m, n); velocities may
+        be None.
+        """
         super().__init__()
         self.joints = q_rad.shape[1]
         dq = [None] * len(dt_s) if dq_rad_s is None else dq_rad_s
@@ -175,7 +195,9 @@ class ReplayArm(ReadOnlyArm):
 
 
 def resolved(host: str) -> str:
-    """The numeric address of a host, which its datagrams bear; `LinkError` for an unknown name."""
+    """The numeric address of a host, which its datagrams bear; `LinkError` for an
+    unknown name.
+    """
     try:
         return socket.gethostbyname(host)
     except (OSError, ValueError) as error:
@@ -222,7 +244,9 @@ class DatagramLink(Link):
         )  # When last nothing waited to be read: what came, came later
 
     def _receive(self, timeout_s: float) -> bytes | None:
-        """The next datagram that may be the peer's; None when none came in time (0: now)."""
+        """The next datagram that may be the peer's; None when none came in time (0:
+        now).
+        """
         deadline_s, is_empty = monotonic() + timeout_s, False
         while True:
             asked_s = monotonic()
@@ -245,7 +269,9 @@ class DatagramLink(Link):
             self.report.foreign += 1
 
     def _send(self, data: bytes, to: tuple[str, int] | None = None) -> None:
-        """Send to the peer, or to an address; what the network refuses is lost, as on a wire."""
+        """Send to the peer, or to an address; what the network refuses is lost, as
+        on a wire.
+        """
         if target := to or self.peer:
             with suppress(OSError):
                 self._socket.sendto(data, target)

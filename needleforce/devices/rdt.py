@@ -1,7 +1,8 @@
 """ATI Net F/T: force and torque through its raw data transfer (RDT).
 
-One request begins the stream; records of 36 bytes come back, one to a datagram or, buffered, forty.
-Numbers are big endian; counts per newton are set in the sensor and read from it, never assumed.
+One request begins the stream; records of 36 bytes come back, one to a datagram or,
+buffered, forty. Numbers are big endian; counts per newton are set in the sensor and
+read from it, never assumed.
 """
 
 import struct
@@ -55,7 +56,8 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     """Ask the sensor's page of its calibration for its counts.
 
     Raises:
-        LinkError: The page cannot be read, names no counts, or counts per another unit than SI.
+        LinkError: The page cannot be read, names no counts, or counts per another unit
+            than SI.
     """
     try:
         with urlopen(url, timeout=timeout_s) as reply:
@@ -96,8 +98,10 @@ class NetFT(DatagramLink):
         status: Word of the last record; 0 when all is well.
 
     Raises:
-        LinkError: The sensor's name is unknown, its page cannot be read, or no port is free.
-        DeviceSettingError: A scale that is not two positive numbers, or a port that is none.
+        LinkError: The sensor's name is unknown, its page cannot be read, or no port is
+            free.
+        DeviceSettingError: A scale that is not two positive numbers, or a port that is
+            none.
     """
 
     def __init__(
@@ -134,9 +138,11 @@ class NetFT(DatagramLink):
         self._request(self._mode)
 
     def read(self) -> Array | None:
-        """The newest wrench of all that have come: force [N], torque [Nm], shape (6,); else None.
+        """The newest wrench of all that have come: force [N], torque [Nm], shape (6,);
+        else None.
 
-        Raises nothing: `report` counts malformed and old ones. After 1 s of silence it asks anew.
+        Raises nothing: `report` counts malformed and old ones. After 1 s of silence it
+        asks anew.
         """
         found = None
         while self._is_open and (data := self._receive(0.0)) is not None:
@@ -147,7 +153,9 @@ class NetFT(DatagramLink):
         return found
 
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
-        """Every wrench as it comes, shape (6,); None after a silence: it is asked for again."""
+        """Every wrench as it comes, shape (6,); None after a silence: it is asked
+        for again.
+        """
         while self._is_open:
             data = self._receive(wait_s)
             if data is None:
@@ -157,7 +165,9 @@ class NetFT(DatagramLink):
                 yield from self._records(data)
 
     def bias(self) -> None:
-        """Take the last reading for zero, here; the sensor's own zero stays as it is."""
+        """Take the last reading for zero, here; the sensor's own zero stays as it
+        is.
+        """
         self._zero = self._newest.copy()
 
     def unbias(self) -> None:

@@ -1,6 +1,8 @@
-"""Arms whose vendors' client libraries are on the package index: Franka FER and UR e-Series.
+"""Arms whose vendors' client libraries are on the package index: Franka FER and UR
+e-Series.
 
-Both are read only here: samples in, no commands. The clients are imported when an arm is opened.
+Both are read only here: samples in, no commands. The clients are imported when an arm
+is opened.
 """
 
 from collections.abc import Iterator
@@ -36,7 +38,9 @@ class _VendorArm(ReadOnlyArm):
     def _checked(
         self, time_s: float, q: Array, *others: Array | None
     ) -> Iterator[ArmSample]:
-        """Position, velocity, torque, external torque as a sample, if they are valid and new."""
+        """Position, velocity, torque, external torque as a sample, if they are valid
+        and new.
+        """
         report, gap_s = self.report, time_s - self._last_s
         given = [each for each in (q, *others) if each is not None]
         if not all(np.isfinite(x).all() and len(x) == self.joints for x in given):
@@ -53,7 +57,8 @@ class _VendorArm(ReadOnlyArm):
 
 
 class FrankaArm(_VendorArm):
-    """A Franka FER (Panda) through libfranka: 1 kHz; `external_Nm` is its own filtered estimate.
+    """A Franka FER (Panda) through libfranka: 1 kHz; `external_Nm` is its own filtered
+    estimate.
 
     Raises:
         MissingClientError: panda-python is not installed.
@@ -85,14 +90,17 @@ class FrankaArm(_VendorArm):
 
 
 class UrArm(_VendorArm):
-    """A UR e-Series arm through RTDE: 500 Hz; torques are motor currents times a constant.
+    """A UR e-Series arm through RTDE: 500 Hz; torques are motor currents times a
+    constant.
 
-    Without the constants there are currents only: see docs/panda.md for what a UR can give.
+    Without the constants there are currents only: see docs/panda.md for what a UR can
+    give.
 
     Raises:
         MissingClientError: ur_rtde is not installed.
         LinkError: The arm does not answer.
-        DeviceSettingError: Constants that are not six positive numbers, or no positive rate.
+        DeviceSettingError: Constants that are not six positive numbers, or no positive
+            rate.
     """
 
     def __init__(
@@ -122,7 +130,9 @@ class UrArm(_VendorArm):
             raise LinkError(f"no UR arm at {host}: {error}") from error
 
     def __iter__(self) -> Iterator[ArmSample]:
-        """Samples as they come; the client keeps only the newest, so some are missed."""
+        """Samples as they come; the client keeps only the newest, so some are
+        missed.
+        """
         while self._is_open and self._arm.isConnected():
             time_s = self._arm.getTimestamp()
             if time_s > self._last_s:

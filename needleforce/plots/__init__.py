@@ -2,8 +2,9 @@
 
 matplotlib and jinja2 are imported only when something is drawn.
 
-Reading order: `chart` (charts as plain data, saved as PNG, SVG or PDF), `palette` (colours, line
-styles, words of an axis), `page` (one HTML file with figures, tables and text inside).
+Reading order: `chart` (charts as plain data, saved as PNG, SVG or PDF), `palette`
+(colours, line styles, words of an axis), `page` (one HTML file with figures, tables and
+text inside).
 """
 
 from needleforce.plots import palette as palette

@@ -1,10 +1,10 @@
 """Charts: panels over one x axis, drawn with matplotlib for the screen and for print.
 
-A chart is plain data, so what it shows can be tested without drawing it. Equal charts give equal
-bytes.
+A chart is plain data, so what it shows can be tested without drawing it. Equal charts
+give equal bytes.
 
-    chart = Chart(title="…", x_label=palette.TIME, panels=(Panel(y_label=palette.FORCE, …),))
-    save_figure(chart.within(10.0, 20.0), "forces.pdf")
+    chart = Chart(title="…", x_label=palette.TIME, panels=(Panel(y_label=palette.FORCE,
+    …),)) save_figure(chart.within(10.0, 20.0), "forces.pdf")
 """
 
 import re
@@ -62,7 +62,9 @@ class LineStyle:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Curve:
-    """One line of a panel, arrays of one shape (n,); a value that is not finite is not drawn."""
+    """One line of a panel, arrays of one shape (n,); a value that is not finite is
+    not drawn.
+    """
 
     style: LineStyle
     x: Array
@@ -85,7 +87,9 @@ class Curve:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """One of the panels that share the x axis of a chart; its last curve is drawn on top."""
+    """One of the panels that share the x axis of a chart; its last curve is drawn on
+    top.
+    """
 
     y_label: str
     curves: tuple[Curve, ...]
@@ -96,7 +100,9 @@ class Panel:
 
 
 class Shading(NamedTuple):
-    """Spans of the x axis behind the curves of every panel, each at least so wide that it shows."""
+    """Spans of the x axis behind the curves of every panel, each at least so wide
+    that it shows.
+    """
 
     label: str
     color: str
@@ -113,12 +119,15 @@ class Instants(NamedTuple):
 
 
 WIDTH_IN, WIDE_IN = 4.4, 8.4
-"""Beside another chart (its letters can be read at the width of a phone), and alone on a page."""
+"""Beside another chart (its letters can be read at the width of a phone), and alone
+on a page."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chart:
-    """Panels below each other over one x axis, with one legend below them; at least one panel."""
+    """Panels below each other over one x axis, with one legend below them; at least
+    one panel.
+    """
 
     title: str  # first line: what is shown, in bold; further lines: of which run
     x_label: str
@@ -137,7 +146,9 @@ class Chart:
             raise ChartError(f"chart {self.title!r} has no panel; give at least one")
 
     def within(self, first: float, last: float) -> "Chart":
-        """The same between two places of the x axis, with y axes for what is seen there."""
+        """The same between two places of the x axis, with y axes for what is seen
+        there.
+        """
         if not first < last:
             raise ChartError(
                 f"window from {first:g} to {last:g}; the end must lie after the start"
@@ -186,7 +197,9 @@ _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 
 
 def printable(text: str) -> str:
-    r"""Text that XML and UTF-8 can hold: bytes of a file name that cannot become ``\udcff``."""
+    r"""Text that XML and UTF-8 can hold: bytes of a file name that cannot become
+    ``\udcff``.
+    """
     return _NOT_TEXT.sub(
         lambda found: found.group().encode("unicode_escape").decode(), text
     )
@@ -322,7 +335,9 @@ def _mark_what_is_cut(
 
 
 def _legend(figure: "Figure", places: list["Axes"], chart: Chart) -> int:
-    """One legend for all panels, below them, where it hides nothing; returns its rows."""
+    """One legend for all panels, below them, where it hides nothing; returns its
+    rows.
+    """
     shown: dict[str, Any] = {}
     for axes in places:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -352,8 +367,9 @@ FORMATS: dict[str, dict[str, Any]] = {
 def require_matplotlib(what: str, path: str | Path | None = None) -> None:
     """Find out before the work what could not be drawn after it.
 
-    `MissingExtraError` if matplotlib or jinja2 is not installed, which ``what``, such as
-    ``--report``, needs; `ChartError` if the path of a figure does not end in one of `FORMATS`.
+    `MissingExtraError` if matplotlib or jinja2 is not installed, which ``what``, such
+    as ``--report``, needs; `ChartError` if the path of a figure does not end in one of
+    `FORMATS`.
     """
     if path is not None and Path(path).suffix.lower() not in FORMATS:
         raise ChartError(
@@ -370,7 +386,8 @@ def require_matplotlib(what: str, path: str | Path | None = None) -> None:
 
 
 def save_figure(chart: Chart, path: str | Path) -> Path:
-    """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name; returns its path.
+    """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name; returns
+    its path.
 
     Raises as `require_matplotlib`, and `WriteError` if the file cannot be written.
     """
@@ -384,13 +401,16 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
         draw(chart).savefig(content, format=suffix[1:], **FORMATS[suffix])
     drawn = content.getvalue()
     if suffix == ".svg":
-        # A tenth of a point is finer than any line; the other digits are half of the file.
+        # A tenth of a point is finer than any line; the other digits are half of the
+        # file.
         drawn = re.sub(rb" \nL (-?\d+\.\d)\d* (-?\d+\.\d)\d*", rb"L\1 \2", drawn)
     return write_file(path, drawn)
 
 
 def write_file(path: str | Path, content: bytes) -> Path:
-    """Write a file whole, or raise `WriteError`: a full disk leaves the older one as it was."""
+    """Write a file whole, or raise `WriteError`: a full disk leaves the older one as
+    it was.
+    """
     try:
         with whole_file(path) as file:
             file.write(content)

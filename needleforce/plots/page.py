@@ -27,7 +27,9 @@ class PageFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageTable:
-    """A table of a page; raises `ChartError` where a row is longer or shorter than the head."""
+    """A table of a page; raises `ChartError` where a row is longer or shorter than
+    the head.
+    """
 
     caption: str  # stands above
     head: tuple[str, ...]  # of the columns; empty texts for none
@@ -61,7 +63,9 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """Title, paragraphs under it, and sections, listed above where there are at least three."""
+    """Title, paragraphs under it, and sections, listed above where there are at
+    least three.
+    """
 
     title: str
     lead: tuple[str, ...] = ()
@@ -85,7 +89,9 @@ class Page:
 
 
 def _data_uri(path: Path) -> str:
-    """As an image, not as elements of the page: names inside two drawings cannot clash."""
+    """As an image, not as elements of the page: names inside two drawings cannot
+    clash.
+    """
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -96,14 +102,18 @@ def _data_uri(path: Path) -> str:
 
 
 def write_page(path: str | Path, page: Page) -> Path:
-    """Write a page as HTML file, whole or not at all (`WriteError`), and return its path."""
+    """Write a page as HTML file, whole or not at all (`WriteError`), and return its
+    path.
+    """
     return charts.write_file(path, page.html().encode())
 
 
 def save_page_figure(
     chart: charts.Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
 ) -> PageFigure:
-    """Save a chart as a figure of a page; one that stands alone also as ``NAME-wide``."""
+    """Save a chart as a figure of a page; one that stands alone also as
+    ``NAME-wide``.
+    """
     wide = None
     if is_alone:
         place = path.with_stem(f"{path.stem}-wide")
@@ -141,7 +151,9 @@ def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
 
 @contextmanager
 def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
-    """Make the folder of a report (if any) before the work; if it stays empty, remove it after."""
+    """Make the folder of a report (if any) before the work; if it stays empty,
+    remove it after.
+    """
     if path is None:
         yield None
         return

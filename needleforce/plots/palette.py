@@ -1,8 +1,8 @@
 """Colours, line styles and the words on axes, in one place.
 
-The hues are those of Okabe and Ito, which colour-blind eyes can separate; every role has a line
-style of its own as well, for print. Where curves coincide, broad pale ones are drawn below and
-thin dashed or dotted ones above, so that all are seen.
+The hues are those of Okabe and Ito, which colour-blind eyes can separate; every role
+has a line style of its own as well, for print. Where curves coincide, broad pale ones
+are drawn below and thin dashed or dotted ones above, so that all are seen.
 """
 
 from dataclasses import replace
@@ -28,7 +28,8 @@ DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
 TRUE = LineStyle(color=BLACK, width_pt=0.9)
 # A part of the true force, or a true parameter, drawn over others.
 TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
-# Drawn below the others: the force an identifier is given, and another sensor's for comparison.
+# Drawn below the others: the force an identifier is given, and another sensor's for
+# comparison.
 READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
 OTHER_SENSOR = LineStyle(color=GREY, width_pt=4.0, opacity=0.4)
 OTHER_DASHED = LineStyle(color="#555555", dash=DASHED, width_pt=0.9)

@@ -1,13 +1,14 @@
 """Logs in and out: which column is which channel, and in which unit.
 
-`read_log` turns a file (CSV, npz, Parquet, ROS 2 bag) into a `Log` in SI units; `write_table` and
-`write_log` write results. A `ColumnMapping`, from a small TOML file or the command line, says which
-columns to use where their names do not. Row by row, whatever the length: `stream_tables` and
-`LogStream` in, `open_table` out.
+`read_log` turns a file (CSV, npz, Parquet, ROS 2 bag) into a `Log` in SI units;
+`write_table` and `write_log` write results. A `ColumnMapping`, from a small TOML file
+or the command line, says which columns to use where their names do not. Row by row,
+whatever the length: `stream_tables` and `LogStream` in, `open_table` out.
 
-Reading order: `open_recording`, `table` (what a file holds, and time), `channels` (units and usual
-names), `mapping`, `log`. The formats: `follow` (bytes as they come), `csv_file`, `columnar` (npz,
-Parquet); ROS 2 bags: `bag_reader`, `bag_messages`, `bag_types`. Writing: `output`.
+Reading order: `open_recording`, `table` (what a file holds, and time), `channels`
+(units and usual names), `mapping`, `log`. The formats: `follow` (bytes as they come),
+`csv_file`, `columnar` (npz, Parquet); ROS 2 bags: `bag_reader`, `bag_messages`,
+`bag_types`. Writing: `output`.
 """
 
 from needleforce.recordings.channels import CHANNELS as CHANNELS

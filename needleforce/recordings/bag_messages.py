@@ -1,4 +1,6 @@
-"""The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` the records of MCAP."""
+"""The messages of a ROS 2 bag as bytes: `rosbags` reads SQLite, `mcap` the records
+of MCAP.
+"""
 
 import heapq
 import io
@@ -39,7 +41,9 @@ class BagTopic(NamedTuple):
 
 
 class RawMessage(NamedTuple):
-    """A serialised message: its topic, when it was recorded on the recorder's clock, its bytes."""
+    """A serialised message: its topic, when it was recorded on the recorder's clock,
+    its bytes.
+    """
 
     topic: BagTopic
     log_ns: int
@@ -47,11 +51,14 @@ class RawMessage(NamedTuple):
 
 
 NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
-"""Stands in place of a message wherever more of a growing bag may have to be waited for."""
+"""Stands in place of a message wherever more of a growing bag may have to be waited
+for."""
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path names a ROS 2 bag: by its suffix, or as a folder that holds one."""
+    """Return whether a path names a ROS 2 bag: by its suffix, or as a folder that
+    holds one.
+    """
     return path.name.lower().endswith(BAG_SUFFIXES) or (
         path.is_dir() and bool(_storage(path))
     )
@@ -71,11 +78,13 @@ def _storage(folder: Path) -> list[Path]:
 def read_messages(
     path: Path, faults: list[str], max_bytes: int, options: FollowOptions | None = None
 ) -> Iterator[RawMessage]:
-    """Read messages as they were recorded; of a damaged or cut MCAP file those that can be had.
+    """Read messages as they were recorded; of a damaged or cut MCAP file those that can
+    be had.
 
-    `faults` gets what is wrong with the files, one sentence each. With options, a growing MCAP file
-    is followed until its recorder finishes it, and `NONE_YET` comes each time before more is waited
-    for. A chunk or message may take an eighth of `max_bytes` when unpacked.
+    `faults` gets what is wrong with the files, one sentence each. With options, a
+    growing MCAP file is followed until its recorder finishes it, and `NONE_YET` comes
+    each time before more is waited for. A chunk or message may take an eighth of
+    `max_bytes` when unpacked.
     """
     optional_library("rosbags.typesys", "ROS 2 bags")
 
@@ -101,14 +110,17 @@ def read_messages(
             ".zstd must be unpacked: zstd -d"
         )
     files = list(map(messages, found))
-    # Files may have been recorded side by side; of a bag split into many, one at a time is open.
+    # Files may have been recorded side by side; of a bag split into many, one at a time
+    # is open.
     if len(files) > _MOST_OPEN:
         return chain.from_iterable(files)
     return heapq.merge(*files, key=attrgetter("log_ns"))
 
 
 def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
-    """Return what compressed bytes hold as far as it can be had, little more than `size` bytes."""
+    """Return what compressed bytes hold as far as it can be had, little more than
+    `size` bytes.
+    """
     zstd = optional_library("zstandard", "bags compressed with zstd")
     if compression == "zstd":
         stream = zstd.ZstdDecompressor().stream_reader(packed)
@@ -121,7 +133,8 @@ def _unpacked(packed: bytes, compression: str, size: int) -> bytes:
         )
     found = bytearray()
     with suppress(zstd.ZstdError, RuntimeError, EOFError):
-        # In blocks: what precedes a damaged place is kept, and a bomb is left before it grows.
+        # In blocks: what precedes a damaged place is kept, and a bomb is left before it
+        # grows.
         while len(found) <= size and (part := stream.read(1 << 16)):
             found += part
     return bytes(found)
@@ -145,7 +158,9 @@ _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
 
 
 def _records(data: bytes | bytearray, at: int = 0) -> Iterator[tuple[int, int, int]]:
-    """Yield number, start and end of the content of records; the last may end behind the data."""
+    """Yield number, start and end of the content of records; the last may end behind
+    the data.
+    """
     while len(data) - at >= _HEAD.size:
         opcode, size = _HEAD.unpack_from(data, at)
         at += _HEAD.size
@@ -154,7 +169,8 @@ def _records(data: bytes | bytearray, at: int = 0) -> Iterator[tuple[int, int, i
 
 
 class _McapReader:
-    """Reads the messages of one MCAP file from its start as far as it goes; its end may miss.
+    """Reads the messages of one MCAP file from its start as far as it goes; its end may
+    miss.
 
     A record, and what a chunk holds when unpacked, may have `limit` bytes.
     """
@@ -168,7 +184,9 @@ class _McapReader:
         self._at, self._is_over = 0, False
 
     def messages(self, options: FollowOptions | None) -> Iterator[RawMessage]:
-        """Yield the messages, and `NONE_YET` before more of a growing file is waited for."""
+        """Yield the messages, and `NONE_YET` before more of a growing file is waited
+        for.
+        """
         held, growing = bytearray(), options is not None
         options = options or FollowOptions()
         head, blocks = head_of(byte_blocks(self._path, options), len(MAGIC))
@@ -180,7 +198,8 @@ class _McapReader:
                 return
             if growing:
                 yield NONE_YET
-        # A growing file may end after any record, and anywhere if it is the user who stops.
+        # A growing file may end after any record, and anywhere if it is the user who
+        # stops.
         if not growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
         for opcode, start, _ in _records(held):

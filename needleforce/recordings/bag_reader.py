@@ -39,16 +39,17 @@ _AS_MANY = (
 )
 _LEARNED = 20  # messages of a topic that are looked into
 _SHORTEST_LIMIT_S, _PERIODS = 0.1, 5.0
-"""So many periods of a topic may lie between two of its messages and still be bridged."""
+"""So many periods of a topic may lie between two of its messages and still be
+bridged."""
 _LATE_NS = NS_PER_S  # a topic whose messages come so much later than those of others loses nothing
 
 
 class Topic:
     """A topic of a bag: what its messages hold, and the rows that are collected of it.
 
-    Joints are put where their names say; a joint that a message lacks is NaN. Messages that name
-    joints, but none of those chosen, are left out. The time stamp is the header's; where there is
-    none, or it was never set, the recorder's.
+    Joints are put where their names say; a joint that a message lacks is NaN. Messages
+    that name joints, but none of those chosen, are left out. The time stamp is the
+    header's; where there is none, or it was never set, the recorder's.
     """
 
     def __init__(self, topic: BagTopic, first_ns: int) -> None:
@@ -177,7 +178,9 @@ class Topic:
 
 
 class Bag:
-    """A bag and its topics by name, as far as it was gone through, see `learn_topics`."""
+    """A bag and its topics by name, as far as it was gone through, see
+    `learn_topics`.
+    """
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -237,7 +240,8 @@ class Bag:
 
 
 class JoinedRows:
-    """Rows at the stamps of one topic, the reference; other topics are interpolated to them.
+    """Rows at the stamps of one topic, the reference; other topics are interpolated to
+    them.
 
     Only the needed columns are read; `ColumnError` if the mapping does not fit the bag.
     """
@@ -270,7 +274,8 @@ class JoinedRows:
             joints, notes = _joints(topic, request)
             self._warnings += notes
             topic.choose(columns.get(name, ()), joints)
-        # One message more or less is no other rate, only where the recording begins or ends.
+        # One message more or less is no other rate, only where the recording begins or
+        # ends.
         if any(abs(topic.count - rows.count) > 1 for topic in self._others):
             rates = ", ".join(
                 f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others
@@ -282,7 +287,9 @@ class JoinedRows:
         self._start_ns, self._is_new = 0, True  # before the first table
 
     def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
-        """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at `NONE_YET`."""
+        """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at
+        `NONE_YET`.
+        """
         reference = self.reference
         for count, message in enumerate(messages, 1):
             if message.topic.name in self.topics:
@@ -294,7 +301,8 @@ class JoinedRows:
                     1 if waits and not self._is_new else HEAD_ROWS
                 ):
                     yield self._table(min(ready, MOST_ROWS))
-                # What no row needs that waits or may still come, be it a little late, is forgotten.
+                # What no row needs that waits or may still come, be it a little late,
+                # is forgotten.
                 newest_ns = max(topic.latest_ns for topic in self.topics.values())
                 oldest_ns = min(
                     (row[0] for row in reference.rows), default=newest_ns - _LATE_NS
@@ -369,11 +377,13 @@ def _joints(topic: Topic, request: ChannelRequest) -> tuple[tuple[str, ...], lis
 def bag_tables(
     path: Path, request: ChannelRequest | None, options: FollowOptions, max_bytes: int
 ) -> Iterator[Table]:
-    """Read a ROS 2 bag in tables of at most `MOST_ROWS`; all its columns without a request.
+    """Read a ROS 2 bag in tables of at most `MOST_ROWS`; all its columns without a
+    request.
 
-    If a required channel is missing, one table has all columns, without rows. A file is read from
-    its start twice: until it is clear which topics are read, and for their rows. An MCAP file that
-    is followed is read on as a recorder writes it, until it is finished. Raises as `stream_tables`.
+    If a required channel is missing, one table has all columns, without rows. A file is
+    read from its start twice: until it is clear which topics are read, and for their
+    rows. An MCAP file that is followed is read on as a recorder writes it, until it is
+    finished. Raises as `stream_tables`.
     """
     bag, growing = Bag(path), options if options.follow else None
     joined = learn_topics(bag, request, growing, max_bytes)
@@ -407,7 +417,9 @@ def learn_topics(
     growing: FollowOptions | None = None,
     max_bytes: int = MAX_BYTES,
 ) -> JoinedRows | None:
-    """Learn a bag's topics to its end; of a growing one until its rows are clear: return these."""
+    """Learn a bag's topics to its end; of a growing one until its rows are clear:
+    return these.
+    """
     reported, settled_ns = "", 0
     for message in read_messages(bag.path, bag.faults, max_bytes, growing):
         if message is NONE_YET:
@@ -417,7 +429,8 @@ def learn_topics(
             continue
         settled_ns = message.log_ns + _SETTLED_NS
         if is_new:
-            # Counted anew from this message on, so that rates are those of the same time.
+            # Counted anew from this message on, so that rates are those of the same
+            # time.
             for topic in bag.topics.values():
                 topic.count, topic.first_ns = (
                     int(topic.first_ns == message.log_ns),

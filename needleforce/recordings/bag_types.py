@@ -1,4 +1,6 @@
-"""ROS messages as columns of numbers, and rows as messages; `rosbags` has their types."""
+"""ROS messages as columns of numbers, and rows as messages; `rosbags` has their
+types.
+"""
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -44,7 +46,9 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 @cache
 def standard_types() -> Any:
-    """Return the type store of ROS's own messages; `FileAccessError` without rosbags."""
+    """Return the type store of ROS's own messages; `FileAccessError` without
+    rosbags.
+    """
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     return library.get_typestore(getattr(library.Stores, STANDARD))
 
@@ -55,8 +59,8 @@ def _types_of(kind: str, definition: str) -> Any:
     standard = standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     if definition and len(definition) <= _LONGEST_DEFINITION:
-        # The parser raises whatever a damaged definition makes it run into; some types of a bag are
-        # of no interest.
+        # The parser raises whatever a damaged definition makes it run into; some types
+        # of a bag are of no interest.
         with suppress(Exception):
             found = dict(library.get_types_from_msg(definition, kind))
             _require_plain(found)
@@ -70,7 +74,9 @@ def _types_of(kind: str, definition: str) -> Any:
 
 
 def _require_plain(types: Mapping[str, Any]) -> None:
-    """Refuse definitions whose names would not stay names in the code that `rosbags` generates."""
+    """Refuse definitions whose names would not stay names in the code that `rosbags`
+    generates.
+    """
     unrolled = 0
     for kind, (constants, fields) in types.items():
         names = [entry[0] for entry in (*constants, *fields)]
@@ -98,15 +104,17 @@ def size_of(value: Any) -> int | None:
 
 
 _Column = tuple[tuple[str, ...], Callable[[Any], Any], bool]
-"""Where the numbers of a column stand in a message, what gets them, and whether it is an array."""
+"""Where the numbers of a column stand in a message, what gets them, and whether it
+is an array."""
 
 
 class TopicDecoder:
     """Decodes the messages of one topic; `FormatError` if its type is not known.
 
-    A column is called by its topic and the fields that lead to it: `/joint_states/position`.
-    Vectors are one column of several numbers: `/ft/wrench/force_xyz`. In a `...Stamped` message
-    the one field beside the header goes unnamed, and so does `data`: `/depth_mm`.
+    A column is called by its topic and the fields that lead to it:
+    `/joint_states/position`. Vectors are one column of several numbers:
+    `/ft/wrench/force_xyz`. In a `...Stamped` message the one field beside the header
+    goes unnamed, and so does `data`: `/depth_mm`.
     """
 
     def __init__(self, topic: BagTopic) -> None:
@@ -196,9 +204,9 @@ def bag_topics(
 ) -> Iterator[OutTopic]:
     """Yield the topics of some rows, of these time stamps.
 
-    `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with `ft_torque_Nm`, and
-    `force_x_in_...`, `torque_x_in_...` and so on, become a `WrenchStamped`; every other column
-    but `t_s` becomes a `Float64` of its own.
+    `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with
+    `ft_torque_Nm`, and `force_x_in_...`, `torque_x_in_...` and so on, become a
+    `WrenchStamped`; every other column but `t_s` becomes a `Float64` of its own.
     """
     types = standard_types().types
     left = {
@@ -252,7 +260,9 @@ def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
 
 
 def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
-    """Take `force_x_in_...` and so on from the columns, shape (n, 3); None if one is missing."""
+    """Take `force_x_in_...` and so on from the columns, shape (n, 3); None if one is
+    missing.
+    """
     found: dict[str, str] = {}
     for name, values in columns.items():
         if values.ndim == 1 and (

@@ -39,7 +39,8 @@ _SPELLINGS += (("_per_", "/"), ("_", "/"))
 _UNIT_PARTS = 3  # the longest unit in a name has so many parts: `mm_per_s`
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
-"""What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable force."""
+"""What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable
+force."""
 WORTHLESS = {
     "frozen": 2,
     "joint limit": 8,
@@ -66,7 +67,9 @@ class Channel:
 
     @property
     def where(self) -> str:
-        """Where a user says which columns it is; what only this package writes has no option."""
+        """Where a user says which columns it is; what only this package writes has
+        no option.
+        """
         option = f"with --{self.name.replace('_', '-')}, or "
         return f"{'' if self.name.startswith('force_') else option}under {self.name} in the mapping"
 
@@ -114,14 +117,17 @@ CHANNELS = {
 
 
 def find_unit(text: str, units: Units) -> str | None:
-    """Return the key of `units` that a text such as `mm/s`, `mm_s` or `µs` spells, or None."""
+    """Return the key of `units` that a text such as `mm/s`, `mm_s` or `µs` spells,
+    or None.
+    """
     unit = text.strip()
     for written, meant in _SPELLINGS:
         unit = unit.replace(written, meant)
     return unit if unit in units else None
 
 
-# At most nine digits: longer numbers are no joint's, and counting up to them would take all memory.
+# At most nine digits: longer numbers are no joint's, and counting up to them would take
+# all memory.
 _BRACKETED = re.compile(r"^(?P<stem>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
 _NUMBERED = re.compile(
     r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$"
@@ -144,8 +150,8 @@ class ColumnName(NamedTuple):
 def parse_column_name(name: str, units: Units) -> ColumnName:
     """Take a column name apart, reading as unit only a unit of the quantity looked for.
 
-    Understands `q1`, `q_1`, `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`, `speed_mm_s` and a
-    leading path such as `/joint_states/`.
+    Understands `q1`, `q_1`, `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`,
+    `speed_mm_s` and a leading path such as `/joint_states/`.
     """
     rest, unit = split_unit(name.strip(), units)
     number, family = None, name
@@ -160,7 +166,9 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
 
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:
-    """Split a unit off the end of a name, as in `z [mm]` or `speed_mm_s`; None if it has none."""
+    """Split a unit off the end of a name, as in `z [mm]` or `speed_mm_s`; None if it
+    has none.
+    """
     if (match := _BRACKETED.match(name)) and (unit := find_unit(match["unit"], units)):
         return match["stem"], unit
     for parts in range(_UNIT_PARTS, 0, -1):
@@ -178,12 +186,13 @@ Found = list[
 def find_columns(table: Table, pattern: str) -> Found:
     """Return the columns that a name or pattern stands for.
 
-    In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7; `q_*`, all
-    columns with a number in that place; `wrench[2]`, one column (from 0) of a two-dimensional
-    one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV.
+    In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7;
+    `q_*`, all columns with a number in that place; `wrench[2]`, one column (from 0) of
+    a two-dimensional one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
+    package writes it to CSV.
 
-    Numbered ones come in the order of their numbers. `ColumnError` if there is no such column, or
-    a number is missing in a family.
+    Numbered ones come in the order of their numbers. `ColumnError` if there is no such
+    column, or a number is missing in a family.
     """
     if pattern in table.columns:
         return [(pattern, table.columns[pattern])]
@@ -194,7 +203,8 @@ def find_columns(table: Table, pattern: str) -> Found:
             len(first) * first.startswith("0"),
         )
         found: Found = []
-        # One at a time: the first that is not there ends the search, however long the range is.
+        # One at a time: the first that is not there ends the search, however long the
+        # range is.
         for number in range(int(first), int(last) + step, step):
             name = (
                 f"{pattern[: match.start()]}{number:0{width}d}{pattern[match.end() :]}"
@@ -230,7 +240,9 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> Found:
 
 
 def _in_order(table: Table, numbered: Mapping[int, str], pattern: str) -> Found:
-    """Return a family of columns in the order of their numbers, which must follow each other."""
+    """Return a family of columns in the order of their numbers, which must follow
+    each other.
+    """
     ordered = sorted(numbered)
     numbers = range(ordered[0], ordered[-1])
     if missing := list(islice((n for n in numbers if n not in numbered), 5)):
@@ -261,7 +273,8 @@ def _not_found(table: Table, pattern: str) -> ColumnError:
 
 
 def detect_columns(table: Table, channel: Channel) -> Found:
-    """Return the columns whose names say that they are this channel, in joint order, if any.
+    """Return the columns whose names say that they are this channel, in joint order, if
+    any.
 
     `ColumnError` if several would fit, or a joint's column is missing.
     """
@@ -284,7 +297,8 @@ def detect_columns(table: Table, channel: Channel) -> Found:
             name: c for name, c in candidates.items() if named[name].number is None
         }
         candidates = plain or candidates
-        # `needleforce force` writes both; whoever filters further wants the one that is not late.
+        # `needleforce force` writes both; whoever filters further wants the one that is
+        # not late.
         quick = {
             name: c for name, c in candidates.items() if named[name].stem == UNSMOOTHED
         }

@@ -68,7 +68,9 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
 
 
 def _npy_size(stream: IO[bytes]) -> int:
-    """Return from an array's header how many bytes it takes; `ValueError` if it is no column."""
+    """Return from an array's header how many bytes it takes; `ValueError` if it is
+    no column.
+    """
     if np.lib.format.read_magic(stream) == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
@@ -81,7 +83,8 @@ def _npy_size(stream: IO[bytes]) -> int:
 
 
 def read_parquet(path: Path, max_bytes: int) -> Table:
-    """Read columns of numbers, empty cells as NaN, and time stamps, as seconds, without loss.
+    """Read columns of numbers, empty cells as NaN, and time stamps, as seconds, without
+    loss.
 
     Columns of anything else are left out, with a warning. Raises as `read_table` does.
     """
@@ -136,7 +139,8 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
             if types.is_string(cells.type) or types.is_large_string(cells.type):
                 raise TypeError("text, which a cast would read as numbers")
             if not types.is_integer(cells.type) or cells.null_count:
-                # Without the check of `safe`, which refuses integers that a double rounds.
+                # Without the check of `safe`, which refuses integers that a double
+                # rounds.
                 cells = cells.cast(arrow.float64(), safe=False)
             columns[name] = cells.to_numpy(zero_copy_only=False)  # empty ones are NaN
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):

@@ -22,7 +22,8 @@ CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
 
 _ROW_BYTES = 100  # what Python adds to the text of a row
 _MOST_WITHOUT_ROW = 1_000_000
-"""A megabyte of gzip can hold a thousand million line ends, which take minutes to look at."""
+"""A megabyte of gzip can hold a thousand million line ends, which take minutes to
+look at."""
 _DELIMITERS = (",", ";", "\t")
 _COMMENT = "#"
 _START = re.compile(rf"{_COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
@@ -33,10 +34,11 @@ _EXPECTED = (
 
 
 class _CsvRows:
-    """Sorts lines into header, comments and rows, and turns rows into columns, always the same.
+    """Sorts lines into header, comments and rows, and turns rows into columns, always
+    the same.
 
-    Lines starting with `#` are comments. Rows with another number of cells than the header are
-    left out, and so are columns without any number in the first rows read.
+    Lines starting with `#` are comments. Rows with another number of cells than the
+    header are left out, and so are columns without any number in the first rows read.
     """
 
     def __init__(self) -> None:
@@ -53,7 +55,9 @@ class _CsvRows:
         self.faults = Faults()
 
     def add(self, lines: list[str]) -> None:
-        """Take whole lines; `FormatError` if the header is none, or names a column twice."""
+        """Take whole lines; `FormatError` if the header is none, or names a column
+        twice.
+        """
         for number, line in enumerate(lines, self._lines + 1):
             if _is_row(line):
                 if self.names or self._is_below_header(line, number):
@@ -73,8 +77,8 @@ class _CsvRows:
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Take what stands behind the last line end; `FormatError` if there was no row.
 
-        It is a row if it has the header's cells: whether its last number is cut cannot be known,
-        unless the file was still being written.
+        It is a row if it has the header's cells: whether its last number is cut cannot
+        be known, unless the file was still being written.
         """
         if self._latest and _is_row(tail):
             cells, names = tail.count(self._delimiter) + 1, len(self.names)
@@ -94,10 +98,11 @@ class _CsvRows:
             raise FormatError(f"a header but no rows; the header is: {header}")
 
     def _is_below_header(self, line: str, line_number: int) -> bool:
-        """Read the header from the first line that is no comment; return whether that is a row.
+        """Read the header from the first line that is no comment; return whether that
+        is a row.
 
-        A comment just before it counts as the header if that line holds numbers and the comment
-        has as many cells (`numpy.savetxt` writes its header so).
+        A comment just before it counts as the header if that line holds numbers and the
+        comment has as many cells (`numpy.savetxt` writes its header so).
         """
         self._delimiter, self._header = max(_DELIMITERS, key=line.count), line
         names = self._split(line)
@@ -123,7 +128,9 @@ class _CsvRows:
         return is_row
 
     def _split(self, line: str) -> list[str]:
-        """Split a line into cells; a quoted cell ends with its line, whatever quotes stray."""
+        """Split a line into cells; a quoted cell ends with its line, whatever quotes
+        stray.
+        """
         if '"' in line:
             with suppress(csv.Error):
                 return next(
@@ -132,7 +139,9 @@ class _CsvRows:
         return line.split(self._delimiter)
 
     def table(self) -> Table:
-        """Return waiting rows as a table; the first `HEAD_ROWS` say which columns are left out."""
+        """Return waiting rows as a table; the first `HEAD_ROWS` say which columns
+        are left out.
+        """
         taken = self.rows if self._is_chosen else self.rows[:HEAD_ROWS]
         rows, width = [row for _, row in taken], len(self.names)
         try:
@@ -173,7 +182,9 @@ class _CsvRows:
         return cells
 
     def _values(self, line: int, cells: list[str]) -> list[float]:
-        """Return the numbers in a row's cells; what is none is NaN, and noted if it is text."""
+        """Return the numbers in a row's cells; what is none is NaN, and noted if it
+        is text.
+        """
         values = []
         for i, text in enumerate(cells):
             cell = text.strip()
@@ -229,9 +240,10 @@ def csv_tables(
 ) -> Iterator[Table]:
     """Read CSV text in blocks as it comes: a header row, then rows of numbers.
 
-    Yield tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if there are
-    so many; then one without rows, whose warnings report all that was wrong. A source that grows
-    may end in the middle of a line that is being written. `name` stands in errors.
+    Yield tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows
+    if there are so many; then one without rows, whose warnings report all that was
+    wrong. A source that grows may end in the middle of a line that is being written.
+    `name` stands in errors.
     """
     lines, rows, options = TextLines(blocks), _CsvRows(), options or FollowOptions()
     is_first, read_until = True, 0

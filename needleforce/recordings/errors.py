@@ -12,7 +12,9 @@ class RecordingError(Exception):
 
 
 class FileAccessError(RecordingError, OSError):
-    """A file cannot be opened for reading or writing, or its suffix names no known format."""
+    """A file cannot be opened for reading or writing, or its suffix names no known
+    format.
+    """
 
 
 class FormatError(RecordingError, ValueError):
@@ -37,7 +39,9 @@ MAX_BYTES = (
 
 
 def require_size(size: int, limit: int, what: str) -> None:
-    """Refuse what would take more bytes than `max_bytes` allows; `what` begins the message."""
+    """Refuse what would take more bytes than `max_bytes` allows; `what` begins the
+    message.
+    """
     if size > limit:
         raise FormatError(
             f"{what} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
@@ -74,7 +78,9 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
 
 
 def readable_path(path: str | Path) -> Path:
-    """Return a path to be opened; refuse devices, which never end, and names no file can have."""
+    """Return a path to be opened; refuse devices, which never end, and names no file
+    can have.
+    """
     path = Path(path)
     with file_errors(path):
         if path.exists() and not (path.is_file() or path.is_dir() or path.is_fifo()):

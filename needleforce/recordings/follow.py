@@ -46,14 +46,16 @@ class FollowOptions:
 
 
 def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
-    """Read a file, or standard input if None; whoever waits for more gets at once what there is.
+    """Read a file, or standard input if None; whoever waits for more gets at once what
+    there is.
 
-    `FileAccessError` if it cannot be read, or was shortened, rewritten, renamed or removed while it
-    was followed.
+    `FileAccessError` if it cannot be read, or was shortened, rewritten, renamed or
+    removed while it was followed.
     """
     with file_errors("standard input" if path is None else path):
         if path is not None:
-            # Without O_NONBLOCK a pipe that nobody writes would block here, deaf to Ctrl-C.
+            # Without O_NONBLOCK a pipe that nobody writes would block here, deaf to
+            # Ctrl-C.
             handle = os.open(readable_path(path), os.O_RDONLY | os.O_NONBLOCK)
         elif sys.stdin is None:
             raise FileAccessError("cannot read standard input: it is closed")
@@ -95,7 +97,9 @@ def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[
 def _require_unchanged(
     handle: int, path: Path | None, done: int, tail: bytes | None
 ) -> None:
-    """Refuse a followed file that was truncated, also if it has grown since, or is gone."""
+    """Refuse a followed file that was truncated, also if it has grown since, or is
+    gone.
+    """
     if tail is None or path is None:
         return
     now = os.fstat(handle)
@@ -144,8 +148,8 @@ _WINDOWS = {
 class TextLines:
     """Iterates over the whole lines of a text, in lists of those that came together.
 
-    Text compressed with gzip is unpacked, whatever its suffix, line ends may be of any kind, and
-    what is not UTF-8 is read as Windows text.
+    Text compressed with gzip is unpacked, whatever its suffix, line ends may be of any
+    kind, and what is not UTF-8 is read as Windows text.
     """
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
@@ -181,7 +185,9 @@ class TextLines:
             raise FormatError(f"it {what}; expected a header row and rows of numbers")
 
     def forgive_end(self) -> None:
-        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        """Leave out a piece of a line at the end, and do not blame the source for
+        it.
+        """
         self.tail = ""
         if "cut short" in self._fault:
             self.warnings.remove(self._fault)
@@ -200,7 +206,9 @@ class TextLines:
         yield from self._gunzipped(blocks) if head.startswith(_GZIP) else blocks
 
     def _gunzipped(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
-        """Yield blocks of at most `BLOCK` bytes: a megabyte of gzip can hold a gigabyte."""
+        """Yield blocks of at most `BLOCK` bytes: a megabyte of gzip can hold a
+        gigabyte.
+        """
         member, is_open = zlib.decompressobj(_GZIP_WINDOW), False
         try:
             for packed in blocks:

@@ -1,4 +1,6 @@
-"""From tables to a log: channels in SI units, one time stamp per row, whole or as they come."""
+"""From tables to a log: channels in SI units, one time stamp per row, whole or as
+they come.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -39,10 +41,10 @@ from needleforce.recordings.table import (
 class Log:
     """Time stamps and named channels of equal length.
 
-    Rows are kept as recorded. Backward or repeated stamps and non-finite values are reported in
-    the `warnings` of a log that was read; the online steps skip them. Channels have names with
-    their SI unit: `q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`, `depth_m`, `speed_m_s`, `force_N`.
-    Arrays are read-only.
+    Rows are kept as recorded. Backward or repeated stamps and non-finite values are
+    reported in the `warnings` of a log that was read; the online steps skip them.
+    Channels have names with their SI unit: `q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`,
+    `depth_m`, `speed_m_s`, `force_N`. Arrays are read-only.
     """
 
     t_s: FloatArray  # time stamps, shape (n,), finite; on the file's clock, not rebased
@@ -55,8 +57,8 @@ class Log:
     def __post_init__(self) -> None:
         """Copy, freeze and check the data.
 
-        `LogError` if there is no channel, something is no array of numbers of the right shape, or
-        time is not finite.
+        `LogError` if there is no channel, something is no array of numbers of the right
+        shape, or time is not finite.
         """
         t_s = read_only("t_s", self.t_s)
         channels = {
@@ -95,9 +97,9 @@ class Log:
         )
 
 
-# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint, a torque
-# of no arm that leads a needle, a needle of a metre, a force that buckles any needle. For time it
-# is the median step: ten samples a second are not a force log.
+# Beyond these an SI value is implausible for a robot or a needle: two turns of a joint,
+# a torque of no arm that leads a needle, a needle of a metre, a force that buckles any
+# needle. For time it is the median step: ten samples a second are not a force log.
 _LIMITS = {
     "t_s": ("time", 0.1, "ms"),
     "q_rad": ("q", 4.0 * np.pi, "deg"),
@@ -111,7 +113,9 @@ _STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz t
 
 @dataclass(slots=True, eq=False)
 class _Signal:
-    """A channel: where in a table it stands, how its values become SI, and what is odd in them."""
+    """A channel: where in a table it stands, how its values become SI, and what is
+    odd in them.
+    """
 
     channel: Channel
     columns: tuple[str, ...]
@@ -149,7 +153,9 @@ class _Signal:
         self.rows += len(values)
 
     def not_finite(self) -> tuple[str, ...]:
-        """Report rows that are not finite; `LogError` if there was no finite value at all."""
+        """Report rows that are not finite; `LogError` if there was no finite value
+        at all.
+        """
         if self.faults and not self.any_finite:
             raise LogError(
                 f"{self.channel.key} has no finite value in {self.rows} rows"
@@ -157,7 +163,9 @@ class _Signal:
         return self.faults.lines()
 
     def hardly_si(self) -> tuple[str, ...]:
-        """Report, once, values whose unit was assumed and that hardly are in SI units."""
+        """Report, once, values whose unit was assumed and that hardly are in SI
+        units.
+        """
         name, limit, unit = _LIMITS.get(self.channel.key, ("", np.inf, ""))
         if self.is_sure or self.size <= limit:
             return ()
@@ -218,13 +226,13 @@ class LogChunk:
 class LogStream:
     """Iterates over the rows of a recording in SI units, a chunk at a time.
 
-    Which columns are which channels is decided from the first rows. Rows and numbers are those of
-    `read_log`, and what is wrong with them is reported as there.
+    Which columns are which channels is decided from the first rows. Rows and numbers
+    are those of `read_log`, and what is wrong with them is reported as there.
 
     Args:
         tables: From `stream_tables`, with the same request.
-        request: Which channels are read, and which columns they are; by default all that look like
-            one.
+        request: Which channels are read, and which columns they are; by default all
+            that look like one.
     """
 
     def __init__(
@@ -353,7 +361,8 @@ class LogStream:
         if table.start_ns or signal.factors[0] * NS_PER_S != 1.0:
             return found_s
         raw = table.columns.get(signal.columns[0], found_s)
-        # Whole nanoseconds too large for float64 are counted from the first, so that none is lost.
+        # Whole nanoseconds too large for float64 are counted from the first, so that
+        # none is lost.
         if not self._rows and raw.dtype.kind == "i":
             self._clock_ns = self.start_ns = start_of_clock(int(raw[0]))
         if raw.dtype.kind == "i" and self._clock_ns:
@@ -364,7 +373,9 @@ class LogStream:
         self._found |= dict.fromkeys(warnings)
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
-        """Return all rows as one log; `FormatError` if they take more bytes than allowed."""
+        """Return all rows as one log; `FormatError` if they take more bytes than
+        allowed.
+        """
         parts, size = list[dict[str, FloatArray]](), 0
         for chunk in self:
             parts.append({"t_s": chunk.t_s, **chunk.channels})

@@ -1,4 +1,6 @@
-"""Which columns of a file are which channels of a log: mappings in code, in TOML, as options."""
+"""Which columns of a file are which channels of a log: mappings in code, in TOML, as
+options.
+"""
 
 import json
 import sys
@@ -38,8 +40,8 @@ _LONGEST_TOML = 1 << 22  # bytes
 class ColumnSpec:
     """The columns of one channel.
 
-    The scale, one for all columns or one each, is applied after conversion to SI; a negative one
-    turns a sign.
+    The scale, one for all columns or one each, is applied after conversion to SI; a
+    negative one turns a sign.
     """
 
     columns: (
@@ -51,7 +53,9 @@ class ColumnSpec:
     scale: float | tuple[float, ...] = 1.0
 
     def __post_init__(self) -> None:
-        """Check columns and scale; `MappingError` if one is missing, zero or not finite."""
+        """Check columns and scale; `MappingError` if one is missing, zero or not
+        finite.
+        """
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
@@ -71,9 +75,10 @@ class ColumnSpec:
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
-    `NAMES` is a name, a pattern or a list separated by commas. What follows a colon counts as
-    scale or unit only if it is one, since column names may hold colons themselves. `MappingError`
-    if no column is named, or the scale is zero or not finite.
+    `NAMES` is a name, a pattern or a list separated by commas. What follows a colon
+    counts as scale or unit only if it is one, since column names may hold colons
+    themselves. `MappingError` if no column is named, or the scale is zero or not
+    finite.
     """
     names, unit, scale = text, None, 1.0
     head, colon, tail = names.rpartition(":")
@@ -91,10 +96,11 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ColumnMapping:
-    """Columns for some or all channels; channels not listed are found by their usual names.
+    """Columns for some or all channels; channels not listed are found by their usual
+    names.
 
-    The last three are for a bag, whose joint signals are put into the order of `joints` by name,
-    and for the command that needs to know what hangs on the robot.
+    The last three are for a bag, whose joint signals are put into the order of `joints`
+    by name, and for the command that needs to know what hangs on the robot.
     """
 
     channels: Mapping[str, ColumnSpec] = field(
@@ -108,7 +114,9 @@ class ColumnMapping:
     payload: Any = None
 
     def __post_init__(self) -> None:
-        """Check names, units and the rate; `MappingError` if they contradict each other."""
+        """Check names, units and the rate; `MappingError` if they contradict each
+        other.
+        """
         channels = {}
         for name, spec in self.channels.items():
             if name not in CHANNELS:
@@ -146,13 +154,14 @@ def _is_finite(value: float) -> bool:
 def load_mapping(path: str | Path) -> ColumnMapping:
     """Read a column mapping from a TOML file.
 
-    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just the columns
-    (`depth = "z"`). At the top may stand `rate_hz`, `joints`, `reference_topic` and `payload`, see
-    `ColumnMapping`.
+    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just
+    the columns (`depth = "z"`). At the top may stand `rate_hz`, `joints`,
+    `reference_topic` and `payload`, see `ColumnMapping`.
 
     Raises:
         FileAccessError: the file cannot be read.
-        MappingError: it is not TOML, or a channel, key, unit or value in it is not valid.
+        MappingError: it is not TOML, or a channel, key, unit or value in it is not
+            valid.
     """
     place = "$"
     try:
@@ -185,9 +194,11 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 
 
 def read_toml(path: str | Path, what: str) -> dict[str, Any]:
-    """Return the content of a TOML file, at least one key; `what` it is stands in messages.
+    """Return the content of a TOML file, at least one key; `what` it is stands in
+    messages.
 
-    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is empty.
+    `FileAccessError` if it cannot be read, `FormatError` if it is not TOML, or is
+    empty.
     """
     try:
         with file_errors(path), readable_path(path).open("rb") as stream:
@@ -208,10 +219,11 @@ def read_toml(path: str | Path, what: str) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class ChannelRequest:
-    """Channels, and which columns they are, see `read_log`; a bag is read only for that.
+    """Channels, and which columns they are, see `read_log`; a bag is read only for
+    that.
 
-    A recording that has all of the robot's joints by name is put into their order, or into that of
-    `mapping.joints`, if it has some.
+    A recording that has all of the robot's joints by name is put into their order, or
+    into that of `mapping.joints`, if it has some.
     """
 
     mapping: ColumnMapping = field(default_factory=ColumnMapping)
@@ -220,15 +232,17 @@ class ChannelRequest:
     joints: tuple[str, ...] = ()
 
     def columns(self, table: Table) -> frozenset[str] | None:
-        """Return the names of the columns that the channels need; values are not looked at.
+        """Return the names of the columns that the channels need; values are not looked
+        at.
 
-        None if a required channel is not there; `ColumnError` if a mapped channel was not found,
-        or is ambiguous.
+        None if a required channel is not there; `ColumnError` if a mapped channel was
+        not found, or is ambiguous.
         """
         names = (*self.required, *self.optional) or tuple(CHANNELS)
         needed: set[str] = set()
         mapped = [name for name in (*names, "time") if name in self.mapping.channels]
-        # Mapped channels first: the topics they choose decide where others would be ambiguous.
+        # Mapped channels first: the topics they choose decide where others would be
+        # ambiguous.
         for name in dict.fromkeys((*mapped, *names)):
             if (spec := self.mapping.channels.get(name)) is not None:
                 found = channel_columns(table, CHANNELS[name], spec)
@@ -243,7 +257,9 @@ class ChannelRequest:
         return frozenset(needed)
 
     def _detected(self, table: Table, name: str, chosen: set[str]) -> Found:
-        """Find a channel by usual names: of several one beside chosen columns, else by joints."""
+        """Find a channel by usual names: of several one beside chosen columns, else
+        by joints.
+        """
         try:
             return detect_columns(table, CHANNELS[name])
         except ColumnError:
@@ -265,7 +281,9 @@ class ChannelRequest:
 
 
 def channel_columns(table: Table, channel: Channel, spec: ColumnSpec | None) -> Found:
-    """Return the columns that a specification names, else those of usual names; `ColumnError`."""
+    """Return the columns that a specification names, else those of usual names;
+    `ColumnError`.
+    """
     if spec is None:
         return detect_columns(table, channel)
     return [
@@ -276,7 +294,9 @@ def channel_columns(table: Table, channel: Channel, spec: ColumnSpec | None) -> 
 def mapping_text(
     table: Table, channels: Iterable[str], known: ColumnMapping
 ) -> list[str]:
-    """Return a table's mapping as lines of TOML; the known one stays, unused columns are named."""
+    """Return a table's mapping as lines of TOML; the known one stays, unused columns
+    are named.
+    """
     lines: list[str] = []
     used: set[str] = set()
     for name in channels:
@@ -295,7 +315,9 @@ def mapping_text(
 
 
 def comment_line(text: str) -> str:
-    """Return a comment for TOML; names in it come from files and must not end its line."""
+    """Return a comment for TOML; names in it come from files and must not end its
+    line.
+    """
     return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 

@@ -1,4 +1,6 @@
-"""Opening a recording, whatever its format: as one table, as tables of its rows, or as a log."""
+"""Opening a recording, whatever its format: as one table, as tables of its rows, or
+as a log.
+"""
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
@@ -45,8 +47,9 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
     """Read a file's columns as they stand, in its units, without saying what they mean.
 
     Args:
-        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`), `.npz` or
-            `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or a folder of them.
+        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`),
+            `.npz` or `.parquet`; or a ROS 2 bag: a file ending in `.mcap` or `.db3`, or
+            a folder of them.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:
@@ -78,22 +81,26 @@ def read_log(
     joints: Iterable[str] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Log:
-    """Read a recording into SI units: all rows of its `LogStream`; `warnings` say what is wrong.
+    """Read a recording into SI units: all rows of its `LogStream`; `warnings` say what
+    is wrong.
 
     Args:
         path: see `read_table`.
-        mapping: which columns are which channels; channels it does not list, or all without a
-            mapping, are found by their usual names.
-        required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`, `speed`,
-            `force`.
-        optional: channels taken if they are there. With neither given, all are optional.
-        joints: names of the robot's joints; a recording that names joints is put into this order.
+        mapping: which columns are which channels; channels it does not list, or all
+            without a mapping, are found by their usual names.
+        required: channels that must be there: `q`, `dq`, `tau`, `tau_ext`, `depth`,
+            `speed`, `force`.
+        optional: channels taken if they are there. With neither given, all are
+            optional.
+        joints: names of the robot's joints; a recording that names joints is put into
+            this order.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:
-        RecordingError: see `read_table`; or time, a required or a mapped channel was not found or
-            is ambiguous (`ColumnError`), a channel name is unknown or a scale does not fit its
-            columns (`MappingError`), or the channels do not form a log (`LogError`).
+        RecordingError: see `read_table`; or time, a required or a mapped channel was
+            not found or is ambiguous (`ColumnError`), a channel name is unknown or a
+            scale does not fit its columns (`MappingError`), or the channels do not form
+            a log (`LogError`).
     """
     asked = tuple(required), tuple(optional), tuple(joints)
     request = ChannelRequest(mapping or ColumnMapping(), *asked)
@@ -108,23 +115,26 @@ def stream_tables(
     *,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
-    """Read a recording as it comes, so that memory stays bounded (but for npz and Parquet).
+    """Read a recording as it comes, so that memory stays bounded (but for npz and
+    Parquet).
 
     Args:
-        source: a file, see `read_table`, or `-` for standard input: CSV, plain or compressed, as
-            it comes; any other format, known by how it begins, when all of it has come.
+        source: a file, see `read_table`, or `-` for standard input: CSV, plain or
+            compressed, as it comes; any other format, known by how it begins, when all
+            of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
-        max_bytes: the most memory that the rows of one table may take, or a file that is read as
-            a whole; and the most bytes that come through a pipe, if it is no text.
+        max_bytes: the most memory that the rows of one table may take, or a file that
+            is read as a whole; and the most bytes that come through a pipe, if it is no
+            text.
 
     Yields:
-        Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows at least,
-        if there are so many; the last may have none, but warnings.
+        Tables of consecutive rows with equal columns, the first with `HEAD_ROWS` rows
+        at least, if there are so many; the last may have none, but warnings.
 
     Raises:
-        RecordingError: see `read_table`; or the source is to be followed, but neither text nor
-            MCAP (`FileAccessError`).
+        RecordingError: see `read_table`; or the source is to be followed, but neither
+            text nor MCAP (`FileAccessError`).
     """
     path = None if str(source) == STANDARD_STREAM else readable_path(source)
     is_file = path is not None and not path.is_fifo()
@@ -189,11 +199,13 @@ def suggest_mapping(
     joints: Sequence[str] = (),
     payload: Sequence[str] = (),
 ) -> str:
-    """Return a mapping of a recording as TOML to be edited, with what else there is as comments.
+    """Return a mapping of a recording as TOML to be edited, with what else there is as
+    comments.
 
-    Channels, apart from time, are looked for where the known mapping does not say which columns
-    they are; joints are the robot's, and lines of the payload say what hangs on it. Raises as
-    `read_table`; `ColumnError` if the mapping names a column that is not there.
+    Channels, apart from time, are looked for where the known mapping does not say which
+    columns they are; joints are the robot's, and lines of the payload say what hangs on
+    it. Raises as `read_table`; `ColumnError` if the mapping names a column that is not
+    there.
     """
     known, names = mapping or ColumnMapping(), list(channels)
     lines = [

@@ -42,7 +42,9 @@ _CHUNK_BYTES = (
 
 @contextmanager
 def csv_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
-    """Write a header and rows that read back bit for bit; the start of the clock as a comment."""
+    """Write a header and rows that read back bit for bit; the start of the clock as
+    a comment.
+    """
     header = io.StringIO()
     header.write(f"# {START_KEY} = {labels.start_ns}\n" if labels.start_ns else "")
     csv.writer(header, lineterminator="\n").writerow(flat_columns(empty))
@@ -64,7 +66,9 @@ def csv_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[App
 
 @contextmanager
 def npz_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
-    """Collect rows in memory, since an archive cannot be appended to; write it at the end."""
+    """Collect rows in memory, since an archive cannot be appended to; write it at
+    the end.
+    """
     parts: dict[str, list[np.ndarray]] = {name: [] for name in empty}
 
     def append(columns: Columns) -> None:
@@ -86,7 +90,9 @@ def npz_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[App
 def parquet_writer(
     stream: BinaryIO, labels: Labels, empty: Columns
 ) -> Iterator[Append]:
-    """Write each chunk as a row group; two-dimensional columns become numbered ones, as in CSV."""
+    """Write each chunk as a row group; two-dimensional columns become numbered ones,
+    as in CSV.
+    """
     arrow = optional_library("pyarrow", "Parquet files")
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
@@ -103,7 +109,8 @@ def parquet_writer(
 
 @contextmanager
 def mcap_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Append]:
-    """Write one MCAP file, compressed, with checksums: of each row a message on each topic.
+    """Write one MCAP file, compressed, with checksums: of each row a message on each
+    topic.
 
     `LogError` if there is no time stamp `t_s`, or one that no message can carry.
     """
@@ -141,7 +148,8 @@ def mcap_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Ap
 
 
 Writer = Callable[[BinaryIO, Labels, Columns], AbstractContextManager[Append]]
-"""Begins a table of these columns, here without rows, gives what writes rows, and finishes it."""
+"""Begins a table of these columns, here without rows, gives what writes rows, and
+finishes it."""
 
 WRITERS: Mapping[str, Writer] = {
     ".csv": csv_writer,
@@ -215,11 +223,12 @@ def open_table(
 ) -> Iterator[OpenTable]:
     """Open a table for writing; the file is not touched before there are rows.
 
-    Its name has a suffix of `WRITERS`, or is `-` for CSV on standard output. Live rows are written
-    to the file itself as they come, and stay there whatever happens; otherwise the file is replaced
-    when all rows are written, or not at all. What cannot grow (npz) is always written at the end.
-    `labels` are what formats that have room for it say beside the numbers, asked for with the first
-    rows. `FileAccessError` if the file cannot be written, or its suffix is not known.
+    Its name has a suffix of `WRITERS`, or is `-` for CSV on standard output. Live rows
+    are written to the file itself as they come, and stay there whatever happens;
+    otherwise the file is replaced when all rows are written, or not at all. What cannot
+    grow (npz) is always written at the end. `labels` are what formats that have room
+    for it say beside the numbers, asked for with the first rows. `FileAccessError` if
+    the file cannot be written, or its suffix is not known.
     """
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
@@ -264,18 +273,20 @@ def write_table(
 ) -> None:
     """Write named columns; readers see the old file or the whole new one, never a part.
 
-    Floats are written so that they read back bit for bit. In CSV, a two-dimensional column
-    `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
+    Floats are written so that they read back bit for bit. In CSV, a two-dimensional
+    column `q_rad` becomes `q_rad_1`, `q_rad_2`, ...; `read_log` joins them again.
 
     Args:
-        path: a file ending in `.csv`, `.npz`, `.parquet` or `.mcap`; replaced if it exists.
-        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same n.
+        path: a file ending in `.csv`, `.npz`, `.parquet` or `.mcap`; replaced if it
+            exists.
+        columns: name, with its unit, to numbers, shape (n,) or (n, k), all of the same
+            n.
         labels: what the formats that have room for it say beside the numbers.
 
     Raises:
         FileAccessError: the file cannot be written, or its suffix is not known.
-        LogError: the columns are not numbers, differ in length, or a name is empty, starts with
-            `#` or stands twice.
+        LogError: the columns are not numbers, differ in length, or a name is empty,
+            starts with `#` or stands twice.
     """
     with open_table(path, labels=lambda: labels or Labels()) as table:
         table.append(columns)
@@ -289,7 +300,9 @@ def write_log(path: str | Path, log: Log) -> None:
 
 
 def check_writable(path: str | Path) -> None:
-    """Find out before the work that the suffix is not known, or that no file can stand there."""
+    """Find out before the work that the suffix is not known, or that no file can
+    stand there.
+    """
     if str(path) != STANDARD_STREAM:
         _find_writer(Path(path))
         require_place(Path(path))
@@ -307,9 +320,11 @@ def require_place(path: Path) -> None:
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
-    """Check that no output, an option and the path that it names, would replace another one.
+    """Check that no output, an option and the path that it names, would replace another
+    one.
 
-    Nor may it harm the recording that is read, a file or a folder, which need not exist.
+    Nor may it harm the recording that is read, a file or a folder, which need not
+    exist.
     """
     for (option, path), (other, place) in combinations(outputs.items(), 2):
         with file_errors(path, "write"):

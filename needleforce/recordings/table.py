@@ -1,4 +1,6 @@
-"""Named columns of numbers before anyone has said what they mean, and the time of their rows."""
+"""Named columns of numbers before anyone has said what they mean, and the time of
+their rows.
+"""
 
 import math
 from collections.abc import Mapping
@@ -21,10 +23,11 @@ START_KEY = "start_ns"  # what files of numbers call `Labels.start_ns`
 class Table:
     """Named columns as read from a file, in the file's own units.
 
-    Columns may differ in length (an npz file may hold several recordings); a `Log` may not. They
-    are read-only copies as float64; those of whole numbers that float64 would round, as nanoseconds
-    since 1970 are, as int64. `start_ns` is the instant of t = 0 on the clock that stamped the file,
-    in ns: zero, unless stamps are too large for seconds in float64 to resolve nanoseconds.
+    Columns may differ in length (an npz file may hold several recordings); a `Log` may
+    not. They are read-only copies as float64; those of whole numbers that float64 would
+    round, as nanoseconds since 1970 are, as int64. `start_ns` is the instant of t = 0
+    on the clock that stamped the file, in ns: zero, unless stamps are too large for
+    seconds in float64 to resolve nanoseconds.
     """
 
     columns: Mapping[str, np.ndarray]  # by name, shape (n,) or (n, k)
@@ -38,7 +41,9 @@ class Table:
     )  # columns of time stamps, whatever unit the name says
 
     def __post_init__(self) -> None:
-        """Copy and freeze the columns; `FormatError` or `LogError` if they are none of numbers."""
+        """Copy and freeze the columns; `FormatError` or `LogError` if they are none
+        of numbers.
+        """
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
         columns = {
@@ -55,7 +60,9 @@ class Table:
         return max(map(len, self.columns.values()))
 
     def describe(self, limit: int = 40) -> str:
-        """Return the column names for a message, two-dimensional ones with their width."""
+        """Return the column names for a message, two-dimensional ones with their
+        width.
+        """
         names = [
             f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
             for name, values in self.columns.items()
@@ -64,14 +71,17 @@ class Table:
         return ", ".join(names[:limit]) + more
 
     def left_out(self, limit: int = 3) -> str:
-        """Return in brackets, for a message, which columns the reader left out and why."""
+        """Return in brackets, for a message, which columns the reader left out and
+        why.
+        """
         notes = [note for note in self.warnings if note.endswith("was left out")]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
 
 
 def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
-    """Return a contiguous read-only copy as float64; `LogError` if these are no numbers.
+    """Return a contiguous read-only copy as float64; `LogError` if these are no
+    numbers.
 
     Where it shall be exact, whole numbers that float64 would round stay such, as int64.
     """
@@ -91,8 +101,9 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
 class Labels:
     """What goes with the columns of a table that is written.
 
-    Bags carry all of it, the other formats `start_ns`, see `Table`, if it is not zero. A bag
-    written from a log that was read from one has the source's stamps, to the nanosecond.
+    Bags carry all of it, the other formats `start_ns`, see `Table`, if it is not zero.
+    A bag written from a log that was read from one has the source's stamps, to the
+    nanosecond.
     """
 
     start_ns: int = 0
@@ -102,7 +113,9 @@ class Labels:
 
 
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:
-    """Return columns of one value a row, `q_rad_1`, ... of `q_rad`; `LogError` for a name twice."""
+    """Return columns of one value a row, `q_rad_1`, ... of `q_rad`; `LogError` for a
+    name twice.
+    """
     flat: dict[str, np.ndarray] = {}
     for name, values in columns.items():
         for i, column in enumerate(np.atleast_2d(values.T), 1):
@@ -121,24 +134,31 @@ _EXACT = 1 << 53  # up to here float64 holds every whole number
 def start_of_clock(first_ns: int) -> int:
     """Return the instant from which seconds are counted so that nothing is lost.
 
-    It is 0, so that the file's clock is kept, or the first stamp if that clock began long ago.
+    It is 0, so that the file's clock is kept, or the first stamp if that clock began
+    long ago.
     """
     return 0 if abs(first_ns) < _EXACT_NS // 2 else first_ns
 
 
 def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> FloatArray:
-    """Return stamps in seconds since `start_ns`; the nearest double, from which they come back."""
+    """Return stamps in seconds since `start_ns`; the nearest double, from which they
+    come back.
+    """
     return (stamps_ns - np.int64(start_ns)) / NS_PER_S
 
 
 def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
-    """Return seconds since `start_ns` as stamps, to the nearest nanosecond; they must be finite."""
+    """Return seconds since `start_ns` as stamps, to the nearest nanosecond; they
+    must be finite.
+    """
     counted = np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64)
     return counted + np.int64(start_ns)
 
 
 def exceed_float64(values: np.ndarray) -> bool:
-    """Return whether float64 rounds whole numbers as large as these, and int64 does not."""
+    """Return whether float64 rounds whole numbers as large as these, and int64 does
+    not.
+    """
     # Not abs, which overflows for the least integer; a NaN is not larger than anything.
     return bool(len(values)) and bool(((values > _EXACT) & (values < 1 << 63)).all())
 
@@ -149,10 +169,11 @@ def interpolate(
     values: FloatArray,
     limit_ns: float,
 ) -> FloatArray:
-    """Interpolate values (m, k) linearly; where stamps agree, they are taken as they are.
+    """Interpolate values (m, k) linearly; where stamps agree, they are taken as they
+    are.
 
-    They are known at stamps in any order; where these are further apart than the limit the result
-    is NaN, as outside them.
+    They are known at stamps in any order; where these are further apart than the limit
+    the result is NaN, as outside them.
     """
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)
@@ -190,16 +211,18 @@ _SET_BACK = "time: clock set back, from where it counts anew"
 _BACK, _REPEATED = "time: stamps running backward", "time: stamps repeated"
 _SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
-"""A row that is not later than those before came late. When so many rows in a row, over so much
-time, are later than each other but not than those before, it was not they: the clock was set."""
+"""A row that is not later than those before came late. When so many rows in a row, over
+so much time, are later than each other but not than those before, it was not they: the
+clock was set."""
 
 
 class RowClock:
-    """Time from row to row; a row that comes late is no step, a clock that was set back is left.
+    """Time from row to row; a row that comes late is no step, a clock that was set back
+    is left.
 
-    A clock that goes back a little soon catches up; until then rows do not advance. If it stays
-    behind, it counts from there, however many rows come at a time. Rows that do not advance stay in
-    a log: an online step skips them.
+    A clock that goes back a little soon catches up; until then rows do not advance. If
+    it stays behind, it counts from there, however many rows come at a time. Rows that
+    do not advance stay in a log: an online step skips them.
     """
 
     def __init__(self) -> None:
@@ -211,10 +234,12 @@ class RowClock:
         self._faults = Faults({_SET_BACK: (0, ""), _BACK: (0, "")})  # in this order
 
     def update(self, t_s: FloatArray) -> FloatArray:
-        """Take time stamps in s, shape (n,); return time in s since the latest row that advanced.
+        """Take time stamps in s, shape (n,); return time in s since the latest row that
+        advanced.
 
-        It is not positive for a row that does not advance, inf for the first of all. The row at
-        which a set clock is recognised advances by the time for which it has run.
+        It is not positive for a row that does not advance, inf for the first of all.
+        The row at which a set clock is recognised advances by the time for which it has
+        run.
         """
         dt_s = np.diff(t_s, prepend=self._latest_s)
         if not (dt_s > 0.0).all():
@@ -249,7 +274,9 @@ class RowClock:
         return dt_s
 
     def warnings(self) -> tuple[str, ...]:
-        """Report stamps that do not advance, by kind; `LogError` if fewer than two advance."""
+        """Report stamps that do not advance, by kind; `LogError` if fewer than two
+        advance.
+        """
         # The first of all counts as one that advances.
         if self._advanced < 2:
             raise LogError(

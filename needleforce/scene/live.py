@@ -1,7 +1,7 @@
 """A viewer beside a control loop: a process of its own, fed through shared memory.
 
-In a thread of the loop's own process the page would cost it a millisecond now and then; here the
-loop writes a row and goes on.
+In a thread of the loop's own process the page would cost it a millisecond now and then;
+here the loop writes a row and goes on.
 """
 
 import multiprocessing
@@ -30,7 +30,9 @@ class LiveView(Closing):
         self._ring, self._process, self._pipe, self.url = ring, process, pipe, url
 
     def put(self, now: Any, q_rad: ArrayLike) -> None:
-        """Hand over a tick: the session's estimate and the joint positions. Never waits."""
+        """Hand over a tick: the session's estimate and the joint positions. Never
+        waits.
+        """
         self._ring.put(view_row(now, q_rad))
 
     def close(self) -> None:

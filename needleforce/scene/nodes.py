@@ -1,7 +1,8 @@
-"""What stands in the scene: the arm and its needle, structures, planned boundaries, ruptures.
+"""What stands in the scene: the arm and its needle, structures, planned boundaries,
+ruptures.
 
-Everything is in the robot's base; anatomy comes through a registration. Surfaces and layers are
-those of `needleforce.anatomy`, or anything with the same names.
+Everything is in the robot's base; anatomy comes through a registration. Surfaces and
+layers are those of `needleforce.anatomy`, or anything with the same names.
 """
 
 from collections.abc import Sequence
@@ -45,7 +46,9 @@ EMPTY = PlanScene()  # neither anatomy nor plan
 
 
 class ArmNodes:
-    """The arm: its URDF's own shapes, else a line through its joints; z of its tool: the needle."""
+    """The arm: its URDF's own shapes, else a line through its joints; z of its tool:
+    the needle.
+    """
 
     def __init__(
         self, server: Any, robot: Robot, urdf_path: Path | None = None
@@ -96,7 +99,9 @@ def turned_to(axis: Array) -> tuple[float, ...]:
 
 
 def add_anatomy(server: Any, plan: PlanScene) -> None:
-    """Translucent structures, the planned way, and a ring with a name at every boundary."""
+    """Translucent structures, the planned way, and a ring with a name at every
+    boundary.
+    """
     for surface in plan.surfaces:
         vertices = plan.to_robot(surface.vertices_m).astype(np.float32)
         faces = np.asarray(surface.triangles, dtype=np.uint32)
@@ -136,7 +141,9 @@ def add_ring(
     color: tuple[int, int, int],
     text: str,
 ) -> list[Any]:
-    """A ring about the needle's line with a label: on one side if planned, else on the other."""
+    """A ring about the needle's line with a label: on one side if planned, else on
+    the other.
+    """
     angle = np.linspace(0.0, 2.0 * np.pi, 33)
     ring = RING_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(33)], axis=1)
     line = _add_lines(server, name, ring, color, 4.0)

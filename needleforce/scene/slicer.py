@@ -1,7 +1,7 @@
 """To 3D Slicer through OpenIGTLink: the needle's pose, the forces, detected ruptures.
 
-Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's coordinates, turned
-from LPS metres to Slicer's RAS millimetres.
+Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's
+coordinates, turned from LPS metres to Slicer's RAS millimetres.
 """
 
 from functools import partial
@@ -23,7 +23,8 @@ def _json(values: dict[str, float]) -> str:
 
 
 class SlicerOutput(Closing):
-    """A server that sends at most `MOST_HZ` updates a second; `SceneError` if the port is no use.
+    """A server that sends at most `MOST_HZ` updates a second; `SceneError` if the port
+    is no use.
 
     Args:
         port: Where Slicer connects.
@@ -51,7 +52,8 @@ class SlicerOutput(Closing):
         return bool(self._server.is_connected())
 
     def put(self, now: Any, pose_m: ArrayLike) -> bool:
-        """Send a tick: the session's estimate, the needle's pose in the model, shape (4, 4).
+        """Send a tick: the session's estimate, the needle's pose in the model, shape
+        (4, 4).
 
         Ruptures are sent whenever they come. Returns whether anything was sent.
         """

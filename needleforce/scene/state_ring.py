@@ -1,7 +1,8 @@
-"""What a control loop hands to a viewer in another process: a ring of rows in shared memory.
+"""What a control loop hands to a viewer in another process: a ring of rows in shared
+memory.
 
-One writer, which never waits: it writes a row, then raises the count. A reader that was too slow
-finds the rows it missed overwritten, and goes on with the newest.
+One writer, which never waits: it writes a row, then raises the count. A reader that was
+too slow finds the rows it missed overwritten, and goes on with the newest.
 """
 
 import struct
@@ -23,14 +24,17 @@ FIELDS = (
     *("friction_N", "layer", "rupture", "rupture_depth_m", "retracted", "is_good"),
     *(f"plan_{name}" for name in PLAN_FIELDS),
 )
-"""Of a row, before the joint positions. `rupture` and `retracted` are the number of the layer that
-ruptured, or did not after all, else 0; `is_good`: 1 if the force is tared and of this tick."""
+"""Of a row, before the joint positions. `rupture` and `retracted` are the number of the
+layer that ruptured, or did not after all, else 0; `is_good`: 1 if the force is tared
+and of this tick."""
 ROWS = 4096
 _COUNT = struct.Struct("<Q")
 
 
 def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
-    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,), behind `FIELDS`."""
+    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,), behind
+    `FIELDS`.
+    """
     wrench, found, plan = now.wrench, now.identification, now.plan
     rupture, retracted = found.rupture, found.retracted
     return (
@@ -92,7 +96,9 @@ class StateRing(Closing):
         _COUNT.pack_into(self._buffer, 0, self._count)
 
     def since(self, count: int) -> tuple[int, Array]:
-        """Rows written after the first `count`, as far as they are still there: (n, fields)."""
+        """Rows written after the first `count`, as far as they are still there: (n,
+        fields).
+        """
         (now,) = _COUNT.unpack_from(self._buffer, 0)
         # A quarter of the ring is left for what the writer does meanwhile.
         first = max(count, now - 3 * ROWS // 4)

@@ -1,7 +1,8 @@
 """The page: the scene, forces over time and depth, the tip force as a bar, a time line.
 
-Rows come in any number at a time. While `live` is set the page shows the newest; moving the time
-line back takes back what had not happened yet: the arm, the forces, the marks of ruptures.
+Rows come in any number at a time. While `live` is set the page shows the newest; moving
+the time line back takes back what had not happened yet: the arm, the forces, the marks
+of ruptures.
 """
 
 import errno
@@ -44,7 +45,9 @@ class Mark(NamedTuple):
 
 
 class _Seen(SimpleNamespace):
-    """A row by the names of its fields, in words; behind ± stand two standard deviations."""
+    """A row by the names of its fields, in words; behind ± stand two standard
+    deviations.
+    """
 
     def __init__(self, row: Array, plan: nodes.PlanScene) -> None:
         super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
@@ -84,12 +87,15 @@ class _Seen(SimpleNamespace):
 
 
 def check_address(host: str, port: int) -> None:
-    """Raise `SceneError` where nothing can listen: viser would wait for ever. Busy is no fault."""
+    """Raise `SceneError` where nothing can listen: viser would wait for ever. Busy
+    is no fault.
+    """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port), family=family).close()
     except (OSError, OverflowError, UnicodeError) as error:
-        # Of a busy port viser takes the next; behind the last it would wait for ever, too.
+        # Of a busy port viser takes the next; behind the last it would wait for ever,
+        # too.
         if getattr(error, "errno", None) != errno.EADDRINUSE or port == 65535:
             how = "expected an address of this machine, and a port of 0 to 65535"
             raise SceneError(f"{host}, port {port}: {error}; {how}") from error
@@ -110,7 +116,8 @@ class Viewer:
         marks: The ruptures shown, past and to come.
 
     Raises:
-        SceneError: viser is not installed, nothing can listen there, or the plan has no way.
+        SceneError: viser is not installed, nothing can listen there, or the plan has no
+            way.
     """
 
     def __init__(
@@ -302,7 +309,8 @@ class Viewer:
         self._play.disabled = False
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
-        """Write the scene as one page that needs nothing else, with the insertion as a film.
+        """Write the scene as one page that needs nothing else, with the insertion as a
+        film.
 
         Raises:
             SceneError: Nothing was shown yet, or the file cannot be written.

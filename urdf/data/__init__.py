@@ -1,1 +1,3 @@
-"""Robot descriptions shipped with the package; read them through `importlib.resources`."""
+"""Robot descriptions shipped with the package; read them through
+`importlib.resources`.
+"""
