@@ -20,7 +20,8 @@ from benchmarks.benchmark import Progress
 from needleforce.anatomy import read_labels
 
 FINER = 4
-MOST_S, MOST_GB = 60.0, 1.5
+MOST_S = 60.0
+MOST_GB = 1.5
 
 
 def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:

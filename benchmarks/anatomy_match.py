@@ -21,9 +21,11 @@ from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch
 
-STACKS, PLANS = 200, 5
+STACKS = 200
+PLANS = 5
 """Insertions, and plans for each; it takes half an hour."""
-OFFSET_STD_m, BOUNDARY_STD_m = 3e-3, 0.5e-3
+OFFSET_STD_m = 3e-3
+BOUNDARY_STD_m = 0.5e-3
 SAME_m = 3e-3
 """A rupture is that of a boundary if its release began so close to it."""
 
@@ -66,8 +68,11 @@ class Found(NamedTuple):
 def ruptures_of(seed: int) -> Found:
     """Push a needle through a drawn stack, and collect what the session reports."""
     run = simulate(scenario(RANDOM_STACK, seed), "clean", seed)
-    session, true = InsertionSession(run.robot), run.truth
-    tare, zero, events = int(np.searchsorted(run.signals.t_s, run.tare_end_s)), 0.0, []
+    session = InsertionSession(run.robot)
+    true = run.truth
+    tare = int(np.searchsorted(run.signals.t_s, run.tare_end_s))
+    zero = 0.0
+    events = []
     for k, row in enumerate(JointSignals.of_run(run).samples()):
         now = session.update(*row)
         if k == tare:
@@ -102,7 +107,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
         progress((k + 1) / STACKS)
     for case in CASES:
         rng = np.random.default_rng([seed, 11])
-        offsets, right, inside = [], [], []
+        offsets = []
+        right = []
+        inside = []
         for one in found:
             for _ in range(PLANS):
                 _matched(one, case, rng, (offsets, right, inside))
@@ -111,7 +118,8 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             if offsets
             else float("nan")
         )
-        cover, least = float(np.mean(inside)), 95.0 if case.withheld else 97.0
+        cover = float(np.mean(inside))
+        least = 95.0 if case.withheld else 97.0
         hits = 100.0 * float(np.mean(right))
         yield Figure(
             f"plan, {case.name}: offset after three ruptures, rms",
@@ -157,7 +165,8 @@ def _matched(
         Layer(str(k), start, end, BOUNDARY_STD_m, BOUNDARY_STD_m, False)
         for k, (start, end) in enumerate(pairwise([*edges, edges[-1] + 0.05]))
     ]
-    match, ruptures = PlanMatch(layers, case.stated * OFFSET_STD_m), []
+    match = PlanMatch(layers, case.stated * OFFSET_STD_m)
+    ruptures = []
     for event in one.events:
         if event.is_retracted:
             ruptures = [depth for depth in ruptures if depth != event.depth_m]

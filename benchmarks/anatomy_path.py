@@ -22,7 +22,8 @@ SPACINGS_MM = {
     "1 mm": (1.0, 1.0, 1.0),
     "0.98 x 0.98 x 2 mm": (0.98, 0.98, 2.0),
 }
-TORSOS, PATHS = 5, 200
+TORSOS = 5
+PATHS = 200
 HALF_M = np.array([0.20, 0.145, 0.19])
 """Half the edges of the scan around the torso."""
 THICK_VOXELS = 1.5
@@ -142,7 +143,8 @@ def measure_path(
         for item in torso.crossings(entry_m, target_m)
     ]
     voxel_m = float(np.cbrt(labels.grid.voxel_m3))
-    errors, scores = [], []
+    errors = []
+    scores = []
     for error_m, std_m in matched(truth, layers):
         errors.append(error_m / voxel_m)
         scores.append(error_m / std_m)

@@ -32,15 +32,23 @@ from needleforce.anatomy import (
 Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
 
-LANDMARK_DRAWS, REFUSAL_DRAWS, SYMMETRIC_FITS, FAR_STARTS = 10_000, 300, 30, 100
-FAR_rad, RIGHT_m = (np.pi / 4, np.pi), 3e-3
+LANDMARK_DRAWS = 10_000
+REFUSAL_DRAWS = 300
+SYMMETRIC_FITS = 30
+FAR_STARTS = 100
+FAR_rad = (np.pi / 4, np.pi)
+RIGHT_m = 3e-3
 """Starts outside the basin are turned by so much; and the error up to which a fit is
 right."""
-MODELS, FITS, CHECKED = 120, 4, 1
+MODELS = 120
+FITS = 4
+CHECKED = 1
 """Surfaces of an organ, fits to each, and those of them that look for other solutions:
 a surface's error is alike for all fits to it, so with 120 a fraction of 0.95 is known
 to some 0.01."""
-STD_m, TOUCHES, OUTLIERS = 0.5e-3, 100, 0.1
+STD_m = 0.5e-3
+TOUCHES = 100
+OUTLIERS = 0.1
 TARGET_m = np.array([-0.03, 0.0, 0.01])
 ORGANS = ("liver", "kidney_right", "spleen", "stomach")
 SKIN_m = np.array([0.16, 0.11, 0.15])
@@ -92,17 +100,21 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
         ("deviation known", True),
         ("deviation from residuals", False),
     ):
-        inside, error, stated = [], [], []
+        inside = []
+        error = []
+        stated = []
         for draw in range(LANDMARK_DRAWS):
             count = (3 if is_known else 4) + draw % (8 if is_known else 7)
-            model, (rotation, shift) = landmarks(count, rng), pose(rng)
+            model = landmarks(count, rng)
+            rotation, shift = pose(rng)
             robot = model @ rotation.T + shift + STD_m * rng.normal(size=model.shape)
             found = fit_landmarks(model, robot, std_m=STD_m, is_std_known=is_known)
             truth = rotation @ TARGET_m + shift
             inside.append(found.region_contains(TARGET_m, truth))
             error.append(np.linalg.norm(found.to_robot(TARGET_m) - truth))
             stated.append(found.tre_m(TARGET_m))
-        cover, ratio = float(np.mean(inside)), _rms(error) / _rms(stated)
+        cover = float(np.mean(inside))
+        ratio = _rms(error) / _rms(stated)
         what = f"landmarks, {name}: 95 % region covers"
         yield Figure(what, "", cover, "", 0.94, at_least=True)
         yield Figure(f"{what}, at most", "", cover, "", 0.96)
@@ -133,10 +145,8 @@ def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
     for name, (word, spoil) in FAULTS.items():
         hits = 0
         for _ in range(REFUSAL_DRAWS):
-            model, (rotation, shift) = (
-                landmarks(int(rng.integers(4, 9)), rng),
-                pose(rng),
-            )
+            model = landmarks(int(rng.integers(4, 9)), rng)
+            rotation, shift = pose(rng)
             if name == "collinear":
                 model = np.outer(
                     rng.uniform(-0.15, 0.15, len(model)), rng.normal(size=3)
@@ -198,16 +208,19 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
     }
     for name, (mesh, kept) in forms.items():
         part = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
-        surface, refused = Surface(name, part.vertices, part.faces), 0
+        surface = Surface(name, part.vertices, part.faces)
+        refused = 0
         for _ in range(SYMMETRIC_FITS):
-            points, truth = touch(part, None, rng), pose(rng)
+            points = touch(part, None, rng)
+            truth = pose(rng)
             try:
                 fit_surface(
                     surface, points @ truth[0].T + truth[1], rough(points, truth, rng)
                 )
             except RegistrationError:
                 refused += 1
-        percent, is_good = 100.0 * refused / SYMMETRIC_FITS, "corner" in name
+        percent = 100.0 * refused / SYMMETRIC_FITS
+        is_good = "corner" in name
         limit = 0.0 if is_good else 99.0
         yield Figure(
             f"touches of a {name}: refused",
@@ -221,10 +234,13 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
 
 def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
     mesh, model = truth_and_model(labels, ORGANS[0], rng)
-    center, refused, wrong = mesh.center_mass, 0, 0
+    center = mesh.center_mass
+    refused = 0
+    wrong = 0
     for _ in range(FAR_STARTS):
         front, axis, aside = rng.normal(size=(3, 3))
-        points, truth = touch(mesh, front / np.linalg.norm(front), rng), pose(rng)
+        points = touch(mesh, front / np.linalg.norm(front), rng)
+        truth = pose(rng)
         turn = rng.uniform(*FAR_rad) * axis / np.linalg.norm(axis)
         off = truth[0] @ Rotation.from_rotvec(turn).as_matrix()
         middle = points.mean(axis=0)
@@ -239,25 +255,27 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
             continue
         error_m = np.linalg.norm(found.to_robot(center) - truth[0] @ center - truth[1])
         wrong += int(error_m > RIGHT_m)
-    sound, what = 100.0 * (1.0 - wrong / FAR_STARTS), "starts outside the basin"
+    sound = 100.0 * (1.0 - wrong / FAR_STARTS)
+    what = "starts outside the basin"
     yield Figure(f"{what}: refused, or right", "", sound, "%", 99.0, at_least=True)
     yield Figure(f"{what}: refused", "", 100.0 * refused / FAR_STARTS, "%")
 
 
 def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figure]:
-    errors, inside, refused = [], [], 0
+    errors = []
+    inside = []
+    refused = 0
     for _ in range(MODELS):
         truth_mesh, model = truth_and_model(labels, name, rng)
         center = truth_mesh.center_mass
         for number in range(FITS):
             front = rng.normal(size=3)
-            points, truth = (
-                touch(truth_mesh, front / np.linalg.norm(front), rng),
-                pose(rng),
-            )
+            points = touch(truth_mesh, front / np.linalg.norm(front), rng)
+            truth = pose(rng)
             try:
                 robot = points @ truth[0].T + truth[1]
-                start, check = rough(points, truth, rng), number < CHECKED
+                start = rough(points, truth, rng)
+                check = number < CHECKED
                 found = fit_surface(model, robot, start, check=check)
             except RegistrationError:
                 refused += 1
@@ -265,7 +283,8 @@ def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figu
             place = truth[0] @ center + truth[1]
             errors.append(1e3 * float(np.linalg.norm(found.to_robot(center) - place)))
             inside.append(found.region_contains(center, place))
-    what, cover = f"touches of a {name}", float(np.mean(inside))
+    what = f"touches of a {name}"
+    cover = float(np.mean(inside))
     yield Figure(f"{what}: error at its centre, 95 %", "", _quantile(errors), "mm", 0.7)
     yield Figure(f"{what}: 95 % region covers", "", cover, "", 0.92, at_least=True)
     yield Figure(f"{what}: 95 % region covers, at most", "", cover, "", 0.97)

@@ -47,7 +47,8 @@ def run_anatomy(
         )
     whole = {f"{PREFIX}-{part}" for part in PARTS} if PREFIX in wanted else set()
     asked = [part for part in there if f"{PREFIX}-{part}" in wanted | whole]
-    seed, rows = FIRST_SEED if first_seed is None else first_seed, []
+    seed = FIRST_SEED if first_seed is None else first_seed
+    rows = []
     for number, part in enumerate(asked):
 
         def update(fraction: float, begun: int = number) -> None:
@@ -55,7 +56,8 @@ def run_anatomy(
 
         module = import_module(f"benchmarks.anatomy_{part}")
         for figure in module.measure(seed, data, update):
-            value, target = float(figure.value), figure.target
+            value = float(figure.value)
+            target = figure.target
             row = (
                 part,
                 figure.what,

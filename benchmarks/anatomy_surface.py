@@ -44,7 +44,10 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
 
 
 def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]:
-    truth, voxels, rms, closed = [], [], [], []
+    truth = []
+    voxels = []
+    rms = []
+    closed = []
     while len(rms) < ELLIPSOIDS:
         radii = 1e-3 * np.exp(rng.uniform(np.log(12.0), np.log(60.0), 3))
         turned = Rotation.random(rng=rng).as_matrix()
@@ -55,7 +58,8 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]
         voxels.append(_volume_error(labels, surface))
         rms.append(distance_rms_m(surface, body) / (1e-3 * spacing_mm))
         closed.append(surface.mesh.is_volume)
-    name, target = f"ellipsoids, {spacing_mm:g} mm", 0.5 if spacing_mm == 1.0 else None
+    name = f"ellipsoids, {spacing_mm:g} mm"
+    target = 0.5 if spacing_mm == 1.0 else None
     yield Figure(f"{name}: volume against truth, worst", "", max(truth), "%", target)
     yield Figure(f"{name}: volume against voxels, worst", "", max(voxels), "%", 0.1)
     pooled = float(np.sqrt(np.mean(np.square(rms))))
@@ -156,7 +160,8 @@ def oblique_image(
     values[2:11, 3:5, 2:4] = 1
     values[2:4, 3:10, 2:4] = 1
     values[2:4, 3:5, 2:8] = 1
-    spacing, origin = np.array([0.7, 0.9, 2.5]), rng.uniform(-150.0, 150.0, 3)
+    spacing = np.array([0.7, 0.9, 2.5])
+    origin = rng.uniform(-150.0, 150.0, 3)
     directions = Rotation.random(rng=rng).as_matrix() * signs
     image = SimpleITK.GetImageFromArray(values)
     image.SetSpacing(spacing.tolist())
@@ -191,7 +196,8 @@ def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
     """Write an image as a DICOM series, one file per slice."""
     import SimpleITK
 
-    size, cosines = image.GetSize(), np.array(image.GetDirection()).reshape(3, 3)
+    size = image.GetSize()
+    cosines = np.array(image.GetDirection()).reshape(3, 3)
     writer = SimpleITK.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
     turned = "\\".join(f"{part:.12f}" for part in cosines[:, :2].T.ravel())

@@ -112,7 +112,8 @@ def friction_bounds(
     )
     size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MOST_BLOCKS))
     blocks = _means(columns, size)
-    depth, columns = blocks[:, 0], blocks[:, 1:]
+    depth = blocks[:, 0]
+    columns = blocks[:, 1:]
     if is_white:
         covariance = np.var(error_N) / size * np.eye(len(depth))
     else:
@@ -140,7 +141,9 @@ def friction_bounds(
 
 def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
     """One per layer that ruptured."""
-    found, onset, begin = [], 0.0, 0.0
+    found = []
+    onset = 0.0
+    begin = 0.0
     for rupture in truth.ruptures:
         if rupture in exits:
             ends = truth.boundaries_m
@@ -191,7 +194,8 @@ def delay_bounds_s(
     sensor's.
     """
     tick = truth.period_s
-    before, within = round(BEFORE_s / tick), round(WITHIN_s / tick)
+    before = round(BEFORE_s / tick)
+    within = round(WITHIN_s / tick)
     covariance = autocovariance(error_N, before + within)
     matrix = toeplitz(covariance) + _FLOOR * covariance[0] * np.eye(len(covariance))
     factor = cholesky(matrix, lower=True)

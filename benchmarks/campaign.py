@@ -21,7 +21,8 @@ from benchmarks.runner import run_job
 
 JobProgress = Callable[[int, float], None]
 """Takes the index of a job and the fraction of it that is done, 0 to 1."""
-LEAST_PAUSE_S, PAUSE_RATIO = 2.0, 50.0
+LEAST_PAUSE_S = 2.0
+PAUSE_RATIO = 50.0
 """Between two writings of the file, and at least so many times as long as one takes: of
 a long campaign it is hundreds of megabytes."""
 

@@ -8,7 +8,8 @@ import pandas as pd
 LEAST_SEEDS = 5
 """With fewer, too few different samples can be drawn from them: then single runs are
 drawn."""
-RESAMPLES, INTERVAL_SEED = 2000, 0
+RESAMPLES = 2000
+INTERVAL_SEED = 0
 """Every interval is drawn anew from the seed: it depends on nothing but its own
 runs."""
 BATCH = 10**6
@@ -39,7 +40,8 @@ def interval(
     # Seeds may have different numbers of runs: what is missing is nan.
     average = np.nanmean if is_mean else np.nanmedian
 
-    rows, averages = min(max(BATCH // runs.size, 1), RESAMPLES), []
+    rows = min(max(BATCH // runs.size, 1), RESAMPLES)
+    averages = []
     while len(averages) < RESAMPLES:
         drawn = runs[rng.integers(len(runs), size=(rows, len(runs)))]
         averages.extend(average(drawn.reshape(rows, -1), axis=1))

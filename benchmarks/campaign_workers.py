@@ -111,7 +111,8 @@ def _on_processes(
 ) -> Iterator[tuple[int, Answer | None]]:
     waiting = deque(range(len(jobs)))
     while waiting:
-        running, lost = dict[Future[Answer], int](), list[int]()
+        running = dict[Future[Answer], int]()
+        lost = list[int]()
         with _pool(processes) as pool:
             while running or (waiting and not lost):
                 while waiting and not lost and len(running) < AHEAD * processes:

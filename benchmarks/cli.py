@@ -139,7 +139,8 @@ class Kept:
     """Go on with that file: runs whose numbers it has are not done again."""
 
 
-_KEPT, _WORKERS = Kept(), Workers()
+_KEPT = Kept()
+_WORKERS = Workers()
 
 
 @app.command
@@ -182,7 +183,8 @@ def run(
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
-    plants, console = _plant_names(plant), new_console()
+    plants = _plant_names(plant)
+    console = new_console()
     is_apart = any(name.startswith(("control", "anatomy")) for name in ids)
     _check_kept(kept, workers, is_drawn=report is not None, is_apart=is_apart)
     if is_apart:
@@ -396,11 +398,13 @@ def time_updates(
     with progress_bar("timing") as update:
         if soak:
             found = run_soak(ticks, update)
-            tables, is_met = [soak_table(found, ticks)], found.is_met
+            tables = [soak_table(found, ticks)]
+            is_met = found.is_met
         elif loop is not None:
             from benchmarks.devices_loop import loop_table
 
-            tables, is_met = [loop_table(loop, with_scene=scene, progress=update)], True
+            tables = [loop_table(loop, with_scene=scene, progress=update)]
+            is_met = True
         elif kdl:
             from benchmarks.kdl_peer import compare_with_kdl
 
@@ -436,7 +440,8 @@ def inject_faults(
         for result in study.results():
             found.append(result)
             update(min(0.2 + 0.03 * len(found), 1.0))
-    console, table = new_console(), fault_table(found)
+    console = new_console()
+    table = fault_table(found)
     if markdown:
         console.print("\n".join(table.markdown()), soft_wrap=True, markup=False)
     else:

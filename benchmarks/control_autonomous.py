@@ -23,19 +23,24 @@ TRAVEL_MM = {
 """Targets of the travel past a rupture, by the speed in mm/s."""
 BONE_N = {5.0: 0.3, 20.0: 4.0}
 """Targets of the force over the limit."""
-LIMIT_N, OPEN_N = 2.0, 20.0
+LIMIT_N = 2.0
+OPEN_N = 20.0
 """Force limit against bone, and one that no tissue here reaches."""
-SIDE_N, SIDE_MS, LOST_MM = 2.0, 60.0, 0.5
+SIDE_N = 2.0
+SIDE_MS = 60.0
+LOST_MM = 0.5
 LOST = {
     "torques": "tau_Nm",
     "positions": "q_rad",
     "samples": "sample",
     "commands": "command",
 }
-STRUCK_M, LOST_S = 15e-3, 0.3
+STRUCK_M = 15e-3
+LOST_S = 0.3
 """Depth, from the tare, at which a side force or a loss begins; and how long a loss
 takes."""
-SIDE_MM_S, AT_REST_M_S = 5.0, 1e-3
+SIDE_MM_S = 5.0
+AT_REST_M_S = 1e-3
 """Speed with a push from the side, and the one below which the needle counts as
 stopped: an arm with a soft servo goes on to settle."""
 LAYERS = 3
@@ -112,7 +117,8 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     wall = Wall(distance_m=STRUCK_M)
     rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
-    deepest_m, run = 0.0, Insertion(rig, plan, SafetyLimits(axial_N=LIMIT_N))
+    deepest_m = 0.0
+    run = Insertion(rig, plan, SafetyLimits(axial_N=LIMIT_N))
     for _ in run:
         deepest_m = max(deepest_m, wall.penetration_m)
     over_N = wall.stiffness_N_per_m * deepest_m - LIMIT_N
@@ -144,7 +150,8 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 
 def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
-    run, start = _in_gel(servo, plant, seed, 20.0), 0
+    run = _in_gel(servo, plant, seed, 20.0)
+    start = 0
     for now in run:
         if not start and now.state == "insertion" and now.estimate.depth_m > STRUCK_M:
             start = round(1e3 * run.rig.time_s)

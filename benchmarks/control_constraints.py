@@ -40,7 +40,8 @@ Array = NDArray[np.float64]
 SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 MILLI = 1e3
 
-GAIN_per_s, PUSHED_GAIN_per_s = 30.0, 60.0
+GAIN_per_s = 30.0
+PUSHED_GAIN_per_s = 60.0
 """K of the constraints. Noise of the measured positions passes the loop and grows with
 the root of K; what a push displaces falls with K. A needle in a fixture is held by a
 hand, so it gets more."""
@@ -48,13 +49,18 @@ SETTLE_s = 0.6
 """Rest before a constraint is set at the mean of what is measured in its second half.
 After 0.3 s joint impedance still moves by 0.01 mm under the 1 N on the tip."""
 BEHIND_TIP_m = 0.08
-RADIUS_m, PERIOD_s, FADE_s = 0.02, 8.0, 1.0
-INSERTION_m, INSERTION_m_s = 0.1, 0.01
-SIDEWAYS_m_s, SIDEWAYS_Hz = 0.02, 0.5
+RADIUS_m = 0.02
+PERIOD_s = 8.0
+FADE_s = 1.0
+INSERTION_m = 0.1
+INSERTION_m_s = 0.01
+SIDEWAYS_m_s = 0.02
+SIDEWAYS_Hz = 0.5
 STANDOFF_m = 5e-3
 PUSH_s = 0.05
 """In which a hand's push comes up."""
-TURN_rad, TURN_s = 0.5, 3.0
+TURN_rad = 0.5
+TURN_s = 3.0
 
 
 @dataclass(kw_only=True)
@@ -99,7 +105,8 @@ class ClosedLoop:
         error: Callable[[], float],
     ) -> Array:
         """Errors at all samples of some time under a stack that depends on it."""
-        start_s, found = self.rig.time_s, []
+        start_s = self.rig.time_s
+        found = []
         for sample in self.rig:
             t_s = self.rig.time_s - start_s
             found.append(error())
@@ -119,12 +126,14 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
     """RCM errors on the circle, from its full size on, and the distances of the tip
     from it.
     """
-    rig, tool = test.rig, test.control.tool
+    rig = test.rig
+    tool = test.control.tool
     true = rig.truth
     centre_m = true.tip_m - BEHIND_TIP_m * true.rotation[:, 2]
     home_m = tool.tip_m
     constraint = RemoteCentre(home_m - BEHIND_TIP_m * tool.axis, GAIN_per_s)
-    tip, posture = TipVelocity((0.0, 0.0, 0.0), home_m, 10.0), Posture(rig.home_rad)
+    tip = TipVelocity((0.0, 0.0, 0.0), home_m, 10.0)
+    posture = Posture(rig.home_rad)
     off_m: list[float] = []
 
     def stack(t_s: float) -> Sequence[Task]:
@@ -134,7 +143,8 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
         rate = 2.0 * math.pi / PERIOD_s
         out = np.array([math.cos(rate * t_s), math.sin(rate * t_s), 0.0])
         on = np.array([-out[1], out[0], 0.0])
-        tip.goal_m, tip.rate = home_m + radius * out, growth * out + radius * rate * on
+        tip.goal_m = home_m + radius * out
+        tip.rate = growth * out + radius * rate * on
         off_m.append(float(np.linalg.norm(rig.truth.tip_m - true.tip_m - radius * out)))
         return constraint, tip, posture
 
@@ -207,12 +217,16 @@ def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
     """Distances of the true tip from the line, and the depth it has come to [m]."""
-    rig, tool = test.rig, test.control.tool
+    rig = test.rig
+    tool = test.control.tool
     true = rig.truth
-    line_m, axis = true.tip_m, true.rotation[:, 2]
+    line_m = true.tip_m
+    axis = true.rotation[:, 2]
     fixture = Fixture(tool.tip_m, tool.rotation, PUSHED_GAIN_per_s)
-    inwards, aside = tool.axis, across(test.seed + 2)
-    user, posture = TipVelocity((0.0, 0.0, 0.0)), Posture(rig.home_rad)
+    inwards = tool.axis
+    aside = across(test.seed + 2)
+    user = TipVelocity((0.0, 0.0, 0.0))
+    posture = Posture(rig.home_rad)
     seconds = INSERTION_m / INSERTION_m_s
 
     def stack(t_s: float) -> Sequence[Task]:
@@ -293,8 +307,10 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 def _turn(test: ClosedLoop) -> float:
     """Largest distance of the tip from where it should rest, per angle [m/rad]."""
-    tool, start_m = test.control.tool, test.rig.truth.tip_m
-    motion, posture = DecoupledMotion(tool, GAIN_per_s), Posture(test.rig.home_rad)
+    tool = test.control.tool
+    start_m = test.rig.truth.tip_m
+    motion = DecoupledMotion(tool, GAIN_per_s)
+    posture = Posture(test.rig.home_rad)
     axis = np.random.default_rng([test.seed, 5]).standard_normal(3)
     axis /= np.linalg.norm(axis)
     rest = np.zeros(3)

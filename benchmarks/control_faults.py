@@ -23,7 +23,10 @@ from needleforce.control import InsertionPlan, SafetyLimits, Situation, State
 from needleforce.control.insertion_profile import Step
 from urdf import Payload, Robot, load_lwr
 
-SPEED_M_S, DEPTH_M, STRUCK_M, WATCHED_S = 5e-3, 25e-3, 15e-3, 1.5
+SPEED_M_S = 5e-3
+DEPTH_M = 25e-3
+STRUCK_M = 15e-3
+WATCHED_S = 1.5
 MOST_MM_S = 12.0
 """Of the tip at the commanded 5 mm/s, whatever is wrong with the signals."""
 
@@ -49,8 +52,10 @@ def _spike(
 ) -> ArmSample:
     if k % 100:
         return now
-    q, tau = now.q_rad.copy(), now.tau_Nm.copy()
-    q[SHOULDER], tau[SHOULDER] = q[SHOULDER] + q_rad, tau[SHOULDER] + tau_Nm
+    q = now.q_rad.copy()
+    tau = now.tau_Nm.copy()
+    q[SHOULDER] = q[SHOULDER] + q_rad
+    tau[SHOULDER] = tau[SHOULDER] + tau_Nm
     return now._replace(q_rad=q, tau_Nm=tau)
 
 
@@ -129,11 +134,10 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
         standoff_m=STANDOFF_M,
         duration_s=15.0,
     )
-    plan, limits = (
-        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M),
-        SafetyLimits(axial_N=OPEN_N),
-    )
-    kind, known = Insertion, rig.robot
+    plan = InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M)
+    limits = SafetyLimits(axial_N=OPEN_N)
+    kind = Insertion
+    known = rig.robot
     if fault == OTHERS[1]:
         kind = Led
     elif fault == OTHERS[2]:
@@ -163,7 +167,9 @@ class _Seen(NamedTuple):
 
 def _watch(run: Insertion, fault: str) -> _Seen:
     """Run an insertion through a fault."""
-    struck_s, fastest_m_s, reason = math.inf, 0.0, ""
+    struck_s = math.inf
+    fastest_m_s = 0.0
+    reason = ""
     for now in run:
         is_inside = now.state in (State.INSERTION, State.TELEOP)
         if math.isinf(struck_s) and is_inside and now.estimate.depth_m > STRUCK_M:
@@ -195,11 +201,13 @@ class _Struck:
     """Counts the samples of a fault, and keeps the first."""
 
     def __init__(self, change: Change) -> None:
-        self._change, self._count = change, -1
+        self._change = change
+        self._count = -1
         self._before: ArmSample | None = None
 
     def __call__(self, sample: ArmSample) -> ArmSample:
-        self._before, self._count = self._before or sample, self._count + 1
+        self._before = self._before or sample
+        self._count = self._count + 1
         return self._change(self._count, sample, self._before)
 
 

@@ -39,11 +39,15 @@ CASES = (
 )
 SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 STIFFEST_N_per_m = {"S": 2000.0, "I": 1000.0}
-STROKE_m, STROKE_s = 0.06, 4.0
-SPEED_m_s, HAND_N_per_m = 0.1, 500.0
-DEEP_m, SIDE_N = 0.04, 10.0
+STROKE_m = 0.06
+STROKE_s = 4.0
+SPEED_m_s = 0.1
+HAND_N_per_m = 500.0
+DEEP_m = 0.04
+SIDE_N = 10.0
 SWING_m = 2e-4
-REST_s, AWAY_m = 0.5, 0.025
+REST_s = 0.5
+AWAY_m = 0.025
 """From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has
 run away; it may then stand still because the sensor takes nothing in, so its swing
 alone says nothing."""
@@ -86,12 +90,15 @@ class GuidedArm:
 
     def _prepare(self, is_inserted: bool) -> None:
         """Tare over a stroke away from the tissue and back; then perhaps insert."""
-        control, rig = self.control, self.rig
+        control = self.control
+        rig = self.rig
         control.tool.update(rig.home_rad)
-        line, home = Fixture.here(control.tool), Posture(rig.home_rad)
+        line = Fixture.here(control.tool)
+        home = Posture(rig.home_rad)
         for sample in rig:
             self.sensor.update(*sample[1:], sample.dt_s)
-            time_s, speed_m_s = rig.time_s, 0.0
+            time_s = rig.time_s
+            speed_m_s = 0.0
             if time_s < STROKE_s:
                 turn = 2.0 * math.pi * time_s / STROKE_s
                 speed_m_s = -math.pi * STROKE_m / STROKE_s * math.sin(turn)
@@ -155,7 +162,8 @@ def _drift(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """A slow pull until the tip moves, and one at 100 mm/s, across the needle."""
-    across, arm = _across(seed), GuidedArm(servo, plant, seed)
+    across = _across(seed)
+    arm = GuidedArm(servo, plant, seed)
     begin_s = arm.begin_s
     arm.hand.force_N = lambda time_s: max(time_s - begin_s, 0.0) * across
     # What was left of the stroke's speed is gone by then.
@@ -200,11 +208,10 @@ def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]
 
 
 def _tissue(servo: str, plant: str, seed: int) -> Iterator[Figure]:
-    across, arm = (
-        _across(seed),
-        GuidedArm(servo, plant, seed, scenario="stack-glove-constant"),
-    )
-    truth, begin_s = arm.rig.truth, arm.begin_s
+    across = _across(seed)
+    arm = GuidedArm(servo, plant, seed, scenario="stack-glove-constant")
+    truth = arm.rig.truth
+    begin_s = arm.begin_s
     entry_m = truth.tip_m - truth.depth_m * truth.rotation[:, 2]
     arm.hand.force_N = lambda time_s: (
         SIDE_N * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across

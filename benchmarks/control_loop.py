@@ -68,9 +68,13 @@ class Insertion:
         session = InsertionSession(
             rig.robot if known is None else known, on_lwr(DEFAULT)
         )
-        self.rig, self.manager = rig, Manager(session, limits)
-        self._profile, self._with_ft = InsertionProfile(plan), with_ft
-        self._identifier, self._free_N, self._zero_N = Identifier(), list[float](), 0.0
+        self.manager = Manager(session, limits)
+        self.rig = rig
+        self._profile = InsertionProfile(plan)
+        self._with_ft = with_ft
+        self._identifier = Identifier()
+        self._free_N = list[float]()
+        self._zero_N = 0.0
         self.has_device = False
         self.ended_s: float | None = None
 
@@ -78,11 +82,15 @@ class Insertion:
         """Run until the arm rests at the end of the insertion, or the rig's time is
         over.
         """
-        rig, manager, beside = self.rig, self.manager, Beside()
+        rig = self.rig
+        manager = self.manager
+        beside = Beside()
         control = Controller(rig.robot, Limits(rig.robot))
         control.tool.update(rig.home_rad)
-        line, posture = Fixture.here(control.tool, GAIN_PER_S), Posture(rig.home_rad)
-        was_inside, dq_rad_s = False, np.zeros(rig.robot.nv)
+        line = Fixture.here(control.tool, GAIN_PER_S)
+        posture = Posture(rig.home_rad)
+        was_inside = False
+        dq_rad_s = np.zeros(rig.robot.nv)
         for sample in rig:
             manager.heartbeat()
             axial_N = self._axial_N() if self._with_ft else None

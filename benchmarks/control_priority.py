@@ -46,7 +46,9 @@ from urdf import NeedleTool, Robot, load_lwr
 
 Array = NDArray[np.float64]
 CASES = ("leak", "cascade", "hostile")
-STACKS, CASCADES, TICKS = 5_000, 250, 50_000
+STACKS = 5_000
+CASCADES = 250
+TICKS = 50_000
 """Of one seed: with 20 seeds 1e5 stacks and 1e6 ticks."""
 SINGULAR_JOINTS = (1, 3, 5)
 """Near zero the LWR is stretched, or two of its axes are one."""
@@ -68,12 +70,15 @@ class RandomStacks:
     """Postures, stacks of tasks and boxes, drawn without end."""
 
     def __init__(self, robot: Robot, rng: np.random.Generator) -> None:
-        self.robot, self.rng = robot, rng
-        self.limits, self.tool = Limits(robot), ToolState(robot)
+        self.robot = robot
+        self.rng = rng
+        self.limits = Limits(robot)
+        self.tool = ToolState(robot)
 
     def posture(self, is_singular: bool) -> Array:
         """Joint positions within limits."""
-        rng, table = self.rng, self.limits.table
+        rng = self.rng
+        table = self.limits.table
         q = rng.uniform(table[0], table[1])
         if is_singular:
             joint = rng.choice(SINGULAR_JOINTS)
@@ -82,7 +87,8 @@ class RandomStacks:
 
     def tasks(self) -> list[Task]:
         """Two to four tasks, in any order, then a posture, around where the tool is."""
-        rng, tool = self.rng, self.tool
+        rng = self.rng
+        tool = self.tool
         near = tool.tip_m + 1e-3 * rng.standard_normal(3)
         speed = 10.0 ** rng.uniform(-3.0, 0.0)
         turn = DecoupledMotion(tool)
@@ -146,7 +152,8 @@ class Rows(PinkTask):
 
     def __init__(self, rows: Array, rates: Array) -> None:
         super().__init__(cost=1.0, gain=1.0)
-        self.jacobian, self.rates = rows, rates
+        self.jacobian = rows
+        self.rates = rates
 
     def __repr__(self) -> str:  # pyright: ignore[reportIncompatibleMethodOverride]
         """For pink's messages."""
@@ -170,7 +177,9 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     that starts from there takes that for room.
     """
     stacks = RandomStacks(robot, rng)
-    worst, bound, unsolved = [0.0, 0.0], [0.0, 0.0], 0
+    worst = [0.0, 0.0]
+    bound = [0.0, 0.0]
+    unsolved = 0
     for index in range(CASCADES):
         tasks, last = stacks.draw(bool(index % 2))
         stack, whole = solved(stacks, tasks, last)
@@ -179,7 +188,8 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         )
         above = np.zeros((0, whole.size))
         for rows, rates, velocity in _levels(stack, whole):
-            free, level = _free(above), Rows(rows, rates)
+            free = _free(above)
+            level = Rows(rows, rates)
             above = np.vstack((above, rows))
             if not free.size:
                 break
@@ -220,7 +230,8 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
 
 def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array]]:
     """Rows of length one and rates of each level, and the velocity at its end."""
-    end, free = np.clip(0.0, *stack.bounds), np.eye(velocity.size)
+    end = np.clip(0.0, *stack.bounds)
+    free = np.eye(velocity.size)
     all_met = np.linalg.norm(stack.rows @ velocity - stack.rates) < 1e-9
     for rows, rates in (*stack.levels, (np.eye(velocity.size), stack.wish)):
         length = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
@@ -237,7 +248,8 @@ def _most_gain(missing: Array, rows: Array, free: Array, room: Array) -> float:
     gradient can at most move every joint through its box. The pushes are the best of
     `nnls`.
     """
-    gradient, ends = free.T @ (rows.T @ missing), np.concatenate((room[1], -room[0]))
+    gradient = free.T @ (rows.T @ missing)
+    ends = np.concatenate((room[1], -room[0]))
     sides = np.hstack((free.T, -free.T))
     pushes, _ = nnls(np.vstack((sides, 1e-3 * ends)), np.append(gradient, 0.0))
     left = np.abs(free @ (sides @ pushes - gradient)) @ (room[1] - room[0])
@@ -265,8 +277,13 @@ def _within(room: Array, way: Array) -> Array:
 def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """How far commands pass a limit, and how many ticks go without an answer."""
     stacks = RandomStacks(robot, rng)
-    control, q, tasks = Controller(robot, stacks.limits), np.array(LWR_POSTURE_rad), []
-    before, over, silent, step_s = np.zeros(robot.nv), np.full(3, -np.inf), 0, 1e-3
+    control = Controller(robot, stacks.limits)
+    q = np.array(LWR_POSTURE_rad)
+    tasks = []
+    before = np.zeros(robot.nv)
+    over = np.full(3, -np.inf)
+    silent = 0
+    step_s = 1e-3
     for tick in range(TICKS):
         if tick % 200 == 0:
             stacks.tool.update(q)
@@ -297,7 +314,8 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
 def _hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:
     """Time that passes, time that is reported, positions that are reported."""
     elapsed_s = float(rng.choice((1e-3, 5e-3, 0.02), p=(0.99, 0.007, 0.003)))
-    dt_s, seen = elapsed_s, q + 1e-5 * rng.standard_normal(q.size)
+    dt_s = elapsed_s
+    seen = q + 1e-5 * rng.standard_normal(q.size)
     kind = rng.random()
     if kind < 0.005:
         dt_s = float(rng.choice((0.0, -1.0, 1e3, np.nan)))

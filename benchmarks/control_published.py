@@ -22,7 +22,8 @@ def published(stack: Stack) -> tuple[Array, bool]:
     1e-10.
     """
     wish = stack.wish
-    velocity, projector = np.zeros_like(wish), np.eye(wish.size)
+    velocity = np.zeros_like(wish)
+    projector = np.eye(wish.size)
     for rows, rates in stack.levels:
         free = rows @ projector
         square = free @ free.T

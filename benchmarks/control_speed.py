@@ -22,14 +22,21 @@ from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVe
 from needleforce.jit import COMPILER
 from residual import DEFAULT
 
-BARE, CONTROL, SATURATED = "Jacobian and placement", "control", "control, limits bind"
-SESSION, TOGETHER = "session", "session and control"
+BARE = "Jacobian and placement"
+CONTROL = "control"
+SATURATED = "control, limits bind"
+SESSION = "session"
+TOGETHER = "session and control"
 RATIO = 8.0 if COMPILER else 25.0
 """Most that a tick of control may cost, relative to the bare calls."""
-TAIL_US, TOGETHER_US = 200.0, 60.0
+TAIL_US = 200.0
+TOGETHER_US = 60.0
 """Most processor time of 999 in 1000 ticks of control; most of session and control,
 median."""
-SECONDS, WARM_TICKS, BEHIND_TIP_M, RADIUS_M = 8.0, 1000, 0.08, 0.02
+SECONDS = 8.0
+WARM_TICKS = 1000
+BEHIND_TIP_M = 0.08
+RADIUS_M = 0.02
 
 
 class _Loop:
@@ -39,7 +46,8 @@ class _Loop:
         self.control = Controller(arm.robot, Limits(arm.robot))
         tool = self.control.tool
         tool.update(arm.home_rad)
-        self._start_m, self._rate = tool.tip_m, 2.0 * math.pi / period_s
+        self._start_m = tool.tip_m
+        self._rate = 2.0 * math.pi / period_s
         self._tip = TipVelocity((0.0, 0.0, 0.0), self._start_m, gain_per_s=10.0)
         centre = RemoteCentre(tool.tip_m - BEHIND_TIP_M * tool.axis)
         self._stack = [centre, self._tip, Posture(arm.home_rad)]
@@ -62,7 +70,8 @@ def _recorded(
 ) -> tuple[_Loop, list[ArmSample]]:
     """Samples of an arm that has gone round, and a new loop for it."""
     arm = SimulatedArm(plant="clean", duration_s=SECONDS)
-    loop, samples = _Loop(arm, period_s), []
+    loop = _Loop(arm, period_s)
+    samples = []
     for k, sample in enumerate(arm):
         samples.append(sample)
         arm.send(loop.command(sample, k))
@@ -85,8 +94,10 @@ def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
     loop, samples = _recorded(SECONDS, lambda part: progress(0.4 * part))
     hasty, pressed = _recorded(0.5, lambda part: progress(0.4 + 0.4 * part))
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
-    model, data = robot.model, robot.create_data()
-    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    model = robot.model
+    data = robot.create_data()
+    frame = robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
 
     def bare(k: int) -> None:

@@ -149,7 +149,8 @@ def _rows(found: Iterable[tuple[ControlJob, list[Figure]]]) -> list[ControlRow]:
             seeds.setdefault(key, set()).add(job.seed)
     rows = []
     for key, figures in groups.items():
-        (part, what, servo, plant, unit), first = key, figures[0]
+        part, what, servo, plant, unit = key
+        first = figures[0]
         values = sorted((float(item.value) for item in figures), reverse=first.at_least)
         value = values[math.ceil(first.quantile * len(values) - 1e-9) - 1]
         if not all(map(math.isfinite, values)):

@@ -24,10 +24,12 @@ CASES = (
     *(f"{servo} wall {delay}" for servo in SERVOS for delay in DELAYS_MS),
 )
 SCALES = (0.1, 0.2, 0.4, 1.0)
-SPEED_M_S, TRAVEL_M = 4e-3, 111e-3
+SPEED_M_S = 4e-3
+TRAVEL_M = 111e-3
 """The needle's speed if the hand had its will, and its travel: through the stack and
 beyond."""
-WALL_SPEED_M_S, PRESSED_M = 10e-3, 20e-3
+WALL_SPEED_M_S = 10e-3
+PRESSED_M = 20e-3
 MOST_S = 90.0
 
 

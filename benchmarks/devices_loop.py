@@ -34,10 +34,13 @@ from needleforce.devices.emulators import (
 )
 from urdf import Robot
 
-SCENARIO, PLANT = "gel-25-constant", "fri"
+SCENARIO = "gel-25-constant"
+PLANT = "fri"
 WARM_UP = 2000
 """Cycles before which nothing is counted: what is compiled or loaded late."""
-ALONE, SCENE, RECORDER = "alone", "with the scene", "with a recorder"
+ALONE = "alone"
+SCENE = "with the scene"
+RECORDER = "with a recorder"
 QUANTILES = (50.0, 99.0, 99.9, 100.0)
 
 
@@ -51,7 +54,8 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
         )
     run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
     kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
-    lines, notes = [], list[str]()
+    lines = []
+    notes = list[str]()
     for number, kind in enumerate(kinds):
         lines += [(kind, *line) for line in _one(run, seconds, kind, notes)]
         progress(0.2 + 0.8 * (number + 1) / len(kinds))
@@ -131,7 +135,9 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
         return sum(sum(server.cpu_times()[:2]) for server in servers)
 
     with connect(url.replace("http", "ws"), subprotocols=[kind], max_size=None) as page:
-        updates, begin_s, before_s = 0, 0.0, 0.0
+        updates = 0
+        begin_s = 0.0
+        before_s = 0.0
         while not pipe.poll():
             try:
                 message: Any = page.recv(timeout=0.1)
@@ -144,7 +150,8 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
                 continue
             updates += 1
             if updates == 1:  # what came before it was the whole scene
-                begin_s, before_s = perf_counter(), used_s()
+                begin_s = perf_counter()
+                before_s = used_s()
         passed_s = perf_counter() - begin_s
         pipe.send(((updates - 1) / passed_s, 100.0 * (used_s() - before_s) / passed_s))
 
@@ -152,8 +159,10 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
 def _one(
     run: Any, seconds: float, kind: str, notes: list[str]
 ) -> list[tuple[str, ...]]:
-    signals, cycles = run.signals, round(1e3 * seconds) + WARM_UP
-    arm, session = FriArm(port=0, give_up_s=0.5), InsertionSession(run.robot)
+    signals = run.signals
+    cycles = round(1e3 * seconds) + WARM_UP
+    arm = FriArm(port=0, give_up_s=0.5)
+    session = InsertionSession(run.robot)
     settings = FriSettings(
         port=arm.address[1],
         q_rad=signals.q_rad,
@@ -161,14 +170,16 @@ def _one(
         cycles=cycles,
         in_real_time=True,
     )
-    arrived_us, taken_us = list[float](), list[float]()
+    arrived_us = list[float]()
+    taken_us = list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
         put = stack.enter_context(_beside(kind, run.robot, notes))
         controller = stack.enter_context(Emulator(emulate_fri, settings))
         take_real_time()
         for sample in arm:
-            before, tau = perf_counter_ns(), sample.tau_Nm
+            before = perf_counter_ns()
+            tau = sample.tau_Nm
             assert tau is not None  # an LWR sends it
             now = session.update(sample.q_rad, None, tau, sample.dt_s)
             put(now, sample)

@@ -24,10 +24,12 @@ from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
 
-SCENARIO, PLANT = "gel-70-constant", "clean"
+SCENARIO = "gel-70-constant"
+PLANT = "clean"
 DEPTH_M = 20e-3
 """Where the faults strike: in the gel, which ends at 32 mm."""
-LEAD, BEYOND = 300, 3000
+LEAD = 300
+BEYOND = 3000
 """Samples before a fault, and after the end of the layer."""
 CLOSE_N = 0.1
 """An estimate has recovered when it stays this close to that of an undisturbed run."""
@@ -87,7 +89,8 @@ def judge(
         last = int(after[-1]) + 1
         recovery_s = float(elapsed[last]) if last < len(elapsed) else np.inf
     heard = found[stream.start : stream.stop + round(HOLD_S / PERIOD_s)]
-    statuses, warnings = {e.status for e in heard}, SensorWarning.NONE
+    statuses = {e.status for e in heard}
+    warnings = SensorWarning.NONE
     for estimate in heard:
         warnings |= estimate.warnings
     return FaultResult(
@@ -149,7 +152,8 @@ class FaultStudy:
         with_velocity: bool = True,
         through_layer: bool = True,
     ) -> None:
-        self._with_velocity, self._through = with_velocity, through_layer
+        self._with_velocity = with_velocity
+        self._through = through_layer
         self.run: Run = simulate(SCENARIO, PLANT, 0, progress)
         truth = self.run.truth
         self.at = int(np.argmax(truth.depth_m > DEPTH_M))
@@ -183,7 +187,8 @@ class FaultStudy:
         """What sensors, wires and clocks do, and what poses and loads do after the
         tare.
         """
-        run, tare = self.run, self._tare
+        run = self.run
+        tare = self._tare
         good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
         for name, inject in SIGNAL_FAULTS.items():
             yield self._result(name, inject(good, LEAD), self._inserted)
@@ -214,7 +219,8 @@ def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
     """
     scenario, spans = troubled_scenario()
     run = simulate(scenario, PLANT, 0)
-    tare, count = tare_index(run), len(run.signals.t_s)
+    tare = tare_index(run)
+    count = len(run.signals.t_s)
     session = InsertionSession(run.robot, UNSMOOTHED)
     whole = FaultStream.of_run(
         run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity)
@@ -239,7 +245,8 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
     """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert
     again.
     """
-    count, nothing = len(run.signals.t_s), np.zeros(len(run.signals.t_s))
+    count = len(run.signals.t_s)
+    nothing = np.zeros(len(run.signals.t_s))
     session = InsertionSession(run.robot, UNSMOOTHED)
     before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
     errors: tuple[str, ...] = ()
@@ -286,7 +293,8 @@ def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
     """The insertion after the tare; it is all fault, and its recovery that of its
     whole length.
     """
-    tare, count = tare_index(run), len(run.signals.t_s)
+    tare = tare_index(run)
+    count = len(run.signals.t_s)
     insertion = FaultStream.of_run(run, tare, count, late(run.truth.axial_N))
     found = feed(session, insertion)
     lasting = judge(name, insertion.copy(0, 0), found)

@@ -45,7 +45,8 @@ class FaultStream:
         """The samples of a run from ``first`` to before ``last``; the reference is
         of all.
         """
-        sent, part = run.signals, slice(first, last)
+        sent = run.signals
+        part = slice(first, last)
         assert sent.dq_rad_s is not None
         return cls(
             dt_s=np.full(last - first, PERIOD_s),
@@ -181,14 +182,16 @@ SIGNAL_FAULTS: Mapping[str, Injection] = {
 WRIST = 5
 STOP_NM = 2.0
 """Torque with which the wrist is pressed against its end stop."""
-TRAVEL_S, STAY_S = 3.0, 1.0
+TRAVEL_S = 3.0
+STAY_S = 1.0
 
 
 def loaded(
     run: Run, stream: FaultStream, at: int, samples: int, force_in_base_N: Array
 ) -> FaultStream:
     """A force on the tool beside that of the tissue, for some samples."""
-    bad, part = stream.copy(at, at + samples), slice(at, at + samples)
+    bad = stream.copy(at, at + samples)
+    part = slice(at, at + samples)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
     bad.tau_Nm[part] -= (
         force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[part], axes)[:, :3]
@@ -253,7 +256,8 @@ def _there_and_back() -> tuple[Array, Array, Array]:
 
 def wrist_at_limit(run: Run, stream: FaultStream) -> FaultStream:
     """The wrist goes to its upper limit and is pressed against the stop."""
-    target, stop = stream.q_rad[0].copy(), np.zeros(run.robot.nv)
+    target = stream.q_rad[0].copy()
+    stop = np.zeros(run.robot.nv)
     target[WRIST] = run.robot.position_upper_rad[WRIST]
     stop[WRIST] = -STOP_NM
     return detour(run, stream, target, stop)
@@ -266,8 +270,12 @@ def stretched(run: Run, stream: FaultStream) -> FaultStream:
 
 SPEED_M_S = 5e-3
 STANDOFF_M = 5e-3
-FIRST_STOP_M, TURN_M, DEEPEST_M, AGAIN_M = 15e-3, 10e-3, 42e-3, 20e-3
-TARE_M, TARE_S = 100e-3, 4.0
+FIRST_STOP_M = 15e-3
+TURN_M = 10e-3
+DEEPEST_M = 42e-3
+AGAIN_M = 20e-3
+TARE_M = 100e-3
+TARE_S = 4.0
 _TOP_M = -STANDOFF_M - TARE_M
 _STROKES: tuple[tuple[str, float, Profile, float], ...] = (
     # Name of its end, where it leads, how, and how long it takes; a cruise has its own

@@ -49,7 +49,8 @@ class RunFigures:
         Raises:
             FiguresError: It cannot be drawn or saved.
         """
-        job, (figure, letter) = self.job, panel
+        job = self.job
+        figure, letter = panel
         number = f"figure-{figure}-" if figure else ""
         path = (
             self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
@@ -101,8 +102,10 @@ def force_chart(
     first = max(truth.start_s - MARGIN_s, truth.zeroed_s)
     shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + MARGIN_s)
     place = truth.t_s - truth.zeroed_s if over == "time" else 1e3 * truth.depth_m
-    x, true = place[shown], truth.axial_N[shown]
-    forces, errors = [], []
+    x = place[shown]
+    true = truth.axial_N[shown]
+    forces = []
+    errors = []
     for key, (name, style) in STYLES.items():
         for item in readings:
             if (item.source, item.method) != key:
@@ -165,7 +168,8 @@ def force_figures(
     job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> tuple[Drawing, ...]:
     """Force and error over time, and over depth where they are published so."""
-    figures, panels = RunFigures(job, folder), FORCE_PANELS.get(job.benchmark, ())
+    figures = RunFigures(job, folder)
+    panels = FORCE_PANELS.get(job.benchmark, ())
     figures.add(
         force_chart("axial force over time", truth, readings),
         "force-time",
@@ -196,8 +200,10 @@ def _facts(
     if len(by_key) < len(STYLES):
         return ()
     ft, ours, published = (by_key[key] for key in STYLES)
-    part, both = truth.judged, (published, ours)
-    time_s, true_N = truth.t_s[part], truth.axial_N[part]
+    part = truth.judged
+    both = (published, ours)
+    time_s = truth.t_s[part]
+    true_N = truth.axial_N[part]
     delays_ms = [1e3 * force_lag_s(time_s, item.axial_N[part], true_N) for item in both]
     is_within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
     within = f"{100.0 * np.mean(is_within):.1f}"

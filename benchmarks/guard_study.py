@@ -27,7 +27,9 @@ MOST_ACCELERATION_RAD_S2 = 40.0
 LIMIT_RATIO = 0.9
 """Fraction of the effort limits that a motion may need."""
 MIDDLE = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
-SAMPLES, RUNS, FIRST_SEED = 4000, 125, 1000
+SAMPLES = 4000
+RUNS = 125
+FIRST_SEED = 1000
 LEARNT_s = 0.8
 """By then the guard has learnt the noise of the signals."""
 
@@ -35,10 +37,8 @@ LEARNT_s = 0.8
 def sensed(motion: Motion, rng: np.random.Generator) -> Motion:
     """The motion as the sensors of the plant `clean` see it."""
     level = PLANT_MODELS["clean"]
-    q, dq = (
-        measured_position(motion[0], level, rng),
-        measured_velocity(motion[1], level, rng),
-    )
+    q = measured_position(motion[0], level, rng)
+    dq = measured_velocity(motion[1], level, rng)
     assert dq is not None
     return (
         q,
@@ -52,7 +52,8 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
     Half of them begin at rest, the others at full speed while the guard still learns.
     """
-    most, middle = robot.velocity_limit_rad_s, MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
+    most = robot.velocity_limit_rad_s
+    middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
     quickest = MOST_ACCELERATION_RAD_S2 / most
     omega = np.exp(rng.uniform(np.log(0.3 * quickest), np.log(quickest)))
     phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
@@ -70,12 +71,11 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     """A motion of a few centimetres a second."""
-    middle, omega = (
-        MIDDLE + rng.uniform(-0.5, 0.5, robot.nv),
-        rng.uniform(0.2, 0.6, robot.nv),
-    )
+    middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
+    omega = rng.uniform(0.2, 0.6, robot.nv)
     phase = omega * PERIOD_s * np.arange(count)[:, None]
-    q, dq = middle + 0.05 * np.sin(phase), 0.05 * omega * np.cos(phase)
+    q = middle + 0.05 * np.sin(phase)
+    dq = 0.05 * omega * np.cos(phase)
     return q, dq, inverse_dynamics(robot.model, q, dq, -0.05 * omega**2 * np.sin(phase))
 
 
@@ -86,9 +86,11 @@ def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     The force comes within 30 to 200 ms and goes within 10 to 50 ms, in any direction.
     """
     q, dq, tau = slow_motion(robot, rng, count)
-    t_s, data = PERIOD_s * np.arange(count), robot.create_data()
+    t_s = PERIOD_s * np.arange(count)
+    data = robot.create_data()
     for start_s in np.arange(LEARNT_s, t_s[-1] - 0.6, 0.6):
-        joint, offset = int(rng.integers(3, robot.nv + 1)), rng.uniform(-0.1, 0.1, 3)
+        joint = int(rng.integers(3, robot.nv + 1))
+        offset = rng.uniform(-0.1, 0.1, 3)
         force = rng.normal(size=3)
         force *= rng.uniform(5.0, 50.0) / np.linalg.norm(force)
         rise_s, hold_s, fall_s = rng.uniform((0.03, 0.02, 0.01), (0.2, 0.2, 0.05))
@@ -109,7 +111,8 @@ def ruptures(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     q, dq, tau = slow_motion(robot, rng, count)
     force_N = np.zeros(count)
     for last in range(round((LEARNT_s + 0.1) / PERIOD_s), count - 40, 100):
-        peak, fall = rng.uniform(0.5, 5.0), int(rng.integers(1, 31))
+        peak = rng.uniform(0.5, 5.0)
+        fall = int(rng.integers(1, 31))
         force_N[last - 60 : last] = peak * np.linspace(0.0, 1.0, 60)
         force_N[last : last + fall] = peak * np.linspace(1.0, 0.0, fall + 1)[1:]
     pressed = np.flatnonzero(force_N)
@@ -127,23 +130,23 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     """How many samples of a motion the sensor would not use."""
-    stream, missed_s, count = (
-        SampleStream(robot, DEFAULT, has_velocity=has_velocity),
-        0.0,
-        0,
-    )
+    stream = SampleStream(robot, DEFAULT, has_velocity=has_velocity)
+    missed_s = 0.0
+    count = 0
     for q, dq, tau in zip(*motion, strict=True):
         try:
             stream.update(q, dq if has_velocity else None, tau, PERIOD_s + missed_s)
             missed_s = 0.0
         except SampleError:
-            missed_s, count = missed_s + PERIOD_s, count + 1
+            missed_s = missed_s + PERIOD_s
+            count = count + 1
     return count
 
 
 def main() -> int:
     """Count them; an exit status of 1 if there are any."""
-    robot, total = load_lwr(payload=NeedleTool()), 0
+    robot = load_lwr(payload=NeedleTool())
+    total = 0
     for name, make in KINDS.items():
         found = 0
         for seed in range(FIRST_SEED, FIRST_SEED + RUNS):

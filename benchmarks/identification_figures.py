@@ -51,11 +51,13 @@ def draw_identification(
     usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
     for identified in found:
         by_method = {item.method: item for item in identified}
-        tuned, source = by_method["published-as-run"], identified[0].source
+        tuned = by_method["published-as-run"]
+        source = identified[0].source
         figure = ENHANCED_FIGURES.get((job.benchmark, source))
         if figure is None and source != usual:
             continue
-        is_ft, number = source == "ft", figure.number if figure else ""
+        is_ft = source == "ft"
+        number = figure.number if figure else ""
         kelvin_voigt = None
         if figure and is_ft:
             kelvin_voigt = identify_as_run(
@@ -82,7 +84,8 @@ def _add_offline(
     scenario = figures.job.benchmark
     if scenario not in OFFLINE_PANELS:
         return
-    found, panel = offline_metrics(signal, truth), OFFLINE_PANELS[scenario]
+    found = offline_metrics(signal, truth)
+    panel = OFFLINE_PANELS[scenario]
     kv, ml = (f"{found[f'offline_rmse_{model}_N']:.3f}" for model in ("kv", "ml"))
     here = (("Kelvin-Voigt, here", kv), ("multi-layer, here", ml))
     what = f"`{scenario}`: RMSE of the insertion [N]"
@@ -108,10 +111,13 @@ def _add_enhanced(
     compared: Compared,
 ) -> None:
     """The forces by each method."""
-    source, tuned, ft = compared.ours.source, compared.tuned, compared.ft
+    source = compared.ours.source
+    tuned = compared.tuned
+    ft = compared.ft
     assert isinstance(tuned.config, PublishedConfig)
     number = figure.number if figure else ""
-    sensor, has_speed = SENSORS[source], number == "9"
+    sensor = SENSORS[source]
+    has_speed = number == "9"
     alt = f"Axial force of the {sensor}, predicted force and enhanced force, with the true one, "
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
     title = f"friction compensation by the published method, {sensor}"

@@ -277,7 +277,8 @@ def layer_frictions(
     at zero.
     """
     found: list[LayerFriction] = []
-    true_N, begin_s = 0.0, -math.inf
+    true_N = 0.0
+    begin_s = -math.inf
     for k, rupture in enumerate(ruptures):
         true_N += rupture.layer_friction_N
         if rupture.layer == 0 or not is_visible(rupture):

@@ -72,7 +72,8 @@ def enhanced_chart(
     Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the
     method was given another, and the profile of the speed, as in Figure 9.
     """
-    x, whole = _times_s(item, truth), truth.t_s - truth.tare_end_s
+    x = _times_s(item, truth)
+    whole = truth.t_s - truth.tare_end_s
     top_N = float(truth.axial_N[truth.is_insertion].max())
     drawn: list[tuple[LineStyle, Array, Array, str]] = []
     if has_speed:
@@ -89,7 +90,8 @@ def enhanced_chart(
         (palette.PREDICTED, x, item.series("predicted_force_N"), "predicted force"),
     ]
     if kelvin_voigt is not None:
-        there, label = _times_s(kelvin_voigt, truth), "enhanced force, Kelvin-Voigt"
+        there = _times_s(kelvin_voigt, truth)
+        label = "enhanced force, Kelvin-Voigt"
         drawn.append(
             (
                 palette.PUBLISHED_KV,
@@ -133,7 +135,9 @@ def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
     times: list[float] = []
     local: list[float] = []
     total: list[float] = []
-    start_s, start_m, sum_before = truth.contact_s, 0.0, 0.0
+    start_s = truth.contact_s
+    start_m = 0.0
+    sum_before = 0.0
     for rupture in truth.ruptures:
         speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
         product = rupture.layer_friction_N / speed
@@ -141,11 +145,9 @@ def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
         times += [start_s, rupture.onset_s, rupture.onset_s]
         local += [product / thickness, product / thickness, np.nan]
         total += [sum_before, sum_before, np.nan]
-        start_s, start_m, sum_before = (
-            rupture.onset_s,
-            rupture.onset_m,
-            sum_before + product,
-        )
+        start_s = rupture.onset_s
+        start_m = rupture.onset_m
+        sum_before = sum_before + product
     ends = [start_s, float(truth.insertion_end_s)]
     sums = np.array([*total, sum_before, sum_before])
     return {
@@ -228,7 +230,9 @@ def _parameter(
 ) -> Curve:
     spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
     std = item.series(spread) if style is palette.OURS else None
-    x, y, band = _times_s(item, truth), item.series(name), "ours, ± 2 std"
+    x = _times_s(item, truth)
+    y = item.series(name)
+    band = "ours, ± 2 std"
     return Curve(style=style, x=x, y=y, label=label, std=std, band_label=band)
 
 
@@ -238,7 +242,8 @@ def _parameter_limits(
     """Room for the identified layers, the truth, and most of every curve, without
     transients.
     """
-    sizes, (low, high) = [1e-9, *(1.1 * value for value in found)], shown_s
+    sizes = [1e-9, *(1.1 * value for value in found)]
+    low, high = shown_s
     for curve in curves:
         inside = curve.y[(curve.x > low) & (curve.x < high) & np.isfinite(curve.y)]
         if curve.style is palette.TRUE_PART:
@@ -262,9 +267,11 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
     The withdrawal is predicted with the parameters of the insertion.
     """
     shown = truth.t_s >= truth.contact_s - MARGIN_s
-    x, reading = truth.t_s[shown] - truth.tare_end_s, signal.force_N[shown]
+    x = truth.t_s[shown] - truth.tare_end_s
+    reading = signal.force_N[shown]
     depth_m = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
-    spans, speed_m_s = layer_spans(truth), quiet_speed_m_s(signal)
+    spans = layer_spans(truth)
+    speed_m_s = quiet_speed_m_s(signal)
     forces = [
         Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")
     ]

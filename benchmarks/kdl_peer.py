@@ -29,13 +29,18 @@ from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-SCENARIO, PLANT, SEEDS = "stack-constant", "clean", (1000, 1001, 1002)
-KDL, BARE = "KDL", "KDL, addresses known in advance"
-OURS, SENSOR = "ours, observer and wrench", "ours, virtual sensor"
+SCENARIO = "stack-constant"
+PLANT = "clean"
+SEEDS = (1000, 1001, 1002)
+KDL = "KDL"
+BARE = "KDL, addresses known in advance"
+OURS = "ours, observer and wrench"
+SENSOR = "ours, virtual sensor"
 TARED = ", mean residual before contact taken off"
 TARE_s = 0.5
 """Of that mean: the published tare."""
-TIME_RATIO, ERROR_RATIO = 0.6, 0.05
+TIME_RATIO = 0.6
+ERROR_RATIO = 0.05
 """Most time of `OURS` and most error of `SENSOR`, relative to `KDL`."""
 PACKAGES = "g++ and Debian's liborocos-kdl-dev"
 
@@ -78,13 +83,17 @@ def kdl_library() -> ctypes.CDLL:
 
 def chain_numbers(robot: Robot) -> Array:
     """A serial arm of turning joints as `kdl_shim.cpp` takes it, shape (n + 1, 26)."""
-    model, data, at_zero = robot.model, robot.create_data(), pin.neutral(robot.model)
+    model = robot.model
+    data = robot.create_data()
+    at_zero = pin.neutral(robot.model)
     rows = []
     for k in range(1, model.njoints):
-        place, body = model.jointPlacements[k], model.inertias[k]
+        place = model.jointPlacements[k]
+        body = model.inertias[k]
         turn = pin.computeJointJacobian(model, data, at_zero, k)[3:, k - 1]
         inertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-        mass, rotor = [body.mass], [model.armature[k - 1]]
+        mass = [body.mass]
+        rotor = [model.armature[k - 1]]
         frame = (place.rotation.ravel(), place.translation, place.rotation @ turn)
         rows.append(np.concatenate((*frame, mass, body.lever, inertia, rotor)))
     tool = model.frames[robot.tool_frame_id].placement
@@ -109,11 +118,10 @@ class KdlEstimator:
         signals: JointSignals,
         gain_per_s: float,
     ) -> None:
-        self._library, numbers = library, chain_numbers(robot)
-        gravity, rate_hz = (
-            np.array(robot.gravity_m_s2),
-            1.0 / float(np.median(signals.dt_s)),
-        )
+        numbers = chain_numbers(robot)
+        self._library = library
+        gravity = np.array(robot.gravity_m_s2)
+        rate_hz = 1.0 / float(np.median(signals.dt_s))
         settings = map(ctypes.c_double, (rate_hz, gain_per_s, 0.0))
         arrays = (each.ctypes.data_as(ctypes.c_void_p) for each in (numbers, gravity))
         self._handle = ctypes.c_void_p(
@@ -168,11 +176,10 @@ class PlainEstimator:
 
     def __init__(self, robot: Robot, signals: JointSignals, gain_per_s: float) -> None:
         self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
-        self._wrench, self._samples = (
-            WrenchEstimator(robot, PUBLISHED),
-            signals.samples(),
-        )
-        self._no_offset, self._memory = np.zeros(robot.nv), np.zeros((3, 6))
+        self._wrench = WrenchEstimator(robot, PUBLISHED)
+        self._samples = signals.samples()
+        self._no_offset = np.zeros(robot.nv)
+        self._memory = np.zeros((3, 6))
         self.axial_N = 0.0
 
     def __call__(self, k: int) -> None:
@@ -193,7 +200,8 @@ Error = dict[str, float]
 def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
     """Errors on one insertion, from first contact to the end of the withdrawal."""
     case = read_sensors(run, progress, ("ours",))
-    truth, signals = case.truth, case.signals
+    truth = case.truth
+    signals = case.signals
     gain_per_s = DEFAULT.slowest_gain_per_s
     errors = {SENSOR: _rms(case.sessions["ours"].reading.axial_N, truth)}
     free = (truth.t_s > truth.zeroed_s - TARE_s) & (truth.t_s <= truth.zeroed_s)
@@ -218,7 +226,8 @@ def _rms(axial_N: Array, truth: ForceTruth) -> float:
 
 def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
     """Time of every tick [us] from the tare on, taking turns."""
-    signals, gain_per_s = JointSignals.of_run(run), DEFAULT.slowest_gain_per_s
+    signals = JointSignals.of_run(run)
+    gain_per_s = DEFAULT.slowest_gain_per_s
     tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
     sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
     subjects = {
@@ -256,9 +265,13 @@ def _report(
         name: float(np.median([found[name] for found in errors])) for name in errors[0]
     }
     targets = {OURS: ("time", TIME_RATIO), SENSOR: ("error", ERROR_RATIO)}
-    lines, is_met = [], True
+    lines = []
+    is_met = True
     for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
-        ratios, error, time, mark = {}, ("", ""), ("", "", ""), ("", "")
+        ratios = {}
+        error = ("", "")
+        time = ("", "", "")
+        mark = ("", "")
         if name in middle:
             ratios["error"] = middle[name] / middle[KDL]
             error = (f"{middle[name]:.3f}", f"{ratios['error']:.3f}")

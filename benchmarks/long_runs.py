@@ -31,13 +31,17 @@ from needleforce.recordings import RecordingError
 from needleforce.recordings.output import open_table
 from residual import DEFAULT
 
-SCENARIO, PLANT = "gel-25-constant", "clean"
+SCENARIO = "gel-25-constant"
+PLANT = "clean"
 WINDOW = 20_000
 """Updates of the first and of the last median: more than one cycle's worth of
 either."""
-SETTLED_S, STILL = 0.5, 1000
+SETTLED_S = 0.5
+STILL = 1000
 """The needle is at rest so long after its insertion, for so many samples at least."""
-NS_PER_US, BYTES_PER_KB, BYTES_PER_MB = 1e3, 1024.0, 1024.0**2
+NS_PER_US = 1e3
+BYTES_PER_KB = 1024.0
+BYTES_PER_MB = 1024.0**2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +83,8 @@ class Cycle:
     def __init__(self) -> None:
         run = simulate(SCENARIO, PLANT, 0)
         t_s = run.signals.t_s
-        self._robot, self.signals = run.robot, JointSignals.of_run(run)
+        self.signals = JointSignals.of_run(run)
+        self._robot = run.robot
         self._rows = self.signals.samples()
         self.tare = int(np.searchsorted(t_s, run.tare_end_s))
         at = int(np.searchsorted(t_s, run.scenario.motion.insertion_end_s + SETTLED_S))
@@ -124,11 +129,9 @@ class Cycle:
         """Time of every update [us], shape (ticks,); ruptures by whole cycle;
         samples rejected.
         """
-        session, taken, ruptures = (
-            self.tared(),
-            np.zeros(ticks),
-            [0] * (ticks // self.length + 1),
-        )
+        session = self.tared()
+        taken = np.zeros(ticks)
+        ruptures = [0] * (ticks // self.length + 1)
         for k, is_rupture, taken_us in self.updates(session, ticks, progress):
             taken[k] = taken_us
             ruptures[k // self.length] += is_rupture
@@ -138,7 +141,9 @@ class Cycle:
         """Memory of Python [kB] and of the process [MB], after each whole cycle,
         shape (n, 2).
         """
-        session, process, held = self.tared(), psutil.Process(), []
+        session = self.tared()
+        process = psutil.Process()
+        held = []
         tracemalloc.start()
         try:
             for k, _, _ in self.updates(session, ticks, progress):
@@ -177,10 +182,8 @@ def run_soak(ticks: int, progress: Progress = lambda fraction: None) -> Soak:
 def soak_table(found: Soak, ticks: int) -> ResultTable:
     """Start and end, with the targets."""
     is_quick, is_lean, is_busy = map(met_mark, found.marks)
-    tick_us, python_kB = (
-        (f"{value:.1f}" for value in found.tick_us),
-        map(round, found.python_kB),
-    )
+    tick_us = (f"{value:.1f}" for value in found.tick_us)
+    python_kB = map(round, found.python_kB)
     ends = (str(found.ruptures[0]), str(found.ruptures[-1]))
     return ResultTable(
         title=f"{ticks} ticks of the chain: insertions, rests and cycles on one tare",
@@ -210,8 +213,10 @@ Columns = dict[str, Array]
 RATE_HZ = 1000.0
 FREE_S = 10.0
 """So long at its start a recording of joint signals is without contact."""
-RETURN_S, FORCE_NOISE_N = 20.0, 0.003
-POLL_S, BYTES_IN_MB = 0.05, 1e6
+RETURN_S = 20.0
+FORCE_NOISE_N = 0.003
+POLL_S = 0.05
+BYTES_IN_MB = 1e6
 LEAST_TIMES_REAL = 20.0
 """Times real time, on one core."""
 MOST_GROWTH_MB = 20.0
@@ -222,7 +227,8 @@ LEAST_SECONDS = 2.0 * FREE_S
 def joint_recording(seconds: float) -> Iterator[Columns]:
     """Joint signals of the insertions of a soak, part by part."""
     cycle = Cycle()
-    order, sent = [*range(cycle.tare), *cycle.order], cycle.signals
+    order = [*range(cycle.tare), *cycle.order]
+    sent = cycle.signals
     assert sent.dq_rad_s is not None
     columns = {"q_rad": sent.q_rad, "dq_rad_s": sent.dq_rad_s, "tau_Nm": sent.tau_Nm}
     taken = {name: values[order] for name, values in columns.items()}
@@ -236,10 +242,8 @@ def needle_recording(seconds: float) -> Iterator[Columns]:
     Every cycle is in fresh tissue, whose surface lies as deep as the needle
     has come before: in the channel of an insertion there is nothing left to rupture.
     """
-    run, rng = (
-        insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ),
-        np.random.default_rng(0),
-    )
+    run = insert_needle("gel-50-constant", seed=0, rate_hz=RATE_HZ)
+    rng = np.random.default_rng(0)
     taring = int(np.searchsorted(run.t_s, run.tare_end_s))
     deepest_m = float(run.depth_m.max())
     way_m = deepest_m + float(run.depth_m[taring] - run.depth_m[-1])
@@ -260,14 +264,18 @@ def needle_recording(seconds: float) -> Iterator[Columns]:
 
 def _repeated(cycle: Columns, seconds: float, again_from: int) -> Iterator[Columns]:
     """The cycle, and then over and over its rows from `again_from` on."""
-    left, done, start = round(seconds * RATE_HZ), 0, 0
+    left = round(seconds * RATE_HZ)
+    done = 0
+    start = 0
     while left > 0:
         columns = {
             name: values[start : start + left].copy() for name, values in cycle.items()
         }
         rows = len(next(iter(columns.values())))
         yield {"t_s": np.arange(done, done + rows) / RATE_HZ, **columns}
-        left, done, start = left - rows, done + rows, again_from
+        left = left - rows
+        done = done + rows
+        start = again_from
 
 
 RECORDINGS: Mapping[str, Callable[[float], Iterator[Columns]]] = {
@@ -307,7 +315,8 @@ def run_python(
     """
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    start_s, before = time.perf_counter(), psutil.Process().cpu_times()
+    start_s = time.perf_counter()
+    before = psutil.Process().cpu_times()
     memory_MB: list[float] = []
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for
     # ever.
@@ -368,10 +377,12 @@ def measure_stream(
         BenchmarkError: The files cannot be written, or the command failed.
     """
     options = ["--tare", f"0:{FREE_S:g}"] if command == "residual" else []
-    expected_s, rows = seconds / LEAST_TIMES_REAL, 0
+    expected_s = seconds / LEAST_TIMES_REAL
+    rows = 0
     try:
         with TemporaryDirectory(dir=folder) as place:
-            log, out = Path(place) / f"log{suffix}", Path(place) / "out.csv"
+            log = Path(place) / f"log{suffix}"
+            out = Path(place) / "out.csv"
             with open_table(log) as table:
                 for columns in RECORDINGS[command](seconds):
                     table.append(columns)

@@ -132,14 +132,16 @@ def run_session(
                 was_refused = True
                 session.tare(ignore_contact=True)
         made = session.update(*sample)
-        motion, force_N = (made.depth_m, made.speed_m_s), made.wrench.axial_unsmoothed
+        motion = (made.depth_m, made.speed_m_s)
+        force_N = made.wrench.axial_unsmoothed
         found[:, k] = *made.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(made.identification)
     reading = ForceReading(
         source="virtual", method=method, axial_N=found[0], std_N=found[1]
     )
-    t_s, layers = signals.t_s[tare:], session.layers
+    t_s = signals.t_s[tare:]
+    layers = session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
     return SessionRun(reading, found[2], found[3], result, was_refused, found[4])
 
@@ -156,12 +158,14 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
     the residual.
     """
     start = int(np.searchsorted(truth.t_s, truth.zeroed_s))
-    force, judged = reading.axial_N, truth.judged
+    force = reading.axial_N
+    judged = truth.judged
     kept = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
     unfiltered = (force[start + 1 :] - kept * force[start:-1]) / (1.0 - kept)
     found: list[tuple[float, Array]] = []
     for gain_per_s in OBSERVER_GAINS_per_s:
-        axial_N, last = force.copy(), float(force[start])
+        axial_N = force.copy()
+        last = float(force[start])
         passed = -np.expm1(-gain_per_s * dt_s[start + 1 :])
         steps = zip(unfiltered.tolist(), passed.tolist(), strict=True)
         for k, (value, part) in enumerate(steps, start + 1):
@@ -187,7 +191,8 @@ def ft_force(run: Run) -> ForceReading:
     t_s = run.signals.t_s
     resistance = -run.signals.ft_wrench[:, 2]
     free = resistance[(t_s > run.tare_end_s - TARE_s) & (t_s <= run.tare_end_s)]
-    axial_N, std_N = resistance - free.mean(), np.full(len(t_s), free.std())
+    axial_N = resistance - free.mean()
+    std_N = np.full(len(t_s), free.std())
     return ForceReading(source="ft", method="ours", axial_N=axial_N, std_N=std_N)
 
 
@@ -321,11 +326,9 @@ def identify(
             touch = float(np.interp(truth.contact_s, truth.t_s, signal.depth_m))
             config = replace(config, contact_depth_m=touch)
         speed_m_s = None if signal.speed_m_s is None else signal.speed_m_s[start:]
-        t_s, depth_m, force_N = (
-            signal.t_s[start:],
-            signal.depth_m[start:],
-            signal.force_N[start:],
-        )
+        t_s = signal.t_s[start:]
+        depth_m = signal.depth_m[start:]
+        force_N = signal.force_N[start:]
         result = replay(t_s, depth_m, force_N, speed_m_s, config)
     # A session is tared by the arm's own clock, which may be a sample off.
     start = len(signal.t_s) - len(result.estimates)
@@ -333,7 +336,8 @@ def identify(
     return Identified(signal, method, config, start, result, alarms)
 
 
-EARLIEST_S, LATEST_S = -0.1, 0.6
+EARLIEST_S = -0.1
+LATEST_S = 0.6
 """Delays that are searched; the published sensor lags by 0.2 s."""
 COARSE_S = 0.01
 
@@ -352,7 +356,8 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
     )
     if np.count_nonzero(inner) < 2 or np.ptp(truth) == 0.0:
         return float("nan")
-    seen, when = estimate[inner], t_s[inner]
+    seen = estimate[inner]
+    when = t_s[inner]
 
     def left(delay_s: float) -> float:
         return float(np.var(seen - np.interp(when - delay_s, t_s, truth)))
@@ -373,7 +378,8 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement
     force changes.
     """
     judged = truth.judged
-    estimate, true = reading.axial_N[judged], truth.axial_N[judged]
+    estimate = reading.axial_N[judged]
+    true = truth.axial_N[judged]
     error = estimate - true
     names = ("wrench_rmse_N", "wrench_bias_N", "wrench_coverage_2sigma")
     values: dict[str, float] = dict.fromkeys(names, np.nan)

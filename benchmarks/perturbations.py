@@ -117,18 +117,21 @@ class Perturbation(
 
     def _motion(self, motion: Motion, rng: Rng) -> Motion:
         """The protocol with another insertion, or another tare."""
-        standoff_m, stroke_m = -motion.strokes[3].end_m, motion.strokes[1].travel_m
+        standoff_m = -motion.strokes[3].end_m
+        stroke_m = motion.strokes[1].travel_m
         inside = [
             s for s in motion.strokes[4:] if s.end_s < motion.withdrawal_start_s - 1e-6
         ]
         moves: list[Move] = [(s.profile, s.duration_s, s.travel_m) for s in inside]
-        ramp, travel_m = inside[0].ramp_fraction, inside[-1].end_m + standoff_m
+        ramp = inside[0].ramp_fraction
+        travel_m = inside[-1].end_m + standoff_m
         if self.speed_m_s is not None:
             ramp = 0.05
             moves = [("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
         if self.steps is not None:
             speed_m_s = travel_m / sum(move[1] for move in moves)
-            ramp, moves = 0.1, _pieces(self.steps, travel_m, speed_m_s, rng)
+            ramp = 0.1
+            moves = _pieces(self.steps, travel_m, speed_m_s, rng)
         if self.tare_stroke_m is not None:
             stroke_m = drawn(self.tare_stroke_m, rng)
         return protocol(standoff_m, moves, ramp_fraction=ramp, tare_stroke_m=stroke_m)
@@ -166,10 +169,8 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     """
     found: list[tuple[float, float, float]] = []
     for wave in waves:
-        size_m, frequency_hz = (
-            drawn(wave.amplitude_m, rng),
-            drawn(wave.frequency_hz, rng),
-        )
+        size_m = drawn(wave.amplitude_m, rng)
+        frequency_hz = drawn(wave.frequency_hz, rng)
         phases = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
         second_m = float(rng.uniform(0.0, 0.5)) * size_m
         found.append((size_m, frequency_hz, phases[0]))
@@ -186,7 +187,8 @@ def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[M
     place_m = reached_m = 0.0
     while total_m - reached_m > LAST_PIECE_m:
         reached_m += drawn(steps.every_m, rng)
-        travel_m, back_m = reached_m - place_m, drawn(steps.back_m, rng)
+        travel_m = reached_m - place_m
+        back_m = drawn(steps.back_m, rng)
         found.append(("cruise", travel_m / speed_m_s, travel_m))
         found.append(("rest", drawn(steps.rest_s, rng), 0.0))
         if back_m > 0.0:
@@ -225,7 +227,8 @@ ARM_ONLY = frozenset(
 """Of these the needle without an arm feels nothing."""
 FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
 """Of these the virtual force feels nothing."""
-MIXED, MIXED_COUNT = "mixed", 3
+MIXED = "mixed"
+MIXED_COUNT = 3
 PERTURBED = "robustness-"
 """The names of benchmarks in perturbed worlds begin so."""
 

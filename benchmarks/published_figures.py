@@ -8,7 +8,8 @@ import msgspec
 
 from benchmarks.targets import GROUPS
 
-FRICTION_FIGURE, TABLE_ONE = "10", "I"
+FRICTION_FIGURE = "10"
+TABLE_ONE = "I"
 
 
 class PublishedFigure(

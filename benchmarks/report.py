@@ -158,14 +158,17 @@ SERIES = {
     "published": (TUNED, "x"),
 }
 """With their markers."""
-PUBLISHED_PLACE, FIRST_PLACE, STEP = -0.36, -0.2, 0.14
+PUBLISHED_PLACE = -0.36
+FIRST_PLACE = -0.2
+STEP = 0.14
 
 
 def friction_chart(title: str, gels: Frame) -> Chart:
     """After the published Figure 10: from the left the published means of a gel,
     then ours.
     """
-    places, known = np.arange(3.0), TABLE_ONE_Ns_per_m.values()
+    places = np.arange(3.0)
+    known = TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
     points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
@@ -214,7 +217,8 @@ def published_sections(
     drawings: Sequence[Drawing], rows: Sequence[Row]
 ) -> list[Section]:
     """One section per published figure that these runs give, at least in part."""
-    sections, gels = [], gel_friction(rows)
+    sections = []
+    gels = gel_friction(rows)
     of_gels = set() if gels is None else set(gels["scenario"])
     for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
@@ -280,7 +284,8 @@ def _section(
 
 
 def _figure(drawing: Drawing) -> PageFigure:
-    shown, job = drawing.shown, drawing.job
+    shown = drawing.shown
+    job = drawing.job
     return replace(
         shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}."
     )
@@ -356,7 +361,8 @@ def write_report(
 
 
 def _friction_drawing(folder: Path, gels: Frame) -> Drawing:
-    plant, seeds = gels["plant"].iloc[0], gels["seed"].nunique()
+    plant = gels["plant"].iloc[0]
+    seeds = gels["seed"].nunique()
     run = "needle without an arm" if plant == "needle" else f"{plant} plant"
     title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{run}"
     shown = save_page_figure(

@@ -61,7 +61,8 @@ def perturbed_needle(
     """
     chosen = named_scenario(scenario, seed) if isinstance(scenario, str) else scenario
     world, _ = perturbed(name, chosen, seed)
-    plant, robot = world.plant, _lwr()
+    plant = world.plant
+    robot = _lwr()
     run = insert_needle(world.scenario, seed=seed, noise=ft_noise(plant))
     q_rad, dq_rad_s = scenario_motion(
         scenario_path(robot, world.scenario), world.scenario

@@ -225,10 +225,13 @@ def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
 
 
 def _jobs(item: Benchmark, request: Request) -> list[Job]:
-    first, seeds = request.first_seed, request.seeds
+    first = request.first_seed
+    seeds = request.seeds
     plants = _plants(item, request)
     if item.is_recorded:
-        first, seeds, plants = 0, min(item.seeds, request.seeds), (RECORDING,)
+        first = 0
+        seeds = min(item.seeds, request.seeds)
+        plants = (RECORDING,)
     return [
         Job(
             benchmark=item.id,

@@ -64,8 +64,10 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
     """The ground truth of an insertion, by the simulated arm or by a needle without
     one.
     """
-    true, motion = run.truth, run if isinstance(run, NeedleRun) else run.truth
-    depth_m, organ = motion.depth_m, run.scenario.tissue_motion
+    true = run.truth
+    motion = run if isinstance(run, NeedleRun) else run.truth
+    depth_m = motion.depth_m
+    organ = run.scenario.tissue_motion
     if isinstance(run, NeedleRun) and organ is not None:
         depth_m = depth_m - organ.at(run.t_s)[0]
     return InsertionTruth(
@@ -166,7 +168,8 @@ def measured_travel(
     the virtual sensor does it. The tip's place and axis at `zero_s` are the zero and
     the direction of depth.
     """
-    q_rad, dq_rad_s = signals.q_rad, signals.dq_rad_s
+    q_rad = signals.q_rad
+    dq_rad_s = signals.dq_rad_s
     if dq_rad_s is None:
         estimator = VelocityEstimator(q_rad.shape[1])
         samples = zip(signals.q_rad, signals.tau_Nm, signals.dt_s.tolist(), strict=True)
@@ -174,7 +177,8 @@ def measured_travel(
         q_rad, dq_rad_s = (np.array([each[k] for each in matched]) for k in (0, 1))
     kinematics = ToolKinematics(robot)
     kinematics.update(q_rad[int(np.searchsorted(signals.t_s, zero_s))])
-    axis, start_m = kinematics.axis_in_base.copy(), kinematics.pose[:3, 3].copy()
+    axis = kinematics.axis_in_base.copy()
+    start_m = kinematics.pose[:3, 3].copy()
     found = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
@@ -197,7 +201,8 @@ def inverse_dynamics(
     model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array
 ) -> Array:
     """Torques of a motion in free air, shape (n, j) like the arguments."""
-    data, rows = model.createData(), zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
+    data = model.createData()
+    rows = zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
     return np.array([pin.rnea(model, data, *row) for row in rows])
 
 
@@ -207,7 +212,9 @@ def tool_jacobians(
     """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along
     the needle.
     """
-    model, data, frame = robot.model, robot.create_data(), robot.tool_frame_id
+    model = robot.model
+    data = robot.create_data()
+    frame = robot.tool_frame_id
     return np.array(
         [pin.computeFrameJacobian(model, data, q, frame, axes) for q in q_rad]
     )

@@ -87,7 +87,8 @@ def read_sensors(
     """Run the session of every method on what the simulated arm sent, and read the
     F/T sensor.
     """
-    signals, free = JointSignals.of_run(run), not run.scenario.layers
+    signals = JointSignals.of_run(run)
+    free = not run.scenario.layers
     # From first contact to the end of withdrawal; without tissue, all after the tare.
     truth = ForceTruth(
         t_s=run.truth.t_s,
@@ -137,7 +138,8 @@ def session_signal(
     """A force with depth and speed of a method's session, which come from measured
     joints.
     """
-    made, t_s = case.sessions[method], case.signals.t_s
+    made = case.sessions[method]
+    t_s = case.signals.t_s
     return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
 
 
@@ -148,7 +150,8 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     the F/T force the same identifiers get depth and speed of the same sessions.
     """
     assert case.ft is not None, "without tissue there is nothing to identify"
-    truth, scenario = insertion_truth(case.run), case.run.scenario
+    truth = insertion_truth(case.run)
+    scenario = case.run.scenario
     commanded_m_s = scenario.motion.speed_m_s(truth.t_s)
     on_ft: list[Identified] = []
     on_virtual: list[Identified] = []

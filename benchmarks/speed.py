@@ -34,12 +34,14 @@ BLOCK = 200
 """Updates of one subject before the next has its turn: short enough that whatever slows
 the machine down slows all of them."""
 NS_PER_US = 1e3
-SCENARIO, PLANT = "stack-constant", "clean"
+SCENARIO = "stack-constant"
+PLANT = "clean"
 LAYER_TICKS = 6
 """A layer is identified over so many updates at most: the last one reports it."""
 PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
 
-BARE_OBSERVER, BARE_SENSOR = "dynamics of the observer", "dynamics of the sensor"
+BARE_OBSERVER = "dynamics of the observer"
+BARE_SENSOR = "dynamics of the sensor"
 
 
 class Subject(NamedTuple):
@@ -52,7 +54,9 @@ class Subject(NamedTuple):
     plain: float | None = None
 
 
-OBSERVER, SENSOR, CHAIN = "observer", "sensor", "chain"
+OBSERVER = "observer"
+SENSOR = "sensor"
+CHAIN = "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
 ESTIMATED = ", velocity estimated"
 SUBJECTS: Mapping[str, Subject] = {
@@ -115,7 +119,8 @@ class ChainUpdate:
         identifier: MultilayerConfig | PublishedConfig = MULTILAYER,
     ) -> None:
         self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
-        self._samples, self._tare = signals.samples(), tare
+        self._samples = signals.samples()
+        self._tare = tare
         self.alarms: list[int] = []
         self.layers: list[int] = []
 
@@ -175,9 +180,11 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
 
 def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
     """Mass matrix, Coriolis matrix and gravity."""
-    model, data = robot.model, robot.create_data()
+    model = robot.model
+    data = robot.create_data()
     assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
-    positions, velocities = list(signals.q_rad), list(signals.dq_rad_s)
+    positions = list(signals.q_rad)
+    velocities = list(signals.dq_rad_s)
 
     def update(k: int) -> None:
         q = positions[k]
@@ -192,9 +199,12 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
     """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the
     bias is due.
     """
-    model, data = robot.model, robot.create_data()
-    positions, still = list(signals.q_rad), np.zeros(robot.nv)
-    frame, axes = robot.tool_frame_id, pin.ReferenceFrame.LOCAL
+    model = robot.model
+    data = robot.create_data()
+    positions = list(signals.q_rad)
+    still = np.zeros(robot.nv)
+    frame = robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL
     observer = _bare_observer(robot, signals)
     ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
 
@@ -235,7 +245,9 @@ def speed_table(report: SpeedReport) -> ResultTable:
         taken = [
             float(np.percentile(times, percent)) for percent in PERCENTILES.values()
         ]
-        mean, cells, subject = float(np.mean(times)), [""] * 5, SUBJECTS.get(name)
+        mean = float(np.mean(times))
+        cells = [""] * 5
+        subject = SUBJECTS.get(name)
         if subject is not None:
             ratio = cost_ratio(times, report.times[subject.bare])
             limit = subject.compiled if COMPILER else subject.plain

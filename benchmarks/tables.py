@@ -38,7 +38,8 @@ COLORS = {"met": "green", "missed": "red", BAD: "red"}
 """Of cells, by what they say."""
 LEAST_WIDTH = 200
 """Of a table that goes into a file or a pipe."""
-_RMSE, CUMULATIVE = "wrench_rmse_N", "cumulative_friction_{}_Ns_per_m"
+_RMSE = "wrench_rmse_N"
+CUMULATIVE = "cumulative_friction_{}_Ns_per_m"
 Frame = Any
 """A pandas.DataFrame with the columns of `Row`; its annotations leave open what a
 selection is."""
@@ -170,12 +171,11 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if len(values) == 1:
             return format(values.iloc[0], self.form)
         best = 0.0 if known is None else known.best
-        middle, worst = (
-            values.median(),
-            values.iloc[int((values - best).abs().argmax())],
-        )
+        middle = values.median()
+        worst = values.iloc[int((values - best).abs().argmax())]
         if self.is_fraction:
-            middle, worst = values.mean(), values.min()
+            middle = values.mean()
+            worst = values.min()
         found = f"{middle:{self.form}} "
         if self.has_interval and values.nunique() > 1:
             rng = np.random.default_rng(INTERVAL_SEED)
@@ -252,7 +252,8 @@ class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         align = ["l" if name == "metric" else "L" for name in self.by]
         align += ["L" if column.head == "target" else "r" for column in self.columns]
         if "metric" in self.by:
-            heads, align = [*heads, "unit"], [*align, "L"]
+            heads = [*heads, "unit"]
+            align = [*align, "L"]
         return ResultTable(
             title=self.title,
             heads=tuple(heads),
@@ -266,7 +267,8 @@ def _force_mark(group: Frame) -> str:
     """Whether the runs of a scenario on a plant keep the limits of their RMSE, or
     its median.
     """
-    scenario, plant = group["scenario"].iloc[0], group["plant"].iloc[0]
+    scenario = group["scenario"].iloc[0]
+    plant = group["plant"].iloc[0]
     ours = select(group, source="virtual", method="ours")
     kept: list[bool] = []
     for target in TARGETS:
@@ -466,7 +468,9 @@ def _compared(line: Headline, wanted: Frame) -> tuple[list[str], bool]:
     """
     kind = metric(line.metric)
     column = Column("", line.form, is_fraction=kind.best == 1.0, has_interval=True)
-    cells, errors, worst = [], [], ""
+    cells = []
+    errors = []
+    worst = ""
     for method in SUMMED:
         mine = select(wanted, method=method)
         text, _, worst = column.cell(mine).partition(" (")

@@ -83,10 +83,8 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 def _target(line: dict[str, str]) -> Target:
     """A line of `targets.csv`; what is empty there has its default."""
     given = {name: text for name, text in line.items() if text}
-    names, relative_to = (
-        given.pop("scenarios", "").split(),
-        given.pop("relative_to", ""),
-    )
+    names = given.pop("scenarios", "").split()
+    relative_to = given.pop("relative_to", "")
     scenarios = [each for name in names for each in GROUPS.get(name, (name,))]
     relative = {
         "of_published": bool(relative_to),
@@ -99,11 +97,9 @@ def _target(line: dict[str, str]) -> Target:
 
 TARGETS = tuple(map(_target, table_lines(Path(__file__).with_name("targets.csv"))))
 
-OBSERVER_COST_RATIOS, SENSOR_COST_RATIOS, CHAIN_COST_RATIOS = (
-    (2.0, 2.3),
-    (3.0, 4.6),
-    (4.5, 8.0),
-)
+OBSERVER_COST_RATIOS = (2.0, 2.3)
+SENSOR_COST_RATIOS = (3.0, 4.6)
+CHAIN_COST_RATIOS = (4.5, 8.0)
 """Most that an update may cost, relative to the bare Pinocchio calls it needs: where
 the arithmetic is compiled, and in plain Python."""
 ESTIMATED_VELOCITY_COST_RATIO = 5.0
@@ -249,7 +245,8 @@ def compare_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Comparison]:
     after = {row.key: row for row in new}
     found = []
     for key in dict.fromkeys((*before, *after)):
-        earlier, later = before.get(key), after.get(key)
+        earlier = before.get(key)
+        later = after.get(key)
         found.append(
             Comparison(
                 key=key,

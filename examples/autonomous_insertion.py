@@ -21,9 +21,11 @@ from needleforce.control import (
 
 arm = SimulatedArm("stack-glove-constant", standoff_m=5e-3, duration_s=25.0)
 manager = Manager(InsertionSession(arm.robot), SafetyLimits(axial_N=6.0))
-control, beside = Controller(arm.robot, Limits(arm.robot)), Beside()
+control = Controller(arm.robot, Limits(arm.robot))
+beside = Beside()
 control.tool.update(arm.home_rad)
-shaft, posture = Fixture.here(control.tool, 20.0), Posture(arm.home_rad)
+shaft = Fixture.here(control.tool, 20.0)
+posture = Posture(arm.home_rad)
 program = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.06, layer=1))
 
 for sample in arm:

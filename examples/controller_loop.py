@@ -22,7 +22,9 @@ def read_arm():
     )
 
 
-session, last_s, worst_N = InsertionSession(arm.robot), 0.0, 0.0
+session = InsertionSession(arm.robot)
+last_s = 0.0
+worst_N = 0.0
 for t_s, q, dq, tau in read_arm():
     now = session.update(q, dq, tau, t_s - last_s)  # never raises for a bad sample
     last_s = t_s

@@ -13,18 +13,19 @@ from groundtruth.rig_contacts import HandOnArm
 from needleforce.control import AxialSpeed, Controller, Fixture, Guidance, Limits
 from residual import SensorConfig, Status, VirtualForceSensor
 
-TARE_s, PUSH_N = (
-    3.0,
-    4.0,
-)  # a stroke in free air before the tare; a push along x after it
+# a stroke in free air before the tare; a push along x after it
+TARE_s = 3.0
+PUSH_N = 4.0
 hand = HandOnArm(
     at="hub", force_N=lambda t: (PUSH_N if t > TARE_s + 0.5 else 0.0, 0.0, 0.0)
 )
 arm = SimulatedArm(plant="clean", contacts=[hand], duration_s=TARE_s + 1.5)
-control, guidance = Controller(arm.robot, Limits(arm.robot)), Guidance(arm.robot)
+control = Controller(arm.robot, Limits(arm.robot))
+guidance = Guidance(arm.robot)
 sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
 control.tool.update(arm.home_rad)
-line, start_m = Fixture.here(control.tool), arm.truth.tip_m
+line = Fixture.here(control.tool)
+start_m = arm.truth.tip_m
 
 for sample in arm:
     force = sensor.update(*sample[1:], sample.dt_s)

@@ -15,7 +15,8 @@ estimates = (
     + 0.02 * rng.standard_normal((len(arm.truth.t_s), 7))
 )
 
-session, forces = InsertionSession(arm.robot), []
+session = InsertionSession(arm.robot)
+forces = []
 for t_s, q, external_torque in zip(
     arm.signals.t_s, arm.signals.q_rad, estimates, strict=True
 ):

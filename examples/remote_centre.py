@@ -10,11 +10,10 @@ from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Trocar
 from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
 
-ENTRY_m, RADIUS_m, TURN_s = (
-    0.08,
-    0.01,
-    2.0,
-)  # entry above the tip, circle, time for one turn
+# entry above the tip, circle, time for one turn
+ENTRY_m = 0.08
+RADIUS_m = 0.01
+TURN_s = 2.0
 trocar = Trocar(behind_tip_m=ENTRY_m)
 arm = SimulatedArm(plant="clean", contacts=[trocar], duration_s=TURN_s + 0.5)
 control = Controller(arm.robot, Limits(arm.robot))

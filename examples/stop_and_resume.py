@@ -32,7 +32,8 @@ with tempfile.TemporaryDirectory() as folder:
     other.restore(read_snapshot(file))
 
 rest = ticks[middle : middle + 5000]
-here, there = feed(one, rest), feed(other, rest)
+here = feed(one, rest)
+there = feed(other, rest)
 assert here.wrench.axial == there.wrench.axial
 assert here.identification == there.identification
 print(f"both read {here.wrench.axial:.6f} N five seconds later")

@@ -20,9 +20,11 @@ arm = SimulatedArm("stack-glove-constant", standoff_m=0.045, duration_s=9.0)
 device = HapticMaster(
     Operator(wish_m=lambda t: (0.0, 0.0, 0.012 * t))
 )  # 12 mm/s of the hand
-session, control = InsertionSession(arm.robot), Controller(arm.robot, Limits(arm.robot))
+session = InsertionSession(arm.robot)
+control = Controller(arm.robot, Limits(arm.robot))
 control.tool.update(arm.home_rad)
-shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
+shaft = Fixture.here(control.tool)
+posture = Posture(arm.home_rad)
 tele = Teleoperation(motion_scale=0.4, shown="tip")
 
 for sample in arm:

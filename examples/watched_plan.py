@@ -13,7 +13,9 @@ PLAN = [  # as a CT might have it: 2 mm too thin
 
 
 def watch(arm):
-    session, sent, last_s = InsertionSession(arm.robot), arm.signals, arm.signals.t_s[0]
+    session = InsertionSession(arm.robot)
+    sent = arm.signals
+    last_s = arm.signals.t_s[0]
     with open_viewer(arm.robot, PlanScene(layers=PLAN)) as view:
         print(f"the scene is at {view.url}")
         for t_s, q, dq, tau in zip(
@@ -28,7 +30,8 @@ def watch(arm):
                 tip_m, axis = session.snapshot().zero
                 session.follow(PlanMatch(PLAN, offset_std_m=3e-3), tip_m + 5e-3 * axis)
             if now.identification.rupture is not None:
-                plan, rupture = now.plan, now.identification.rupture
+                plan = now.plan
+                rupture = now.identification.rupture
                 print(
                     f"rupture at {1e3 * rupture.depth_m:.1f} mm, into {plan.matched_name}"
                 )

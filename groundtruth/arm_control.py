@@ -88,7 +88,8 @@ def drive(
     q_rad, dq_rad_s = motion
     plant.place(q_rad[0], dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
-        error, slip = q_rad[k] - plant.q_rad, dq_rad_s[k] - plant.dq_rad_s
+        error = q_rad[k] - plant.q_rad
+        slip = dq_rad_s[k] - plant.dq_rad_s
         acceleration = BANDWIDTH_rad_s**2 * error + 2.0 * BANDWIDTH_rad_s * slip
         torque = ahead + mass[k // MASS_TICKS] @ acceleration
         if k % _REPORT_TICKS == 0:
@@ -98,14 +99,14 @@ def drive(
                     f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
                 )
             progress(k / ticks)
-        trace.q_rad[k], trace.dq_rad_s[k], trace.tau_Nm[k] = (
-            plant.q_rad,
-            plant.dq_rad_s,
-            torque,
-        )
-        trace.axial_jacobian[k], trace.depth_m[k] = plant.axial_jacobian, plant.depth_m
+        trace.q_rad[k] = plant.q_rad
+        trace.dq_rad_s[k] = plant.dq_rad_s
+        trace.tau_Nm[k] = torque
+        trace.axial_jacobian[k] = plant.axial_jacobian
+        trace.depth_m[k] = plant.depth_m
         plant.tick(torque)
-        trace.ft_wrench[k], trace.mean_axial_N[k] = plant.ft_wrench, plant.mean_axial_N
+        trace.ft_wrench[k] = plant.ft_wrench
+        trace.mean_axial_N[k] = plant.mean_axial_N
         trace.joint_friction_Nm[k] = plant.friction_Nm
         trace.forces.append(plant.tissue_force)
     trace.axial_jacobian[-1] = plant.axial_jacobian

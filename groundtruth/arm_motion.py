@@ -138,7 +138,8 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     fade, fade_rate = ramp.evaluate(np.minimum(moving, moving_s - moving))
     fade_rate = np.where(moving < moving_s / 2.0, fade_rate, -fade_rate)
     angle = 2.0 * np.pi * _FREQUENCY_Hz
-    sine, cosine = np.sin(moving[:, None] * angle), np.cos(moving[:, None] * angle)
+    sine = np.sin(moving[:, None] * angle)
+    cosine = np.cos(moving[:, None] * angle)
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
     at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
     rate[at_rest] = 0.0

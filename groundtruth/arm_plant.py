@@ -175,7 +175,8 @@ def lwr_bodies(
     robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
     com_shift_m = plant_model.payload_com_spread_m * rng.standard_normal(3)
-    size_m, size_rad = plant_model.kinematic_error_m, plant_model.kinematic_error_rad
+    size_m = plant_model.kinematic_error_m
+    size_rad = plant_model.kinematic_error_rad
     if size_m or size_rad:
         displaced = pin.Model(robot.bare_model)
         for joint in range(1, displaced.njoints):
@@ -216,12 +217,16 @@ def arm_model(bodies: PlantBodies, substep_s: float) -> Any:
     The force and torque sensors sit at the ``ft_sensor`` frame and report, in its axes,
     what the arm exerts on the needle body: everything beyond the measuring plane.
     """
-    robot, spec = bodies.kinematics, mujoco.MjSpec()
+    robot = bodies.kinematics
+    spec = mujoco.MjSpec()
     without = mujoco.mjtDisableBit
-    spec.option.timestep, spec.option.gravity = substep_s, robot.gravity_m_s2
+    spec.option.timestep = substep_s
+    spec.option.gravity = robot.gravity_m_s2
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
     spec.option.disableflags = without.mjDSBL_CONSTRAINT | without.mjDSBL_CONTACT
-    model, data, body = robot.model, robot.create_data(), spec.worldbody
+    model = robot.model
+    data = robot.create_data()
+    body = spec.worldbody
     pin.computeJointJacobians(model, data, pin.neutral(model))
     for joint, (name, link) in enumerate(
         zip(robot.joint_names, bodies.links, strict=True), 1
@@ -248,7 +253,9 @@ def _add_body(
     x, y, z, w = pin.Quaternion(placement.rotation).coeffs()
     body = parent.add_body(name=name, pos=placement.translation, quat=(w, x, y, z))
     if inertia is not None:
-        body.mass, body.ipos, body.explicitinertial = inertia.mass, inertia.lever, True
+        body.mass = inertia.mass
+        body.ipos = inertia.lever
+        body.explicitinertial = True
         body.fullinertia = inertia.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
     return body
 
@@ -386,7 +393,8 @@ class ArmPlant:
             )
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)
-        self._contact, self._friction = contact, friction
+        self._contact = contact
+        self._friction = friction
         self._tip = self._model.body("tip").id
         self._tip_force: Array = self._data.xfrc_applied[self._tip, :3]
         self.tip_axes: Array = self._data.xmat[self._tip].reshape(3, 3)
@@ -433,12 +441,15 @@ class ArmPlant:
             self._elbow_force[:] = self._contact.elbow.at(self._time_s)
         self._held_Nm = self._data.qfrc_applied[:] = torque_Nm
         self.friction_Nm = np.zeros(self._model.nv)
-        law, rate, back = self._contact.law, self.axial_jacobian, -self._tip_axis
+        law = self._contact.law
+        rate = self.axial_jacobian
+        back = -self._tip_axis
         aside: Array | float = 0.0
         if self._contact.lateral is not None:
             aside = self.tip_axes[:, :2] @ self._contact.lateral.at(self.depth_m)
         away = self._surface_m_s
-        depth, speed = self.depth_m, float(rate.dot(self.dq_rad_s)) - away
+        depth = self.depth_m
+        speed = float(rate.dot(self.dq_rad_s)) - away
         force = self.tissue_force = law.step(depth, speed, SUBSTEP_s)
         total = force.axial_N
         self._tip_force[:] = total * back + aside

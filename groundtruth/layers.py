@@ -294,10 +294,12 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
     depth = 0.0
     for i, below in enumerate((*layers, None) if layers else ()):
         membrane = None if below is None else below.membrane
-        onset, drop = depth, layers[i - 1].exit_force_N if i else 0.0
+        onset = depth
+        drop = layers[i - 1].exit_force_N if i else 0.0
         release = layers[max(i - 1, 0)].release_m
         if membrane is not None:
-            onset, drop = depth + membrane.indentation_m, drop + membrane.puncture_N
+            onset = depth + membrane.indentation_m
+            drop = drop + membrane.puncture_N
             release = membrane.release_m
         kept = 0.0
         if i and below is not None:

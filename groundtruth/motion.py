@@ -69,25 +69,25 @@ class Stroke:
         """
         s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
-            done, rate = (
-                s**3 * (10.0 + s * (6.0 * s - 15.0)),
-                30.0 * (s * (1.0 - s)) ** 2,
-            )
+            done = s**3 * (10.0 + s * (6.0 * s - 15.0))
+            rate = 30.0 * (s * (1.0 - s)) ** 2
         elif self.profile == "cosine":
-            done, rate = 0.5 - 0.5 * np.cos(np.pi * s), 0.5 * np.pi * np.sin(np.pi * s)
+            done = 0.5 - 0.5 * np.cos(np.pi * s)
+            rate = 0.5 * np.pi * np.sin(np.pi * s)
         elif self.profile == "cruise":
             # Speed rises as 3q² - 2q³, holds, and falls alike.
-            mirrored, ramp = np.minimum(s, 1.0 - s), self.ramp_fraction
-            q, full = np.minimum(mirrored / ramp, 1.0), 1.0 / (1.0 - ramp)
+            mirrored = np.minimum(s, 1.0 - s)
+            ramp = self.ramp_fraction
+            q = np.minimum(mirrored / ramp, 1.0)
+            full = 1.0 / (1.0 - ramp)
             half = full * (
                 ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0)
             )
-            done, rate = (
-                np.where(s <= 0.5, half, 1.0 - half),
-                full * q * q * (3.0 - 2.0 * q),
-            )
+            done = np.where(s <= 0.5, half, 1.0 - half)
+            rate = full * q * q * (3.0 - 2.0 * q)
         else:
-            done, rate = np.zeros_like(s), np.zeros_like(s)
+            done = np.zeros_like(s)
+            rate = np.zeros_like(s)
         return (
             self.start_m + self.travel_m * done,
             self.travel_m / self.duration_s * rate,
@@ -114,10 +114,8 @@ class Motion:
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
         for last, following in pairwise(self.strokes):
-            gap_s, gap_m = (
-                following.start_s - last.end_s,
-                following.start_m - last.end_m,
-            )
+            gap_s = following.start_s - last.end_s
+            gap_m = following.start_m - last.end_m
             if abs(gap_s) > TOLERANCE or abs(gap_m) > TOLERANCE:
                 raise MotionError(
                     f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of the one "
@@ -170,10 +168,12 @@ def chain_strokes(
     `Stroke`.
     """
     strokes: list[Stroke] = []
-    time, place = 0.0, start_m
+    time = 0.0
+    place = start_m
     for profile, duration, travel in moves:
         strokes.append(Stroke(profile, time, duration, place, travel, ramp_fraction))
-        time, place = strokes[-1].end_s, strokes[-1].end_m
+        time = strokes[-1].end_s
+        place = strokes[-1].end_m
     return tuple(strokes)
 
 

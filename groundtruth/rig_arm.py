@@ -96,9 +96,11 @@ class _Servo:
     def __init__(self, robot: Robot, q_rad: Array, kind: Servo) -> None:
         if kind not in ("stiff", "impedance"):
             raise PlantError(f"no servo {kind!r}; expected 'stiff' or 'impedance'")
-        self._model, self._data = robot.model, robot.create_data()
+        self._data = robot.create_data()
+        self._model = robot.model
         self._is_stiff = kind == "stiff"
-        self._q_rad, self._dq_rad_s = q_rad.copy(), np.zeros_like(q_rad)
+        self._q_rad = q_rad.copy()
+        self._dq_rad_s = np.zeros_like(q_rad)
         self._tick = 0
         self._spring = self._damper = np.zeros((len(q_rad), len(q_rad)))
 
@@ -107,7 +109,8 @@ class _Servo:
         if self._tick % MASS_TICKS == 0:
             self._refresh(q_rad)
         self._tick += 1
-        before, step = self._dq_rad_s, velocity_rad_s - self._dq_rad_s
+        before = self._dq_rad_s
+        step = velocity_rad_s - self._dq_rad_s
         mean = before + 0.5 * step
         ahead = pin.rnea(
             self._model,
@@ -188,11 +191,9 @@ class _OnlineSensors:
         clock, loss, position, velocity, torque, wrench = map(
             np.random.default_rng, seed.spawn(6)
         )
-        self._plant_model, self._position, self._velocity = (
-            plant_model,
-            position,
-            velocity,
-        )
+        self._plant_model = plant_model
+        self._position = position
+        self._velocity = velocity
         self._torque = sensors.TorqueSensor(
             (ticks, len(limit_Nm)), limit_Nm, plant_model, torque
         )
@@ -296,7 +297,8 @@ class SimulatedArm:
         self._sensors = _OnlineSensors(plant_model, limit_Nm, self._ticks, sensing)
         self._servo = _Servo(self.robot, self.home_rad, servo)
         self._commands = _Commands(self.robot.nv, latency_s)
-        self._tick, self._is_begun = 0, False
+        self._tick = 0
+        self._is_begun = False
         self._torque_Nm = np.zeros(self.robot.nv)
         self._depths_m: list[float] = []
         self._forces: list[TissueForce] = []
@@ -349,7 +351,8 @@ class SimulatedArm:
     @property
     def truth(self) -> ArmTruth:
         """What is true at the last sample."""
-        plant, law = self._plant, self._law
+        plant = self._plant
+        law = self._law
         return ArmTruth(
             t_s=self.time_s,
             q_rad=plant.q_rad.copy(),
@@ -477,7 +480,8 @@ def _tissue_below(
     pin.framesForwardKinematics(arm.model, data, home_rad)
     tip = data.oMf[arm.frame_id("needle_tip")]
     if scenario is None:
-        place, axis = tip.translation.copy(), tip.rotation[:, 2].copy()
+        place = tip.translation.copy()
+        axis = tip.rotation[:, 2].copy()
         return TissueContact(law=Tissue(()), surface_in_base_m=place, axis_in_base=axis)
     height_m = -scenario.motion.start_m if standoff_m is None else standoff_m
     # A push on the elbow is one of the arm's contacts.

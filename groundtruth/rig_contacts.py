@@ -129,7 +129,8 @@ class Trocar:
         """Spring and damper across the needle, at the point of its axis nearest to
         the trocar.
         """
-        tip, axis = motion.position_m, motion.axis
+        tip = motion.position_m
+        axis = motion.axis
         along = dot(add(self.point_m, tip, -1.0), axis)
         nearest = add(tip, axis, along)
         lever = (along * axis[0], along * axis[1], along * axis[2])
@@ -251,8 +252,11 @@ class TouchedPoint:
         all else.
         """
         point, body = GRIPS[contacts[0].at]
-        self._model, self._data, self._contacts = model, data, contacts
-        self._point, self._body = model.body(point).id, model.body(body).id
+        self._model = model
+        self._data = data
+        self._contacts = contacts
+        self._point = model.body(point).id
+        self._body = model.body(body).id
         self._jacobian = np.zeros((6, model.nv))
         self._wrench: Array = data.xfrc_applied[self._body]
         self._now = PointMotion(NO_FORCE, NO_FORCE, NO_FORCE, NO_FORCE)
@@ -260,7 +264,8 @@ class TouchedPoint:
 
     def locate(self) -> None:
         """Take over the posture at the start of a tick."""
-        data, jacobian = self._data, self._jacobian
+        data = self._data
+        jacobian = self._jacobian
         place = data.xpos[self._point]
         mujoco.mj_jac(self._model, data, jacobian[:3], jacobian[3:], place, self._body)
         x, y, z = place.tolist()
@@ -277,14 +282,16 @@ class TouchedPoint:
     def act(self, t_s: float, dq_rad_s: Array, step_s: float) -> None:
         """Apply the contacts' forces for one physics step, and move the point along."""
         vx, vy, vz, wx, wy, wz = self._jacobian.dot(dq_rad_s).tolist()
-        speed, turning = (vx, vy, vz), (wx, wy, wz)
+        speed = (vx, vy, vz)
+        turning = (wx, wy, wz)
         change = cross(turning, self._now.axis)
         # At the middle of the step: a force held from its start would feed energy into
         # a spring.
         position = add(self._now.position_m, speed, 0.5 * step_s)
         axis = add(self._now.axis, change, 0.5 * step_s)
         motion = PointMotion(position, axis, speed, turning)
-        force, torque = NO_FORCE, NO_FORCE
+        force = NO_FORCE
+        torque = NO_FORCE
         for contact in self._contacts:
             part, where = contact.force(t_s, motion)
             force = add(force, part)

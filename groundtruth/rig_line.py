@@ -34,7 +34,9 @@ class DelayLine(Generic[Packet]):
             raise PlantError(
                 "jitter is drawn at random: pass rng=numpy.random.default_rng(seed)"
             )
-        self._delay_s, self._jitter_s, self._rng = delay_s, jitter_s, rng
+        self._delay_s = delay_s
+        self._jitter_s = jitter_s
+        self._rng = rng
         self._under_way: deque[tuple[float, Packet]] = deque()
         self._time_s = 0.0
         self._newest: Packet | None = None
@@ -49,7 +51,8 @@ class DelayLine(Generic[Packet]):
             late_s = max(
                 0.0, late_s + self._rng.uniform(-self._jitter_s, self._jitter_s)
             )
-        line, arrival_s = self._under_way, self._time_s + late_s
+        line = self._under_way
+        arrival_s = self._time_s + late_s
         while line and line[-1][0] >= arrival_s:
             line.pop()  # overtaken by this one
         line.append((arrival_s, packet))

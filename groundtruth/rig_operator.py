@@ -98,23 +98,28 @@ class HapticMaster:
         """
         require_positive(PlantError, mass_kg=mass_kg, speed_filter_s=speed_filter_s)
         require_non_negative(PlantError, position_step_m=position_step_m)
-        self._operator, self._position_step_m = operator, position_step_m
+        self._operator = operator
+        self._position_step_m = position_step_m
         mass = operator.mass_kg + mass_kg
-        k, b = operator.stiffness_N_per_m / mass, operator.damping_Ns_per_m / mass
+        k = operator.stiffness_N_per_m / mass
+        b = operator.damping_Ns_per_m / mass
         # Exact over a cycle for a held force: state x, v and the input (k wish + f) /
         # m.
         step = expm(
             np.array([[0.0, 1.0, 0.0], [-k, -b, 1.0], [0.0, 0.0, 0.0]]) * TICK_s
         )
-        self._step, self._mass_kg = step[:2], mass
+        self._step = step[:2]
+        self._mass_kg = mass
         self._kept = float(np.exp(-TICK_s / speed_filter_s))
         self.position_m = np.array(tuple(operator.wish_m(0.0)), dtype=np.float64)
         self.velocity_m_s = np.zeros(3)
-        self._seen_m, self._seen_m_s = self._measured(), np.zeros(3)
+        self._seen_m = self._measured()
+        self._seen_m_s = np.zeros(3)
         self._force_N = np.zeros(3)
         self.port_energy_J = self.least_energy_J = 0.0
         self.clutch = True
-        self._cycle, self._gone_until = 0, 0
+        self._cycle = 0
+        self._gone_until = 0
 
     @property
     def time_s(self) -> float:
@@ -135,10 +140,8 @@ class HapticMaster:
         self._cycle += 1
         seen = self._measured()
         fresh = (seen - self._seen_m) / TICK_s
-        self._seen_m, self._seen_m_s = (
-            seen,
-            fresh + self._kept * (self._seen_m_s - fresh),
-        )
+        self._seen_m = seen
+        self._seen_m_s = fresh + self._kept * (self._seen_m_s - fresh)
         if self._cycle < self._gone_until:
             self._force_N = np.zeros(3)
             return None

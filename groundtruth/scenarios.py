@@ -109,11 +109,13 @@ CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
 SINE_STANDOFF_M = (
     20e-3  # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20
 )
-GEL_STROKE_M, GEL_FREQUENCY_HZ = 70e-3, 0.016
+GEL_STROKE_M = 70e-3
+GEL_FREQUENCY_HZ = 0.016
 STACK_STROKE_M = (
     130e-3  # The full gels are 98 mm together, more than the paper's 70 mm stroke
 )
-ABDOMEN_STROKE_M, ABDOMEN_FREQUENCY_HZ = 115e-3, 0.02
+ABDOMEN_STROKE_M = 115e-3
+ABDOMEN_FREQUENCY_HZ = 0.02
 ABDOMEN_STANDOFF_M = 22e-3
 
 
@@ -141,7 +143,8 @@ def _insertions(
 
 def _catalogue() -> Iterator[Scenario]:
     for percent in (25, 50, 70):
-        name, title = f"gel-{percent}", f"one {percent} % isinglass gel"
+        name = f"gel-{percent}"
+        title = f"one {percent} % isinglass gel"
         yield from _insertions(
             name, title, (gel(percent),), TABLE_I_SPEED_M_S, GEL_STROKE_M
         )

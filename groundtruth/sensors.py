@@ -73,10 +73,12 @@ class TorqueSensor:
         white = rng.standard_normal(shape)
         noise = coloured(white, TICK_s, plant_model.torque_noise_correlation_s)
         self._noise_Nm = np.array(plant_model.torque_noise_std_Nm) * noise
-        self._plant_model, self._limit_Nm = plant_model, limit_Nm
+        self._plant_model = plant_model
+        self._limit_Nm = limit_Nm
         self.backlash_Nm = plant_model.torque_hysteresis * limit_Nm
         if plant_model.torque_nonlinearity > 0.0:
-            size, bow = rng.uniform(size=joints), rng.uniform(-1.0, 1.0, joints)
+            size = rng.uniform(size=joints)
+            bow = rng.uniform(-1.0, 1.0, joints)
             self._bend = size * rng.choice((-1.0, 1.0), joints), bow
 
     def reading(
@@ -88,7 +90,8 @@ class TorqueSensor:
         These are true torques, the same behind the hysteresis, see `backlash`, and true
         positions.
         """
-        seen, plant_model = lagging_Nm, self._plant_model
+        seen = lagging_Nm
+        plant_model = self._plant_model
         if plant_model.torque_ripple > 0.0:
             angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + self._phase_rad
             seen = seen + plant_model.torque_ripple * self._limit_Nm * np.sin(angle)
@@ -96,7 +99,8 @@ class TorqueSensor:
             # A smooth deviation from a straight line, at most 1 for loads from -1 to 1:
             # bow and S, Chebyshev polynomials of second and third degree, in parts
             # given by the bow.
-            load, (size, bow) = tau_Nm / self._limit_Nm, self._bend
+            load = tau_Nm / self._limit_Nm
+            size, bow = self._bend
             bent = bow * (2.0 * load**2 - 1.0)
             bent = size * (bent + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
             seen = seen + plant_model.torque_nonlinearity * self._limit_Nm * bent

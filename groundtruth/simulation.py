@@ -199,11 +199,14 @@ def insert_needle(
     require_positive(MotionError, rate_hz=rate_hz)
     motion = chosen.motion
     t_s = np.arange(round(motion.duration_s * rate_hz) + 1) / rate_hz
-    depth_m, speed_m_s = motion.position_m(t_s), motion.speed_m_s(t_s)
-    inside_m, relative_m_s = depth_m, speed_m_s
+    depth_m = motion.position_m(t_s)
+    speed_m_s = motion.speed_m_s(t_s)
+    inside_m = depth_m
+    relative_m_s = speed_m_s
     if chosen.tissue_motion is not None:
         surface_m, surface_m_s = chosen.tissue_motion.at(t_s)
-        inside_m, relative_m_s = depth_m - surface_m, speed_m_s - surface_m_s
+        inside_m = depth_m - surface_m
+        relative_m_s = speed_m_s - surface_m_s
     law = Tissue(chosen.layers)
     samples = zip(inside_m.tolist(), relative_m_s.tolist(), strict=True)
     truth = collect_truth(

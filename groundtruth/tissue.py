@@ -171,7 +171,9 @@ class Tissue:
         """Tip force of unrelaxed tissue: what the front holds, and what a rupture
         still holds.
         """
-        boundaries, ruptured, deepest = self.interfaces, self._ruptured, self._deepest_m
+        boundaries = self.interfaces
+        ruptured = self._ruptured
+        deepest = self._deepest_m
         back = (deepest - depth_m) / UNLOADING_M
         force = 0.0
         if back < 1.0 and ruptured > 0:

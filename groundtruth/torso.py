@@ -52,7 +52,9 @@ class Ellipsoid:
         """
         start = self.scaled(entry_m)
         step = np.asarray(direction, float) @ self.axes / self.radii_m
-        a, b, c = step @ step, start @ step, start @ start - 1.0
+        a = step @ step
+        b = start @ step
+        c = start @ start - 1.0
         root = b * b - a * c
         if root <= 0.0:
             return ()
@@ -78,7 +80,8 @@ class Torso:
 
     def crossings(self, entry_m: ArrayLike, target_m: ArrayLike) -> list[Stretch]:
         """What the path from a point to another crosses, exactly and in order."""
-        entry, along = np.asarray(entry_m, float), np.subtract(target_m, entry_m)
+        entry = np.asarray(entry_m, float)
+        along = np.subtract(target_m, entry_m)
         length = float(np.linalg.norm(along))
         direction = along / length
         cuts = {t for shape in self.shapes for t in shape.depths_m(entry, direction)}
@@ -108,7 +111,8 @@ class Torso:
             axes_m: Step from a voxel to the next along each axis, (3, 3) columns.
         """
         labels = np.zeros(shape, np.uint8)
-        origin, axes = np.asarray(origin_m, float), np.asarray(axes_m, float)
+        origin = np.asarray(origin_m, float)
+        axes = np.asarray(axes_m, float)
         inverse = np.linalg.inv(axes)
         for number, body in enumerate(self.shapes, 1):
             centre = inverse @ (body.centre_m - origin)
@@ -146,10 +150,8 @@ def analytic_torso(rng: np.random.Generator | None = None) -> Torso:
     """
     shapes = []
     for name, centre_mm, radii_mm, turn_deg in _SHAPES:
-        centre, radii = (
-            1e-3 * np.array(centre_mm, float),
-            1e-3 * np.array(radii_mm, float),
-        )
+        centre = 1e-3 * np.array(centre_mm, float)
+        radii = 1e-3 * np.array(radii_mm, float)
         turn = np.radians(turn_deg)
         if rng is not None:
             centre = centre + rng.normal(0.0, 3e-3, 3)

@@ -39,17 +39,21 @@ class TissueVariation:
         """The layer under this variation, its texture drawn; `TissueError` if it is
         too thin.
         """
-        friction, tip_N = layer.friction, layer.exit_force_N
-        coulomb, viscous = friction.coulomb_N_per_m, friction.viscous_Ns_per_m2
+        friction = layer.friction
+        tip_N = layer.exit_force_N
+        coulomb = friction.coulomb_N_per_m
+        viscous = friction.viscous_Ns_per_m2
         if self.speed_exponent != 1.0:
-            coulomb, viscous = 0.0, friction.equivalent_viscous_Ns_per_m2
+            coulomb = 0.0
+            viscous = friction.equivalent_viscous_Ns_per_m2
         if self.friction_fraction is not None:
             shaft_N = (
                 friction.sliding_N_per_m(friction.reference_speed_m_s)
                 * layer.thickness_m
             )
             scale = self.friction_fraction * (shaft_N + tip_N) / shaft_N
-            coulomb, viscous = scale * coulomb, scale * viscous
+            coulomb = scale * coulomb
+            viscous = scale * viscous
             tip_N += (1.0 - scale) * shaft_N
         friction = replace(
             friction,

@@ -27,15 +27,13 @@ BEATS = (
 COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
 _MEMORY = 400  # differences over which a level is learned: four seconds
 _MOVED_MM = 3.0  # lags with more travel are left out: in them the tissue varies, it does not move
-_TEXTURE_MM, _TEXTURES = (
-    0.1,
-    200,
-)  # travel of a step; steps over which texture is learned
-_FINE, _COARSE, _LEAST_SEEN = (
-    2,
-    4,
-    30,
-)  # texture's lags, 2**2 and 2**4 steps; least differences
+# travel of a step; steps over which texture is learned
+_TEXTURE_MM = 0.1
+_TEXTURES = 200
+# texture's lags, 2**2 and 2**4 steps; least differences
+_FINE = 2
+_COARSE = 4
+_LEAST_SEEN = 30
 _MEDIAN = 0.455  # Median of a squared standard normal; few of the differences contain a rupture
 _CHANCE = (4.6, 8.0)
 """About 1.6 standard errors of a median of n squares of such differences of white and
@@ -50,11 +48,9 @@ def oscillation(
     """Transition of a damped oscillator's deflection and rate, row by row."""
     w = 2.0 * math.pi * hz
     d = w * math.sqrt(1.0 - damping**2)
-    decay, cosine, sine = (
-        math.exp(-damping * w * dt_s),
-        math.cos(d * dt_s),
-        math.sin(d * dt_s),
-    )
+    decay = math.exp(-damping * w * dt_s)
+    cosine = math.cos(d * dt_s)
+    sine = math.sin(d * dt_s)
     return (
         decay * (cosine + damping * w / d * sine),
         decay * sine / d,
@@ -86,17 +82,19 @@ def transitions(
     """
     found = np.zeros((3, 7))
     for part in range(3):
-        (a, b, c, d), rate, level = (
-            smooth_walk(travel, length),
-            1.0 / length,
-            variances[part],
-        )
+        a, b, c, d = smooth_walk(travel, length)
+        rate = 1.0 / length
+        level = variances[part]
         if part < 2:
             hz, damping = BEATS[part]
-            (a, b, c, d), rate = oscillation(dt_s, hz, damping), 2.0 * math.pi * hz
+            a, b, c, d = oscillation(dt_s, hz, damping)
+            rate = 2.0 * math.pi * hz
         fast = level * rate**2
         row = found[part]
-        row[0], row[1], row[2], row[3] = a, b, c, d
+        row[0] = a
+        row[1] = b
+        row[2] = c
+        row[3] = d
         row[4] = level - a * a * level - b * b * fast
         row[5] = -(a * c * level + b * d * fast)
         row[6] = fast - c * c * level - d * d * fast
@@ -180,11 +178,14 @@ class DisturbanceLevels(NamedTuple):
         """Use a block's mean force, less what changes of speed added [N], at a speed
         [mm/s].
         """
-        total, filled = self.force_sum + force * dt_s, self.filled_s + dt_s
+        total = self.force_sum + force * dt_s
+        filled = self.filled_s + dt_s
         step = _TEXTURE_MM if self.is_texture else STEP_S
         if filled < step * (1.0 - 1e-6):
             return self._replace(force_sum=total, filled_s=filled)
-        squares, seen, count = self.squares.copy(), self.seen.copy(), self.steps + 1.0
+        squares = self.squares.copy()
+        seen = self.seen.copy()
+        count = self.steps + 1.0
         past = _learn(self.past, total / filled, count, squares, seen)
         levels = self.levels
         if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
@@ -239,7 +240,9 @@ def _square(squares: Matrix, seen: Vector, k: int) -> float:
 @compiled
 def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vector:
     """Variance of each part, each taking what the faster ones leave."""
-    levels, left, chance = np.zeros(4), np.zeros(8), np.zeros(8)
+    levels = np.zeros(4)
+    left = np.zeros(8)
+    chance = np.zeros(8)
     for k in range(8):
         if seen[k] > min(2 * 2**k, _LEAST_SEEN):
             left[k] = _square(squares, seen, k)

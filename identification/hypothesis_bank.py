@@ -68,7 +68,8 @@ class Bank(NamedTuple):
         """What is wrong with the arrays, if anything; checked before compiled code
         reads them.
         """
-        n, last = len(self.log_weights), (law.UNKNOWNS, law.UNKNOWNS)
+        n = len(self.log_weights)
+        last = (law.UNKNOWNS, law.UNKNOWNS)
         shapes = ((n, law.UNKNOWNS), (n, *last), (n,), (n, law.FACTS), (n, law.RECORDS))
         if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
             return f"its arrays have shapes {[np.shape(part) for part in self]}"
@@ -112,7 +113,8 @@ class Place(NamedTuple):
 
 def first_bank() -> Bank:
     """One hypothesis: the tip is in free air, the offset unknown."""
-    spreads, facts = np.zeros((1, law.UNKNOWNS, law.UNKNOWNS)), np.zeros((1, law.FACTS))
+    spreads = np.zeros((1, law.UNKNOWNS, law.UNKNOWNS))
+    facts = np.zeros((1, law.FACTS))
     spreads[0, law.OFFSET, law.OFFSET] = 5.0**2
     facts[0, [law.RELEASE, law.LENGTH, law.IS_JUDGED]] = law.NO_RELEASE, 1.0, 1.0
     return Bank(
@@ -132,7 +134,8 @@ class BankMemory:
     def __init__(self, bank: Bank) -> None:
         shapes = [(CAPACITY, *part.shape[1:]) for part in bank]
         stores = [tuple(np.zeros(shape) for shape in shapes) for _ in range(2)]
-        self.store, self._other = Bank(*stores[0])[:], Bank(*stores[1])[:]
+        self.store = Bank(*stores[0])[:]
+        self._other = Bank(*stores[1])[:]
         for room, part in zip(self.store, bank, strict=True):
             room[: len(part)] = part
         self.size = len(bank.log_weights)
@@ -156,13 +159,15 @@ class BankMemory:
         `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms
         so far.
         """
-        facts, log_weights = self.bank.facts, self.bank.log_weights
+        facts = self.bank.facts
+        log_weights = self.bank.log_weights
         parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
         step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
         is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(
             before / MEMBRANE_STEP_MM
         )
-        scene, time_s = place[2:5], place.time_s - 0.5 * place.dt_s
+        scene = place[2:5]
+        time_s = place.time_s - 0.5 * place.dt_s
         # A release can be over within a block, so the force it fell from is the block's
         # before.
         moment = (*scene, time_s, tissue_speed, place.before, float(reported))
@@ -253,7 +258,9 @@ def _ranked(
     classes = 2 * is_old + 1 * is_pushed
     weights = log_weights - log_weights.max()
     weights -= math.log(np.exp(weights).sum())
-    left, kept, size = list(QUOTAS), np.zeros(len(weights), dtype=np.int64), 0
+    left = list(QUOTAS)
+    kept = np.zeros(len(weights), dtype=np.int64)
+    size = 0
     for k in np.argsort(-weights, kind="mergesort"):
         if weights[k] <= NEGLIGIBLE:
             break

@@ -40,7 +40,9 @@ from needleforce.jit import (
 OFFSET, COULOMB, VISCOUS, RELEASED, LONGER, HELD, STIFFNESS, STIFFENING, KEPT = range(9)
 OWN_COULOMB, OWN_VISCOUS, LEFT, EARLIER = range(9, 13)
 COLOUR, HEART, HEART_RATE, BREATH, BREATH_RATE, LAW, LAW_RATE = range(13, 20)
-UNKNOWNS, FACTS, RECORDS = 20, 10, 16
+UNKNOWNS = 20
+FACTS = 10
+RECORDS = 16
 _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before this
 
 # Indices of a hypothesis's facts: what the tip is in (AIR, LAYER, MEMBRANE); depths
@@ -61,7 +63,9 @@ _AFTER_TIP = KEPT + 1  # the tip's unknowns are those from RELEASED to before th
     OWN_FORCE,
     IS_PUNCTURED,
 ) = range(10)
-AIR, LAYER, MEMBRANE = 0.0, 1.0, 2.0
+AIR = 0.0
+LAYER = 1.0
+MEMBRANE = 2.0
 CONTACT, EXIT, PARTIAL, MEETING = range(4)
 """Events: contact, end of a layer or membrane, partial rupture, membrane met under a
 layer."""
@@ -72,14 +76,12 @@ layer."""
 # last part, each with its variance; depth of the first contact; least force since the
 # last rupture.
 RUPTURE_S, RUPTURE_MM, RUPTURE_SPEED, RUPTURE_FORCE, WAS_PARTIAL = range(5)
-PART_START, PART_END, PART_FRICTION, STIFFNESS_HERE, CONTACT_MM, LEAST_FORCE = (
-    5,
-    6,
-    7,
-    8,
-    14,
-    15,
-)
+PART_START = 5
+PART_END = 6
+PART_FRICTION = 7
+STIFFNESS_HERE = 8
+CONTACT_MM = 14
+LEAST_FORCE = 15
 
 Store = tuple[WrittenMatrix, WrittenBlocks, WrittenVector, WrittenMatrix, WrittenMatrix]
 """Memory for hypotheses, a row each: means, covariances, log weights, facts,
@@ -95,22 +97,29 @@ Event = tuple[
 CUTTING_ONSET_MM = (
     1.0  # Travel until a new layer's cutting force is full: a needle's diameter
 )
-LAW_ERROR, LAW_MM, LEFT_ERROR = 0.03, 5.0, 0.1
+LAW_ERROR = 0.03
+LAW_MM = 5.0
+LEFT_ERROR = 0.1
 """Relative error of the linear law; its correlation length [mm]; the fraction of this
 error that friction of the layers traversed has, which depends on the motion alone."""
-CUTTING, CUTTING_STD, CUTTING_MM = 0.03, 0.15, 2.0
+CUTTING = 0.03
+CUTTING_STD = 0.15
+CUTTING_MM = 2.0
 """Prior cutting force and its deviation [N]; its growth per growth of the stiffness
 [mm]."""
 OFFSET_WALK = 1e-6  # random walk of the sensor's zero, variance per time [N²/s]
-KEPT_FRACTION, KEPT_STD, KEPT_MM = 0.45, 0.15, 5.0
+KEPT_FRACTION = 0.45
+KEPT_STD = 0.15
+KEPT_MM = 5.0
 """Fraction of a tip force that stays after its rupture, its deviation, and the travel
 over which it fades: chosen, between the 30 and 60 % that partial ruptures in liver
 suggest."""
-NO_RELEASE, NEVER = (
-    -1e9,
-    -1e8,
-)  # depth that means "no release"; every release is deeper than NEVER
-SHAPE_ERROR, SHAPE_MM, ONSET_ERROR = 0.08, 0.02, 0.1
+# depth that means "no release"; every release is deeper than NEVER
+NO_RELEASE = -1e9
+NEVER = -1e8
+SHAPE_ERROR = 0.08
+SHAPE_MM = 0.02
+ONSET_ERROR = 0.1
 """Relative error of a release's shape, its correlation length [mm]; the same of a
 cutting onset."""
 LENGTH_ERROR = (
@@ -118,21 +127,26 @@ LENGTH_ERROR = (
 )
 TEMPER = 0.5  # exponent of the likelihood: errors of the law are alike from one block to the next
 FREEDOM = 8.0  # degrees of freedom of Student's t: a single outlier proves little
-SLOPE, SLOPE_STD, STIFFENING_STD = 0.03, 0.04, 1e-3
+SLOPE = 0.03
+SLOPE_STD = 0.04
+STIFFENING_STD = 1e-3
 """Prior growth of the force in a layer and its deviation [N/mm]; deviation of H
 [N/mm²]."""
-NO_FORCE, NO_SLOPE = 0.02, 0.002
+NO_FORCE = 0.02
+NO_SLOPE = 0.002
 """Deviation with which a negative cutting force or friction [N], stiffness [N/mm],
 is set to 0."""
-FRACTION, FRACTION_STD, FRACTION_SPEED = 0.5, 0.2, 3.0
+FRACTION = 0.5
+FRACTION_STD = 0.2
+FRACTION_SPEED = 3.0
 """Prior part of friction in that growth (half: not known), its deviation; at this
 speed [mm/s]."""
 PUSHED_MM = 12.0  # a membrane is hardly pushed in further before it ruptures
-LEAST_DROP, LEAST_WEIGHT = (
-    0.12,
-    1e-3,
-)  # fraction of force a rupture releases; weight in an answer
-COULOMB_SPEED, COULOMB_LOG_STD = 3.4, 1.4
+# fraction of force a rupture releases; weight in an answer
+LEAST_DROP = 0.12
+LEAST_WEIGHT = 1e-3
+COULOMB_SPEED = 3.4
+COULOMB_LOG_STD = 1.4
 """Speed of equal Coulomb and viscous friction [mm/s], and the deviation of its
 logarithm, a factor of 4: chosen, no measurement is known. The simulated gels have 1.5,
 the liver 20."""
@@ -189,7 +203,8 @@ def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
 
 
 def _turn_plain(spreads: Any, n: int, at: int, turn: Any) -> None:
-    pair, matrix = slice(at, at + 2), turn[:4].reshape(2, 2)
+    pair = slice(at, at + 2)
+    matrix = turn[:4].reshape(2, 2)
     spreads[:n, pair] = matrix @ spreads[:n, pair]
     spreads[:n, :, pair] = spreads[:n, :, pair] @ matrix.T
 
@@ -199,20 +214,21 @@ def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
     """Map two neighbouring unknowns of n hypotheses by a 2x2 transition, `turn`'s
     first numbers.
     """
-    a, b, c, d = turn[0], turn[1], turn[2], turn[3]
+    a = turn[0]
+    b = turn[1]
+    c = turn[2]
+    d = turn[3]
     for k in range(n):
         for j in range(UNKNOWNS):
-            one, two = spreads[k, at, j], spreads[k, at + 1, j]
-            spreads[k, at, j], spreads[k, at + 1, j] = (
-                a * one + b * two,
-                c * one + d * two,
-            )
+            one = spreads[k, at, j]
+            two = spreads[k, at + 1, j]
+            spreads[k, at, j] = a * one + b * two
+            spreads[k, at + 1, j] = c * one + d * two
         for j in range(UNKNOWNS):
-            one, two = spreads[k, j, at], spreads[k, j, at + 1]
-            spreads[k, j, at], spreads[k, j, at + 1] = (
-                a * one + b * two,
-                c * one + d * two,
-            )
+            one = spreads[k, j, at]
+            two = spreads[k, j, at + 1]
+            spreads[k, j, at] = a * one + b * two
+            spreads[k, j, at + 1] = c * one + d * two
 
 
 @compiled
@@ -222,26 +238,27 @@ def regressor(fact: Vector, scene: Scene) -> Vector:
     row = np.zeros(UNKNOWNS)
     gone = min(max((depth - fact[RELEASE]) / fact[LENGTH], 0.0), 1.0)
     released = (1.0 - gone) ** 2
-    travel, length = max(depth - fact[TIP], 0.0), max(depth - fact[ROOT], 0.0)
+    travel = max(depth - fact[TIP], 0.0)
+    length = max(depth - fact[ROOT], 0.0)
     if fact[IS_PUNCTURED] > 0.0:
         # Tissue that the membrane had pushed in springs back along the shaft with the
         # release.
         length *= 1.0 - released
     onset = min(travel / CUTTING_ONSET_MM, 1.0)
-    row[OFFSET], row[COULOMB], row[VISCOUS], row[RELEASED] = (
-        1.0,
-        deflection,
-        speed,
-        released,
-    )
+    row[OFFSET] = 1.0
+    row[COULOMB] = deflection
+    row[VISCOUS] = speed
+    row[RELEASED] = released
     row[HELD] = 1.0 - released if fact[IS_HELD] > 0.0 else onset * (2.0 - onset)
     row[LONGER] = (
         2.0 * gone * (1.0 - gone)
     )  # derivative of `released` by the length's logarithm
-    row[STIFFNESS], row[STIFFENING] = travel, travel * travel
+    row[STIFFNESS] = travel
+    row[STIFFENING] = travel * travel
     if fact[RELEASE] > NEVER:
         row[KEPT] = max(1.0 - (depth - fact[RELEASE]) / KEPT_MM, 0.0) ** 2 - released
-    row[OWN_COULOMB], row[OWN_VISCOUS] = deflection * length, speed * length
+    row[OWN_COULOMB] = deflection * length
+    row[OWN_VISCOUS] = speed * length
     row[COLOUR] = row[HEART] = row[BREATH] = row[LAW] = 1.0
     return row
 
@@ -256,7 +273,9 @@ def predict(
     `held` is the variance added to the cutting force, `colour` the decay of the
     sensor's coloured noise over the block, and its variance.
     """
-    mean, spread, is_tissue = store[0][:n], store[1][:n], store[3][:n, KIND] != AIR
+    mean = store[0][:n]
+    spread = store[1][:n]
+    is_tissue = store[3][:n, KIND] != AIR
     mean[:, COLOUR] *= colour[0]
     spread[:, COLOUR] *= colour[0]
     spread[:, :, COLOUR] *= colour[0]
@@ -264,12 +283,12 @@ def predict(
     spread[:, HELD, HELD] += np.where(is_tissue, held, 0.0)
     spread[:, COLOUR, COLOUR] += (1.0 - colour[0] ** 2) * colour[1]
     for part in range(3):
-        turn, at = turns[part], HEART + 2 * part
-        one, two = mean[:, at].copy(), mean[:, at + 1].copy()
-        mean[:, at], mean[:, at + 1] = (
-            turn[0] * one + turn[1] * two,
-            turn[2] * one + turn[3] * two,
-        )
+        turn = turns[part]
+        at = HEART + 2 * part
+        one = mean[:, at].copy()
+        two = mean[:, at + 1].copy()
+        mean[:, at] = turn[0] * one + turn[1] * two
+        mean[:, at + 1] = turn[2] * one + turn[3] * two
         _turn(store[1], n, at, turn)
         spread[:, at, at] += turn[4]
         spread[:, at, at + 1] += turn[5]
@@ -284,13 +303,13 @@ def correct(
     """Update n hypotheses with a block's force; `block`: travel, variance, deviation
     of depth.
     """
-    (means, spreads, log_weights, facts, records), (travel, variance, depth_std) = (
-        store,
-        block,
-    )
+    means, spreads, log_weights, facts, records = store
+    travel, variance, depth_std = block
     shape = SHAPE_ERROR * math.sqrt(max(SHAPE_MM / max(travel, 0.1 * SHAPE_MM), 1.0))
     for k in range(n):
-        mean, spread, fact = means[k], spreads[k], facts[k]
+        mean = means[k]
+        spread = spreads[k]
+        fact = facts[k]
         records[k, LEAST_FORCE] = min(records[k, LEAST_FORCE], force)
         row = regressor(fact, scene)
         early = max(1.0 - max(scene[0] - fact[TIP], 0.0) / CUTTING_ONSET_MM, 0.0)
@@ -334,14 +353,15 @@ def _add_prior(
     """
     if kind != LAYER:
         if kind == MEMBRANE:
-            mean[STIFFNESS], mean[STIFFENING] = 0.05, 0.01
-            spread[STIFFNESS, STIFFNESS], spread[STIFFENING, STIFFENING] = (
-                0.1**2,
-                0.02**2,
-            )
+            mean[STIFFNESS] = 0.05
+            mean[STIFFENING] = 0.01
+            spread[STIFFNESS, STIFFNESS] = 0.1**2
+            spread[STIFFENING, STIFFENING] = 0.02**2
         return
     fraction, _, coulomb = friction_fraction(max(speed, 0.1))
-    viscous, pace, std = 1.0 - coulomb, max(speed, 0.5), 0.7 * SLOPE_STD
+    viscous = 1.0 - coulomb
+    pace = max(speed, 0.5)
+    std = 0.7 * SLOPE_STD
     mean[STIFFNESS] += (1.0 - fraction) * SLOPE
     spread[STIFFNESS, STIFFNESS] += std**2
     spread[STIFFENING, STIFFENING] += STIFFENING_STD**2
@@ -371,9 +391,13 @@ def after_event(
 
     `passed` is the length of shaft that entered the layer since the last event.
     """
-    (what, becomes, is_kept), was, row = event, fact[KIND], regressor(fact, moment[:3])
+    what, becomes, is_kept = event
+    was = fact[KIND]
+    row = regressor(fact, moment[:3])
     depth, speed, deflection, _, unseen, force, reported = moment
-    change, noise, tip = np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
+    change = np.eye(UNKNOWNS)
+    noise = np.zeros(UNKNOWNS)
+    tip = np.zeros(UNKNOWNS)
     tip[RELEASED:_AFTER_TIP] = row[RELEASED:_AFTER_TIP]
     change[RELEASED:_AFTER_TIP] = 0.0
     if what in (
@@ -388,7 +412,8 @@ def after_event(
         ) ** 2
         noise[LAW_RATE] = noise[LAW] / LAW_MM**2
     if what == PARTIAL:
-        change[RELEASED], change[HELD] = tip, 0.5 * tip
+        change[RELEASED] = tip
+        change[HELD] = 0.5 * tip
         noise[HELD] = (0.25 * np.dot(tip, mean)) ** 2 + 1e-4
     else:
         change[OWN_COULOMB : OWN_VISCOUS + 1] = 0.0
@@ -399,7 +424,8 @@ def after_event(
     elif what != PARTIAL:
         if was == LAYER:
             length = max(depth - fact[ROOT], 0.0)
-            change[COULOMB, OWN_COULOMB], change[VISCOUS, OWN_VISCOUS] = length, length
+            change[COULOMB, OWN_COULOMB] = length
+            change[VISCOUS, OWN_VISCOUS] = length
         change[HELD if what == MEETING else RELEASED] = tip
     change[KEPT] = (KEPT_FRACTION if is_kept else 0.0) * tip
     noise[KEPT] = ((KEPT_STD if is_kept else 0.0) * np.dot(tip, mean)) ** 2
@@ -411,15 +437,11 @@ def after_event(
         change[LEFT : EARLIER + 1] = 0.0
         change[EARLIER, LEFT] = 1.0
     if was == LAYER:
-        change[LEFT, OWN_COULOMB], change[LEFT, OWN_VISCOUS] = (
-            passed * deflection,
-            passed * speed,
-        )
+        change[LEFT, OWN_COULOMB] = passed * deflection
+        change[LEFT, OWN_VISCOUS] = passed * speed
         noise[LEFT] = (passed * mean[OWN_VISCOUS] * unseen) ** 2
-    mean, spread = (
-        np.dot(change, mean),
-        _mapped(change, _mapped(change, spread)) + np.diag(noise),
-    )
+    mean = np.dot(change, mean)
+    spread = _mapped(change, _mapped(change, spread)) + np.diag(noise)
     _add_prior(mean, spread, speed, becomes, what == PARTIAL)
     return mean, spread
 
@@ -438,32 +460,31 @@ def add_children(
     release length.
     """
     means, spreads, log_weights, facts, records = store
-    (what, becomes, _), (depth, speed, _, time_s, _, force, reported) = event, moment
-    fact, record, was = facts[k].copy(), records[k].copy(), facts[k, KIND]
+    what, becomes, _ = event
+    depth, speed, _, time_s, _, force, reported = moment
+    fact = facts[k].copy()
+    record = records[k].copy()
+    was = facts[k, KIND]
     begin = max(fact[ROOT], record[PART_END]) if was == LAYER else depth
     mean, spread = after_event(means[k], spreads[k], fact, moment, event, depth - begin)
-    fact[RELEASE], is_puncture = NO_RELEASE, what == EXIT and was == MEMBRANE
+    fact[RELEASE] = NO_RELEASE
+    is_puncture = what == EXIT and was == MEMBRANE
     if what in (EXIT, PARTIAL):
         part = slice(RELEASED, OWN_VISCOUS + 1)
         fact[OWN_FORCE] = np.dot(regressor(facts[k], moment[:3])[part], means[k, part])
-        fact[RELEASE], fact[RUPTURES] = depth, min(fact[RUPTURES], reported) + 1.0
-        record[RUPTURE_S], record[RUPTURE_MM], record[RUPTURE_SPEED] = (
-            time_s,
-            depth,
-            speed,
-        )
-        record[RUPTURE_FORCE], record[WAS_PARTIAL] = (
-            force,
-            1.0 if what == PARTIAL else 0.0,
-        )
+        fact[RUPTURES] = min(fact[RUPTURES], reported) + 1.0
+        fact[RELEASE] = depth
+        record[RUPTURE_S] = time_s
+        record[RUPTURE_MM] = depth
+        record[RUPTURE_SPEED] = speed
+        record[RUPTURE_FORCE] = force
+        record[WAS_PARTIAL] = 1.0 if what == PARTIAL else 0.0
         record[LEAST_FORCE] = force
     if was == LAYER:
         start = begin if facts[k, RUPTURES] <= reported else record[PART_START]
-        record[PART_START], record[PART_END], record[PART_FRICTION] = (
-            start,
-            depth,
-            mean[LEFT],
-        )
+        record[PART_START] = start
+        record[PART_END] = depth
+        record[PART_FRICTION] = mean[LEFT]
         for i, j in enumerate((STIFFNESS, OWN_COULOMB, OWN_VISCOUS)):
             record[STIFFNESS_HERE + 2 * i] = means[k, j]
             record[STIFFNESS_HERE + 2 * i + 1] = spreads[k, j, j]
@@ -475,20 +496,17 @@ def add_children(
         # The layer behind a membrane has rubbed since the membrane was met.
         fact[ROOT] = fact[TIP] if is_puncture else depth
         fact[IS_JUDGED] = 0.0 if becomes == LAYER else 1.0
-    fact[TIP], fact[KIND] = depth, becomes
+    fact[TIP] = depth
+    fact[KIND] = becomes
     fact[IS_HELD] = 1.0 if what in (PARTIAL, MEETING) else 0.0
     fact[IS_PUNCTURED] = 1.0 if is_puncture else 0.0
     for i in range(len(releases)):
-        means[n + i], spreads[n + i], facts[n + i], records[n + i] = (
-            mean,
-            spread,
-            fact,
-            record,
-        )
-        log_weights[n + i], facts[n + i, LENGTH] = (
-            log_weights[k] + math.log(chance),
-            releases[i],
-        )
+        means[n + i] = mean
+        spreads[n + i] = spread
+        facts[n + i] = fact
+        records[n + i] = record
+        log_weights[n + i] = log_weights[k] + math.log(chance)
+        facts[n + i, LENGTH] = releases[i]
 
 
 @compiled
@@ -508,20 +526,23 @@ def _judge_fraction(
     is known.
     """
     row = np.zeros(UNKNOWNS)
-    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = 1.0, 1.0, speed
-    slope, variance = np.dot(row, mean), np.dot(row, _times(spread, row))
+    row[STIFFNESS] = 1.0
+    row[OWN_COULOMB] = 1.0
+    row[OWN_VISCOUS] = speed
+    slope = np.dot(row, mean)
+    variance = np.dot(row, _times(spread, row))
     if variance > (0.2 * max(slope, 0.004)) ** 2 and not is_due:
         return False
-    slope, speed = max(slope, 2e-3), max(speed, 0.1)
+    slope = max(slope, 2e-3)
+    speed = max(speed, 0.1)
     fraction, std, coulomb = friction_fraction(speed)
-    row[STIFFNESS], row[OWN_COULOMB] = -fraction, 1.0 - fraction
+    row[STIFFNESS] = -fraction
+    row[OWN_COULOMB] = 1.0 - fraction
     row[OWN_VISCOUS] = (1.0 - fraction) * speed
     _condition(mean, spread, row, (std * slope) ** 2)
-    row[STIFFNESS], row[OWN_COULOMB], row[OWN_VISCOUS] = (
-        0.0,
-        1.0 - coulomb,
-        -coulomb * speed,
-    )
+    row[STIFFNESS] = 0.0
+    row[OWN_COULOMB] = 1.0 - coulomb
+    row[OWN_VISCOUS] = -coulomb * speed
     std = coulomb * (1.0 - coulomb) * COULOMB_LOG_STD * fraction * slope
     _condition(mean, spread, row, std**2)
     return True
@@ -534,7 +555,8 @@ def _hold(mean: WrittenVector, spread: WrittenMatrix, is_cutting: bool) -> float
     """
     added = 0.0
     for at, none in ((COULOMB, NO_FORCE), (STIFFNESS, NO_SLOPE), (HELD, NO_FORCE)):
-        variance, value = max(spread[at, at], 0.0), mean[at]
+        variance = max(spread[at, at], 0.0)
+        value = mean[at]
         # With its onset a negative cutting force would look like a slow release.
         if value < -none - math.sqrt(variance) and (is_cutting or at != HELD):
             _measure(mean, spread, spread[:, at].copy(), -value, variance + none**2)
@@ -552,15 +574,14 @@ def weigh(
     means, spreads, log_weights, facts, _ = store
     depth, speed, dt_s, noise = place
     for k in range(n):
-        mean, fact, kind, travel = (
-            means[k],
-            facts[k],
-            facts[k, KIND],
-            depth - facts[k, TIP],
-        )
+        mean = means[k]
+        fact = facts[k]
+        kind = facts[k, KIND]
+        travel = depth - facts[k, TIP]
         if is_advancing and fact[IS_JUDGED] == 0.0 and travel > 1.0:
             fact[IS_JUDGED] = _judge_fraction(mean, spreads[k], speed, travel >= 10.0)
-        is_held, own = fact[IS_HELD] > 0.0, fact[OWN_FORCE]
+        is_held = fact[IS_HELD] > 0.0
+        own = fact[OWN_FORCE]
         log_weights[k] += _hold(mean, spreads[k], kind == LAYER and not is_held)
         if own > 0.0 and depth > fact[RELEASE] + fact[LENGTH] + 0.1:
             held = mean[HELD] if kind == LAYER and is_held else 0.0
@@ -589,18 +610,19 @@ def shaft_mixture(
     covariance is of all hypotheses around those means.
     """
     means, spreads, _, facts, records = store
-    found, total, spread = np.zeros((len(weights), 8)), np.zeros(8), np.zeros((8, 8))
+    found = np.zeros((len(weights), 8))
+    total = np.zeros(8)
+    spread = np.zeros((8, 8))
     trusted = np.where(trusted > LEAST_WEIGHT * trusted.sum(), trusted, 0.0)
     weights = np.where((weights > LEAST_WEIGHT) | (trusted > 0.0), weights, 0.0)
-    trusted, weights, all_met, contact = (
-        trusted / trusted.sum(),
-        weights / weights.sum(),
-        0.0,
-        0.0,
-    )
+    trusted = trusted / trusted.sum()
+    weights = weights / weights.sum()
+    all_met = 0.0
+    contact = 0.0
     rows = np.flatnonzero(weights)
     for k in rows:
-        row, length = np.zeros((8, UNKNOWNS)), max(scene[0] - facts[k, ROOT], 0.0)
+        row = np.zeros((8, UNKNOWNS))
+        length = max(scene[0] - facts[k, ROOT], 0.0)
         met = 1.0 if facts[k, KIND] != AIR or facts[k, RUPTURES] > 0.0 else 0.0
         if met > 0.0 and all_met == 0.0:
             contact = records[k, CONTACT_MM]
@@ -621,6 +643,7 @@ def shaft_mixture(
     for k in rows:
         spread += weights[k] * np.outer(found[k] - total, found[k] - total)
     np.fill_diagonal(spread, np.maximum(np.diag(spread), 0.0))
-    best, tip = np.argmax(trusted), slice(RELEASED, _AFTER_TIP)
+    best = np.argmax(trusted)
+    tip = slice(RELEASED, _AFTER_TIP)
     force = np.dot(regressor(facts[best], scene)[tip], means[best, tip])
     return total, spread, all_met, contact, force

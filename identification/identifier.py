@@ -62,7 +62,8 @@ class Identifier:
             raise InvalidConfigError(
                 f"config must be one of {known}, got {type(config).__name__}"
             )
-        self._config, self._limits = config, samples.check_limits(config.check)
+        self._limits = samples.check_limits(config.check)
+        self._config = config
         self.reset()
 
     @property

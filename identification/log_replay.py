@@ -25,10 +25,12 @@ class SignCheck:
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
-        self._deepest_m, self._least_m = -np.inf, np.inf
+        self._deepest_m = -np.inf
+        self._least_m = np.inf
         self._start_m: float | None = None
         self._pushed_Nm = self._fresh_m = self._agreement = 0.0
-        self._least_N, self._largest_N = np.inf, -np.inf
+        self._least_N = np.inf
+        self._largest_N = -np.inf
 
     def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
         """Take further rows: columns of shape (n,), with gaps; a speed if one was
@@ -38,7 +40,8 @@ class SignCheck:
         change = np.diff(depth_m, prepend=before)
         self._last_m = depth_m[-1:]
         good = np.isfinite(change) & np.isfinite(force_N)
-        change, force = np.where(good, change, 0.0), np.where(good, force_N, 0.0)
+        change = np.where(good, change, 0.0)
+        force = np.where(good, force_N, 0.0)
         known = depth_m[np.isfinite(depth_m)]
         if known.size:
             self._start_m = float(known[0]) if self._start_m is None else self._start_m
@@ -109,7 +112,9 @@ class ReplayStream:
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
-        self._gap_s, self._gaps = 0.0, 0  # 0 s until rows have come
+        # 0 s until rows have come
+        self._gap_s = 0.0
+        self._gaps = 0
         self._rejected: Counter[SampleStatus] = Counter()
 
     @property
@@ -150,7 +155,8 @@ class ReplayStream:
             forward = steps_s[steps_s > 0.0]
             begin = int(np.argmax(np.isfinite(t_s)))
             usual_s = float(np.median(forward)) if forward.size else 1e-3
-            dt_s[: begin + 1], self._gap_s = usual_s, max(_LEAST_GAP_S, 10.0 * usual_s)
+            self._gap_s = max(_LEAST_GAP_S, 10.0 * usual_s)
+            dt_s[: begin + 1] = usual_s
         self._gaps += int((dt_s > self._gap_s).sum())
         self._signs.update(depth_m, speed_m_s, force_N)
         speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
@@ -205,10 +211,8 @@ def replay(
         InvalidLogError: Empty or ragged columns.
     """
     t = read_column("t_s", t_s)
-    z, f = (
-        read_column("depth_m", depth_m, len(t)),
-        read_column("force_N", force_N, len(t)),
-    )
+    z = read_column("depth_m", depth_m, len(t))
+    f = read_column("force_N", force_N, len(t))
     v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
     # A stamp that is no number spoils its own row only.
     latest_s = np.fmax.accumulate(np.concatenate((t[:1], t[:-1])))

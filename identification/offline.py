@@ -83,7 +83,8 @@ def regression_matrix(
         )
     columns = []
     for layer in layers:
-        reach_m, is_entered = depth_m - layer.start_depth_m, t_s > layer.start_s
+        reach_m = depth_m - layer.start_depth_m
+        is_entered = t_s > layer.start_s
         is_acting = is_entered & (t_s <= layer.rupture_s)
         columns.append(np.where(is_acting, np.maximum(reach_m, 0.0), 0.0))
         embedded = (
@@ -110,7 +111,8 @@ def solve_least_squares(
     scaled = matrix / safe
     inverse = np.linalg.pinv(scaled, rcond=RANK_TOLERANCE)
     solution = inverse @ target
-    residual, squared = target - scaled @ solution, inverse @ inverse.T
+    residual = target - scaled @ solution
+    squared = inverse @ inverse.T
     # Sandwich covariance over contiguous blocks: residuals of tissue are far from
     # white.
     edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)

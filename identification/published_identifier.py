@@ -40,7 +40,8 @@ Sums = tuple[float, float, float, float, float, float, float]
 f, phi_B f; and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative
 friction."""
 NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_OF_FORCE, _OF_SPEED = slice(3, 5), slice(5, 7)
+_OF_FORCE = slice(3, 5)
+_OF_SPEED = slice(5, 7)
 Setting = tuple[bool, float, float, float, float, float]
 """Whether `ml`; drift and threshold of (9), reset frequency, time constant and least
 speed."""
@@ -48,15 +49,13 @@ speed."""
 # covariance reset and the time since; g_k of (9); time and mean speed in the layer;
 # filtered derivative; the last force, whether there is one, the one before; time since
 # the detection; phi' theta + B_d v before the last sample was used.
-_RLS, _COVARIANCE, _SUMS, _WINDOW_S, _DECISION, _TRAVEL_S, _MEAN_SPEED = (
-    0,
-    2,
-    5,
-    12,
-    13,
-    14,
-    15,
-)
+_RLS = 0
+_COVARIANCE = 2
+_SUMS = 5
+_WINDOW_S = 12
+_DECISION = 13
+_TRAVEL_S = 14
+_MEAN_SPEED = 15
 _DERIVATIVE, _FORCE, _HAS_FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 22)
 # What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the
 # derivative, T_drop, ruptures detected; number of the rupture machine's state.
@@ -192,7 +191,8 @@ class PublishedMethod:
         dropped already. So may those of its whole reset window: the layer's re-run is
         without it.
         """
-        m, config = self._memory, self._config
+        m = self._memory
+        config = self._config
         time_s, _, depth_m, speed_m_s, *_ = sample
         rupture = Rupture(
             layer=int(m[_RUPTURES]) + 1,
@@ -207,13 +207,15 @@ class PublishedMethod:
             contact_depth_m=float(config.contact_depth_m),
         )
         windows = self._windows if len(self._windows) else self._closed(NO_WINDOWS)
-        start_m, mean_m_s = float(m[_START_M]), float(m[_MEAN_SPEED])
+        start_m = float(m[_START_M])
+        mean_m_s = float(m[_MEAN_SPEED])
         self._ruptured = RupturedLayer(start_m, windows, mean_m_s, rupture)
         self._windows = NO_WINDOWS
         self._reset_covariance()
         for k in (_RLS, _RLS + 1, _DECISION, _TRAVEL_S, _MEAN_SPEED, _WAITED_S):
             m[k] = 0.0
-        m[_START_M], m[_RUPTURES] = depth_m, float(rupture.layer)
+        m[_RUPTURES] = float(rupture.layer)
+        m[_START_M] = depth_m
         rise_N_per_s = rupture.layer * config.derivative_rise_N_per_s
         m[_BETA] = config.derivative_threshold_N_per_s + rise_N_per_s
         m[_DROP_S] = config.drop_travel_m / max(speed_m_s, config.least_speed_m_s)
@@ -227,19 +229,15 @@ class PublishedMethod:
         estimate goes on as if that friction had been subtracted from the rupture
         onwards.
         """
-        m, rupture, known = (
-            self._memory,
-            ruptured.rupture,
-            float(self._memory[_CUMULATIVE]),
-        )
+        m = self._memory
+        rupture = ruptured.rupture
+        known = float(self._memory[_CUMULATIVE])
         drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
         elastic, friction_ratio = force_ratios(
             drop, rupture.force_N, known, rupture.speed_m_s
         )
-        speed, (stiff, _, damp) = (
-            max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S),
-            self._psi0,
-        )
+        speed = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S)
+        stiff, _, damp = self._psi0
         variance = reweighted_friction_variance(damp, elastic, friction_ratio, speed)
         stiffness, friction = rerun_windows(ruptured.windows, (stiff, float(variance)))
         thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
@@ -264,8 +262,10 @@ class PublishedMethod:
         windows.setflags(write=False)
         m[_RLS:_SUMS] = *rerun_windows(windows, (stiff, damp)), *self._psi0
         m[_SUMS:_WINDOW_S] = windows[-1].tolist()
-        m[_WAITED_S], m[_CUMULATIVE] = 0.0, known + damping
-        self._windows, self._ruptured = windows[:-1], None
+        m[_WAITED_S] = 0.0
+        m[_CUMULATIVE] = known + damping
+        self._windows = windows[:-1]
+        self._ruptured = None
         self.layers = (*self.layers, layer)[-_MOST_LAYERS:]
         return layer
 
@@ -292,7 +292,9 @@ def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
     gy = p12 * x + p22 * y
     scale = 1.0 + x * gx + y * gy
     step = error / scale
-    p11, p12, p22 = p11 - gx * gx / scale, p12 - gx * gy / scale, p22 - gy * gy / scale
+    p11 = p11 - gx * gx / scale
+    p12 = p12 - gx * gy / scale
+    p22 = p22 - gy * gy / scale
     return (k + gx * step, b + gy * step, p11, p12, p22), error
 
 
@@ -301,12 +303,10 @@ def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
     """Add one sample to the sums of its window."""
     kk, kb, bb, kf, bf, kv, bv = sums
     x, y = phi
-    kf, bf, kv, bv = (
-        kf + x * force_N,
-        bf + y * force_N,
-        kv + x * speed_m_s,
-        bv + y * speed_m_s,
-    )
+    kf = kf + x * force_N
+    bf = bf + y * force_N
+    kv = kv + x * speed_m_s
+    bv = bv + y * speed_m_s
     return kk + x * x, kb + x * y, bb + y * y, kf, bf, kv, bv
 
 
@@ -314,7 +314,8 @@ def cusum_constants(sigma0_N: float, sigma1_N: float) -> Pair:
     """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation
     (9).
     """
-    var0, var1 = sigma0_N * sigma0_N, sigma1_N * sigma1_N
+    var0 = sigma0_N * sigma0_N
+    var1 = sigma1_N * sigma1_N
     return (var1 + var0) / 2.0, (var1 - var0) / 2.0
 
 
@@ -340,12 +341,15 @@ def published_outputs(motion: Motion, m: Vector, setting: Setting) -> Outputs:
     """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to
     the events.
     """
-    (_, depth_m, speed_m_s, force_N), cumulative = motion, m[_CUMULATIVE]
-    depth, friction = max(depth_m - m[_START_M], 0.0), m[_RLS + 1]
+    _, depth_m, speed_m_s, force_N = motion
+    cumulative = m[_CUMULATIVE]
+    depth = max(depth_m - m[_START_M], 0.0)
+    friction = m[_RLS + 1]
     in_contact = depth > 0.0 or m[_RUPTURES] > 0.0
     earlier = cumulative * speed_m_s
     own = friction * _regressor(depth, speed_m_s, setting[0])[1] if in_contact else 0.0
-    enhanced, number = force_N - earlier, int(m[_RUPTURES]) + 1 if in_contact else 0
+    enhanced = force_N - earlier
+    number = int(m[_RUPTURES]) + 1 if in_contact else 0
     forces = (enhanced, None, enhanced - own, None, earlier + own, None, m[_PREDICTED])
     found = (m[_RLS], None, False, friction, None, False, cumulative, None)
     # Numba knows no starred parts of a tuple.
@@ -377,10 +381,13 @@ def published_step(
     Returns the number of the rupture machine's state, whether the reset window is full,
     whether that state is a new one, and what to report if neither is.
     """
-    (dt_s, depth_m, speed_m_s, force_N), before = motion, int(m[_STATE])
+    dt_s, depth_m, speed_m_s, force_N = motion
+    before = int(m[_STATE])
     is_ml, drift, threshold, reset_Hz, constant_s, least_m_s = setting
     before_N = m[_FORCE] if m[_HAS_FORCE] > 0.0 else force_N
-    m[_FORCE], m[_FORCE_BEFORE], m[_HAS_FORCE] = force_N, before_N, 1.0
+    m[_FORCE] = force_N
+    m[_FORCE_BEFORE] = before_N
+    m[_HAS_FORCE] = 1.0
     if depth_m <= m[_START_M] and m[_RUPTURES] == 0.0:
         m[_PREDICTED] = 0.0
         return before, False, False, published_outputs(motion, m, setting)
@@ -400,10 +407,8 @@ def published_step(
         m[_DERIVATIVE], force_N - before_N, dt_s, constant_s
     )
     m[_PREDICTED] = own - error + earlier
-    at, is_full = (
-        _next_state(m, threshold, reset_Hz, is_watching),
-        m[_WINDOW_S] * reset_Hz >= _FULL,
-    )
+    at = _next_state(m, threshold, reset_Hz, is_watching)
+    is_full = m[_WINDOW_S] * reset_Hz >= _FULL
     m[_STATE] = float(at)
     return at, is_full, at != before, published_outputs(motion, m, setting)
 
@@ -469,16 +474,19 @@ def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
     k = b = 0.0
     p, q = variances
     for i in range(len(windows)):
-        kk, kb, bb = windows[i, 0], windows[i, 1], windows[i, 2]
-        kf, bf = windows[i, 3], windows[i, 4]
-        pb, qb = p * kb, q * kb
-        first, second = 1.0 + q * bb, 1.0 + p * kk
+        kk = windows[i, 0]
+        kb = windows[i, 1]
+        bb = windows[i, 2]
+        kf = windows[i, 3]
+        bf = windows[i, 4]
+        pb = p * kb
+        qb = q * kb
+        first = 1.0 + q * bb
+        second = 1.0 + p * kk
         excitation = max(kk * bb - kb * kb, 0.0)
         scale = 1.0 / (second + q * bb + (p * q) * excitation)
-        own_k, own_b = (
-            p * (first * kf - qb * bf) * scale,
-            q * (second * bf - pb * kf) * scale,
-        )
+        own_k = p * (first * kf - qb * bf) * scale
+        own_b = q * (second * bf - pb * kf) * scale
         k_before, k = k, own_k + first * scale * k - pb * scale * b
         b = own_b - qb * scale * k_before + second * scale * b
     return float(k), float(b)

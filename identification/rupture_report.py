@@ -20,23 +20,29 @@ from identification.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
-_CLEAR_SIGMAS, _CLEAR_N = 3.0, 0.1
+_CLEAR_SIGMAS = 3.0
+_CLEAR_N = 0.1
 """Least released force for an alarm: in standard deviations of a block's force, and in
 newtons (two thirds of the least rupture seen in real liver)."""
 _VISIBLE = (
     0.3  # Fraction of it by which the force must have fallen: else it only grows slower
 )
 _LATE_S = 0.5  # If an alarm comes later than this, the force must still be lower
-_EARLY_FALL, _FALL_RATE, _LARGE_FALL = 0.12, 1.5, 0.3
+_EARLY_FALL = 0.12
+_FALL_RATE = 1.5
+_LARGE_FALL = 0.3
 """Falls, as fractions of the force: one, and one per second [1/s], that no robot makes
 by braking before its speed is known; and one that counts as large."""
-_SPEED_LAG_S, _LAGS, _MOST_LAG_S = 0.1, 3.0, 0.3
+_SPEED_LAG_S = 0.1
+_LAGS = 3.0
+_MOST_LAG_S = 0.3
 """Lag of the speed: at least; per ratio of the filter's noise of depth and of speed;
 at most."""
 _LEAST_SLOWED = (
     0.02  # fraction of the speed lost below which it is noise of the filtered speed
 )
-_SLOWED, _SLOWED_FAR = 3.0, 2.0
+_SLOWED = 3.0
+_SLOWED_FAR = 2.0
 """Largest relative fall that braking explains, per fraction of the speed lost: more
 than 1, since the speed is late and travel shows its mean. The second is for a large
 fall."""
@@ -48,11 +54,10 @@ _RECENT_S = 0.5  # So long after a rupture the travel since then shows the speed
 _LEAST_PROBABILITY = (
     0.3  # Total of all hypotheses with the last rupture, to say what it was
 )
-_OF_MEAN, _OF_FACT = (
-    (law.RELEASED, law.KEPT, law.HELD, law.OFFSET),
-    (law.KIND, law.IS_HELD),
-)
-_OF_RECORD, _LAYER = (law.RUPTURE_S, law.RUPTURE_FORCE, law.LEAST_FORCE), int(law.LAYER)
+_OF_MEAN = (law.RELEASED, law.KEPT, law.HELD, law.OFFSET)
+_OF_FACT = (law.KIND, law.IS_HELD)
+_OF_RECORD = (law.RUPTURE_S, law.RUPTURE_FORCE, law.LEAST_FORCE)
+_LAYER = int(law.LAYER)
 """Indices for compiled code, which does not use constants of another file."""
 _NAMES = ("stiffness", "coulomb", "viscous")
 _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
@@ -76,7 +81,8 @@ def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
     that one.
     """
     before_mm = -math.inf if alarm is None else _MM * alarm.depth_m - LEAST_MM
-    ruptures, rupture_mm = bank.facts[:, law.RUPTURES], bank.records[:, law.RUPTURE_MM]
+    ruptures = bank.facts[:, law.RUPTURES]
+    rupture_mm = bank.records[:, law.RUPTURE_MM]
     denied = np.minimum(ruptures, known - 1.0)
     return Evidence(
         bank, bank.weights, np.where(rupture_mm < before_mm, denied, ruptures)
@@ -98,7 +104,8 @@ def answer_at(
     reported and may be a needle that slowed down does not count: a hand that feels the
     tip's force vanish for it pushes.
     """
-    scene, answer = (place.depth, place.speed, place.deflection), NO_ANSWER.copy()
+    scene = (place.depth, place.speed, place.deflection)
+    answer = NO_ANSWER.copy()
     reported, known = counts
     slowest = np.minimum(evidence.bank.records[:, law.RUPTURE_SPEED], place.speed)
     is_slow = slowest < _STEADY * place.usual_speed
@@ -138,7 +145,8 @@ def _evaluate(
     """The first three numbers of an `Evaluation`; `now`: time, force, least fall
     that is clear.
     """
-    (means, facts, records, weights, ruptures), (time_s, force, least) = parts, now
+    means, facts, records, weights, ruptures = parts
+    time_s, force, least = now
     (
         (released, kept, held, offset),
         (kind, is_held),
@@ -159,10 +167,8 @@ def _evaluate(
         records[:, before] <= force
     )
     is_more = (ruptures > known) & (fallen > least) & ~is_undone
-    more, fewer = (
-        np.where(is_more, weights, 0.0),
-        np.where(ruptures < known, weights, 0.0).sum(),
-    )
+    more = np.where(is_more, weights, 0.0)
+    fewer = np.where(ruptures < known, weights, 0.0).sum()
     if not is_more.any():
         return 0.0, fewer, -1
     pick = int(np.argmax(np.where(is_more, weights, -1.0)))
@@ -172,10 +178,8 @@ def _evaluate(
 
 def count_ruptures(evidence: Evidence, known: int, place: Place) -> Evaluation:
     """Compare the number of ruptures known with those of the hypotheses."""
-    (bank, weights, ruptures), least = (
-        evidence,
-        max(_CLEAR_SIGMAS * place.noise, _CLEAR_N),
-    )
+    bank, weights, ruptures = evidence
+    least = max(_CLEAR_SIGMAS * place.noise, _CLEAR_N)
     parts = bank.means, bank.facts, bank.records, weights, ruptures
     places = _OF_MEAN, _OF_FACT, _OF_RECORD, _LAYER
     found = _evaluate(parts, float(known), (place.time_s, place.force, least), places)
@@ -205,23 +209,23 @@ def may_be_braking(
     small fall waits until the speed would show braking, and counts only if it exceeds
     what that explains.
     """
-    record, offset = (
-        bank.records[evaluation.pick],
-        float(bank.means[evaluation.pick, law.OFFSET]),
-    )
+    record = bank.records[evaluation.pick]
+    offset = float(bank.means[evaluation.pick, law.OFFSET])
     force = abs(float(record[law.RUPTURE_FORCE]) - offset)
     fall = float(record[law.RUPTURE_FORCE]) - place.force
-    rupture_s, since_s = (
-        float(record[law.RUPTURE_S]),
-        time_s - float(record[law.RUPTURE_S]),
-    )
+    rupture_s = float(record[law.RUPTURE_S])
+    since_s = time_s - float(record[law.RUPTURE_S])
     if since_s < place.lag_s and fall < max(_EARLY_FALL, _FALL_RATE * since_s) * force:
         return True
-    speed, before = place.speed, float(record[law.RUPTURE_SPEED])
+    speed = place.speed
+    before = float(record[law.RUPTURE_SPEED])
     travel = place.raw - float(record[law.RUPTURE_MM])
     if tissue.is_known:  # only the needle's own speed is known late
-        (start, rate), (end, rate_now) = tissue.at(rupture_s), tissue.at(place.time_s)
-        speed, before, travel = speed + rate_now, before + rate, travel + end - start
+        start, rate = tissue.at(rupture_s)
+        end, rate_now = tissue.at(place.time_s)
+        speed = speed + rate_now
+        before = before + rate
+        travel = travel + end - start
     travelled_s = place.time_s - rupture_s
     if 0.0 < travelled_s < _RECENT_S:  # a filtered depth is as late as its speed
         speed = min(speed, travel / travelled_s)
@@ -243,10 +247,8 @@ def rupture_of(
     reset.
     """
     record = evidence.bank.records[pick]
-    since_s, ruptures = (
-        max(alarm[2] - float(record[law.RUPTURE_S]), 0.0),
-        evidence.ruptures[pick],
-    )
+    since_s = max(alarm[2] - float(record[law.RUPTURE_S]), 0.0)
+    ruptures = evidence.ruptures[pick]
     return Rupture(
         layer=layer,
         alarm_s=alarm[0],
@@ -281,15 +283,18 @@ def friction_left(
     None where other hypotheses are likelier than those that know of this rupture as the
     last.
     """
-    bank, (weights, is_meeting) = evidence.bank, _weights_of(evidence, known)
+    bank = evidence.bank
+    weights, is_meeting = _weights_of(evidence, known)
     if before:
         weights[is_meeting] = 0.0
     total = float(weights.sum())
     if total < _LEAST_PROBABILITY:
         return None
-    rows, fraction = np.arange(len(weights)), weights / total
+    rows = np.arange(len(weights))
+    fraction = weights / total
     place = np.where(is_meeting | before, law.EARLIER, law.LEFT)
-    values, variances = bank.means[rows, place], bank.spreads[rows, place, place]
+    values = bank.means[rows, place]
+    variances = bank.spreads[rows, place, place]
     mean = float(fraction @ values)
     variance = float(fraction @ (np.maximum(variances, 0.0) + (values - mean) ** 2))
     return mean, math.sqrt(variance + force_variance)
@@ -303,7 +308,8 @@ def layer_left(
 
     None where no hypothesis knows of it.
     """
-    bank, (weights, is_meeting) = evidence.bank, _weights_of(evidence, known)
+    bank = evidence.bank
+    weights, is_meeting = _weights_of(evidence, known)
     weights[is_meeting] = 0.0
     if not weights.any():
         return None
@@ -313,11 +319,10 @@ def layer_left(
     fields: dict[str, float | bool] = {}
     for k, (name, (unit, factor)) in enumerate(zip(_NAMES, _UNITS, strict=True)):
         value, variance = record[law.STIFFNESS_HERE + 2 * k :][:2]
-        value, deviation = (
-            factor * max(value, 0.0),
-            factor * math.sqrt(max(variance, 0.0)),
-        )
-        fields[f"{name}_{unit}"], fields[f"{name}_std_{unit}"] = value, deviation
+        value = factor * max(value, 0.0)
+        deviation = factor * math.sqrt(max(variance, 0.0))
+        fields[f"{name}_{unit}"] = value
+        fields[f"{name}_std_{unit}"] = deviation
         fields[f"{name}_identified"] = deviation <= IDENTIFIED * value
     before = max(record[law.PART_FRICTION], 0.0)
     own = before, fields["coulomb_N_per_m"], fields["viscous_Ns_per_m2"]
@@ -347,7 +352,8 @@ def _friction(
     `own` are the friction known before, and its Coulomb and viscous part: those keep
     their ratio.
     """
-    (mean, std), (before, coulomb, viscous) = friction, own
+    mean, std = friction
+    before, coulomb, viscous = own
     mean = max(mean, 0.0)
     scale = mean / before if before > 0.0 else 1.0
     per_length = 1.0 / (thickness_m * max(speed, 1e-6))
@@ -374,5 +380,6 @@ def with_friction(layer: LayerEstimate, friction: float, std: float) -> LayerEst
 def partial_rupture_probability(evidence: Evidence, known: int) -> float:
     """How likely the last rupture was a partial one, not the end of a layer."""
     weights = np.where(evidence.ruptures == known, evidence.weights, 0.0)
-    total, was_partial = float(weights.sum()), evidence.bank.records[:, law.WAS_PARTIAL]
+    total = float(weights.sum())
+    was_partial = evidence.bank.records[:, law.WAS_PARTIAL]
     return float(weights @ was_partial) / total if total > 0.0 else 0.0

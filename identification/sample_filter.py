@@ -21,7 +21,8 @@ from needleforce.jit import WrittenVector, compiled
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
 """Types that Python or numpy would convert to a float although they are no
 measurements."""
-LEAST_DT_S, LARGEST_DT_S = 1e-12, 1e6
+LEAST_DT_S = 1e-12
+LARGEST_DT_S = 1e6
 """Time steps outside this range are wrong units or garbage; quotients or sums would
 overflow."""
 LARGEST_MOTION = (
@@ -31,10 +32,12 @@ _ACCELERATION_M2_PER_S3 = 2e-7
 """Spectral density of the acceleration: the speed changes by half a millimetre per
 second in 0.1 s, one standard deviation. Starts and stops are quicker, see `_density`."""
 _MEMORY_S = 2.0  # memory of the learnt noise
-_FIRST, _CLIP = 50.0, 9.0
+_FIRST = 50.0
+_CLIP = 9.0
 """After so many values a square is clipped to so many times the learnt variance: more
 is motion or a slip, not noise."""
-_LEAST_DEPTH_VARIANCE, _LEAST_SPEED_VARIANCE = 1e-16, 1e-14
+_LEAST_DEPTH_VARIANCE = 1e-16
+_LEAST_SPEED_VARIANCE = 1e-14
 """0.01 um and 0.1 um/s: what rounding leaves of exact samples."""
 _BLOCK_S = 0.016
 _ENOUGH_BLOCKS = 12.0
@@ -51,7 +54,8 @@ _MOST_SURPRISE = (
 )
 _GAP_S = 0.25  # after a step longer than this, and than ten usual ones, the filter starts anew
 _FASTEST_M_S = 0.1  # assumed speed of a needle in a gap, where its motion is not seen
-_UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE = 1e-8, 1e-2
+_UNKNOWN_DEPTH_VARIANCE = 1e-8
+_UNKNOWN_SPEED_VARIANCE = 1e-2
 """Of the state at the first sample: 0.1 mm, and a tenth of a metre per second,
 squared."""
 
@@ -83,9 +87,16 @@ _NOISE_DEPTH, _NOISE_BOTH, _NOISE_SPEED, _SURPRISE, _SPEED_SURPRISE = range(14, 
 # Noise of depth and speed, and of their means: five numbers each. Block of means being
 # filled: its length, the number of its samples, the sums of depth and speed. Least
 # variances of the means.
-OF_DEPTH, _OF_SPEED, _OF_DEPTHS, _OF_SPEEDS = 19, 24, 29, 34
-_FILLED, _SAMPLES, _DEPTH_SUM, _SPEED_SUM = 39, 40, 41, 42
-LEAST_DEPTHS, _LEAST_SPEEDS = 43, 44
+OF_DEPTH = 19
+_OF_SPEED = 24
+_OF_DEPTHS = 29
+_OF_SPEEDS = 34
+_FILLED = 39
+_SAMPLES = 40
+_DEPTH_SUM = 41
+_SPEED_SUM = 42
+LEAST_DEPTHS = 43
+_LEAST_SPEEDS = 44
 SAMPLE_MEMORY = 45
 # The five numbers of a noise: variance of single samples, number of values it rests on;
 # the last value, the one before, and the time between them, 0 while there are none.
@@ -137,32 +148,36 @@ def _check_motion(
     # Of the time since the last depth, and since the last sample that was used.
     dt = dt_s + m[_PENDING]
     elapsed = dt + m[_REJECTED]
-    gap, has_depth = max(gap_s, 10.0 * m[_USUAL_DT]), m[_HAS_DEPTH] > 0.0
+    gap = max(gap_s, 10.0 * m[_USUAL_DT])
+    has_depth = m[_HAS_DEPTH] > 0.0
     change = depth - m[_RAW_DEPTH] if has_depth else 0.0
     surprise = change - speed * dt
     keep = math.exp(-dt / sign_memory_s)
     # A needle that stands still after a gap may have moved during it.
     fastest = max(abs(speed), abs(m[_SPEED]), _FASTEST_M_S if dt > gap else 0.0)
     is_jump = abs(surprise) > jump_m + fastest * dt
-    by_depth, by_speed = keep * m[_BY_DEPTH], keep * m[_BY_SPEED]
+    by_depth = keep * m[_BY_DEPTH]
+    by_speed = keep * m[_BY_SPEED]
     if is_jump:
         m[SHIFT] += surprise
     elif has_depth and dt <= gap and is_measured:
         # The speed now says nothing about travel during a gap, or before the first
         # depth.
-        by_depth, by_speed = by_depth + change, by_speed + speed * dt
+        by_depth = by_depth + change
+        by_speed = by_speed + speed * dt
     is_contrary = (
         by_depth * by_speed < 0.0 and min(abs(by_depth), abs(by_speed)) > sign_travel_m
     )
-    m[_BY_DEPTH], m[_BY_SPEED], m[_RAW_DEPTH], m[_HAS_DEPTH] = (
-        by_depth,
-        by_speed,
-        depth,
-        1.0,
-    )
-    m[_PENDING], m[_REJECTED], status = 0.0, 0.0, _OK
+    m[_BY_DEPTH] = by_depth
+    m[_BY_SPEED] = by_speed
+    m[_RAW_DEPTH] = depth
+    m[_HAS_DEPTH] = 1.0
+    m[_PENDING] = 0.0
+    m[_REJECTED] = 0.0
+    status = _OK
     if is_jump or is_contrary:
-        status, m[_REJECTED] = (_DEPTH_JUMP if is_jump else _SPEED_SIGN), elapsed
+        status = _DEPTH_JUMP if is_jump else _SPEED_SIGN
+        m[_REJECTED] = elapsed
     elif has_depth and elapsed > gap:
         status = _TIME_GAP
     usual = m[_USUAL_DT] if m[_USUAL_DT] != 0.0 else dt_s
@@ -201,12 +216,11 @@ def learn_noise(
     by 1 + a^2 + (1 - a)^2 times the variance of one. Three equal values are those of a
     needle at rest, or rounded: they say nothing.
     """
-    variance, seen = memory[at + _VARIANCE], memory[at + _SEEN]
-    last, before, last_dt = (
-        memory[at + _LAST],
-        memory[at + _BEFORE],
-        memory[at + _LAST_DT],
-    )
+    variance = memory[at + _VARIANCE]
+    seen = memory[at + _SEEN]
+    last = memory[at + _LAST]
+    before = memory[at + _BEFORE]
+    last_dt = memory[at + _LAST_DT]
     if last_dt > 0.0 and not (value == last and last == before):
         a = last_dt / (last_dt + dt_s)
         off = last - (a * value + (1.0 - a) * before)
@@ -216,7 +230,9 @@ def learn_noise(
         seen = min(seen + 1.0, max(_MEMORY_S / dt_s, _FIRST))
         memory[at + _SEEN] = seen
         memory[at + _VARIANCE] = max(variance + (square - variance) / seen, least)
-    memory[at + _LAST], memory[at + _BEFORE], memory[at + _LAST_DT] = value, last, dt_s
+    memory[at + _LAST] = value
+    memory[at + _BEFORE] = last
+    memory[at + _LAST_DT] = dt_s
 
 
 @compiled
@@ -234,17 +250,20 @@ def _measure(m: WrittenVector, k: int, value: float, noise: float) -> float:
     """Use a measurement of depth (k = 0) or speed (1); returns the standardised
     innovation.
     """
-    own, other, n_own, n_other = (
-        _VAR_DEPTH + 2 * k,
-        _VAR_SPEED - 2 * k,
-        _NOISE_DEPTH,
-        _NOISE_SPEED,
-    )
+    own = _VAR_DEPTH + 2 * k
+    other = _VAR_SPEED - 2 * k
+    n_own = _NOISE_DEPTH
+    n_other = _NOISE_SPEED
     if k == 1:
-        n_own, n_other = _NOISE_SPEED, _NOISE_DEPTH
+        n_own = _NOISE_SPEED
+        n_other = _NOISE_DEPTH
     total = m[own] + noise
-    error, gain, cross = value - m[_DEPTH + k], m[own] / total, m[_COVARIANCE] / total
-    left, of_own, of_both = 1.0 - gain, m[n_own], m[_NOISE_BOTH]
+    error = value - m[_DEPTH + k]
+    gain = m[own] / total
+    cross = m[_COVARIANCE] / total
+    left = 1.0 - gain
+    of_own = m[n_own]
+    of_both = m[_NOISE_BOTH]
     m[_DEPTH + k] += gain * error
     m[_SPEED - k] += cross * error
     m[other] -= cross * m[_COVARIANCE]
@@ -272,10 +291,8 @@ def _learn_smooth_noise(
     variance.
     """
     learn_noise(memory, at, value, dt_s, floor)
-    variance, last = (
-        memory[at + _VARIANCE],
-        memory[least] * math.exp(min(dt_s / _RISE_S, 50.0)),
-    )
+    variance = memory[at + _VARIANCE]
+    last = memory[least] * math.exp(min(dt_s / _RISE_S, 50.0))
     if memory[at + _SEEN] < _ENOUGH_BLOCKS:
         return
     is_mean = memory[at + _SEEN] >= _FIRST  # of few blocks the least is too small
@@ -293,11 +310,9 @@ def _fill_block(
     m[_SPEED_SUM] += speed_m_s
     if m[_FILLED] < _BLOCK_S:
         return
-    depth, speed, length_s = (
-        m[_DEPTH_SUM] / m[_SAMPLES],
-        m[_SPEED_SUM] / m[_SAMPLES],
-        m[_FILLED],
-    )
+    depth = m[_DEPTH_SUM] / m[_SAMPLES]
+    speed = m[_SPEED_SUM] / m[_SAMPLES]
+    length_s = m[_FILLED]
     _learn_smooth_noise(
         m, _OF_DEPTHS, LEAST_DEPTHS, depth, length_s, _LEAST_DEPTH_VARIANCE
     )
@@ -318,14 +333,17 @@ def filter_travel(
     memory: WrittenVector,
 ) -> Motion:
     """Use one checked sample; time steps may differ, the filter is exact for each."""
-    m, gain = memory, -math.expm1(-dt_s / _HASTE_S)
+    m = memory
+    gain = -math.expm1(-dt_s / _HASTE_S)
     learn_noise(m, OF_DEPTH, depth_m, dt_s, _LEAST_DEPTH_VARIANCE)
     noise = max(_noise(m, OF_DEPTH, LEAST_DEPTHS, dt_s), _LEAST_DEPTH_VARIANCE)
     if m[_VAR_DEPTH] == 0.0 or dt_s > max(_GAP_S, 10.0 * m[_USUAL_DT]):
         for k in range(_DEPTH, OF_DEPTH):
             m[k] = 0.0
-        m[_DEPTH], m[_SPEED] = depth_m, (speed_m_s if is_measured else 0.0)
-        m[_VAR_DEPTH], m[_VAR_SPEED] = _UNKNOWN_DEPTH_VARIANCE, _UNKNOWN_SPEED_VARIANCE
+        m[_DEPTH] = depth_m
+        m[_SPEED] = speed_m_s if is_measured else 0.0
+        m[_VAR_DEPTH] = _UNKNOWN_DEPTH_VARIANCE
+        m[_VAR_SPEED] = _UNKNOWN_SPEED_VARIANCE
         m[_NOISE_DEPTH] = noise
     else:
         density = _density(m, gain)
@@ -345,10 +363,8 @@ def filter_travel(
             _measure(m, 1, speed_m_s, noise) - m[_SPEED_SURPRISE]
         )
     _fill_block(m, depth_m, speed_m_s, dt_s, is_measured)
-    depth_variance, speed_variance = (
-        max(m[_NOISE_DEPTH], 0.0),
-        max(m[_NOISE_SPEED], 0.0),
-    )
+    depth_variance = max(m[_NOISE_DEPTH], 0.0)
+    speed_variance = max(m[_NOISE_SPEED], 0.0)
     return m[_DEPTH], m[_SPEED], math.sqrt(depth_variance), math.sqrt(speed_variance)
 
 
@@ -374,7 +390,8 @@ def take_sample(
     motion.
     """
     speed = speed_m_s if is_measured else memory[_SPEED]
-    number, elapsed_s = _check_numbers(depth_m, speed, force_N, dt_s, limits[4]), 0.0
+    number = _check_numbers(depth_m, speed, force_N, dt_s, limits[4])
+    elapsed_s = 0.0
     if number == _OK:
         number, elapsed_s = _check_motion(
             depth_m, speed, dt_s, is_measured, memory, limits
@@ -382,7 +399,8 @@ def take_sample(
     elif LEAST_DT_S <= dt_s <= LARGEST_DT_S:
         memory[TIME] += dt_s
         memory[_PENDING] += dt_s
-    depth, time_s = depth_m - float(memory[SHIFT]), float(memory[TIME])
+    depth = depth_m - float(memory[SHIFT])
+    time_s = float(memory[TIME])
     if number > LAST_USED:
         return number, float(elapsed_s), time_s, depth, (0.0, 0.0, 0.0, 0.0)
     motion = filter_travel(depth, speed, elapsed_s, is_measured, memory)

@@ -16,17 +16,24 @@ from identification.estimate import Array
 from needleforce.jit import Vector, compiled
 
 _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
-_MEMORY_S, _MOST_SURPRISE, _SIGNIFICANT = 0.2, 5.0, 16.0
+_MEMORY_S = 0.2
+_MOST_SURPRISE = 5.0
+_SIGNIFICANT = 16.0
 """Time over which innovations are averaged; standard deviations that one of them counts
 at most; square of such a mean, in units of its variance, from which on the filter is
 quicker."""
-_WIDEST, _LOST, _HASTY = 4.0, 12.0, 2.0
+_WIDEST = 4.0
+_LOST = 12.0
+_HASTY = 2.0
 """Standard deviations of the filtered speed's noise by which the trend may lie beside
 it, less where it must be quick; from which on, as after a hard stop, it begins anew;
 and the mean innovation with which it does, so that it is quick at first."""
 # Places in a trend: depth, speed, acceleration; their covariance, row by row; smoothed
 # innovation.
-_SPEED, _SPREAD, _SURPRISE, _SIZE = 1, slice(3, 12), 12, 13
+_SPEED = 1
+_SPREAD = slice(3, 12)
+_SURPRISE = 12
+_SIZE = 13
 
 NO_TREND = np.zeros(_SIZE)
 NO_TREND.setflags(write=False)
@@ -49,21 +56,26 @@ def follow_speed(
     now = np.zeros(_SIZE)
     if trend[3] == 0.0 or abs(trend[_SPEED] - speed) > _LOST * speed_std:
         now[:3] = depth, speed, 0.0
-        now[3], now[7], now[11] = white / dt_s, 4.0 * speed_std**2 + 1e-8, 100.0
+        now[3] = white / dt_s
+        now[7] = 4.0 * speed_std**2 + 1e-8
+        now[11] = 100.0
         now[_SURPRISE] = math.copysign(_HASTY, speed - trend[_SPEED])
         return speed, now
     gain = -math.expm1(-dt_s / _MEMORY_S)
     least = _SIGNIFICANT * gain / (2.0 - gain)
     quicker = max(trend[_SURPRISE] ** 2 / least, 1.0)
-    t, jerk = dt_s, quicker**2 * _JERK
+    t = dt_s
+    jerk = quicker**2 * _JERK
     step = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
     row = np.array([t * t / 2.0, t, 1.0])
-    state, spread = np.dot(step, trend[:3]), trend[_SPREAD].copy().reshape(3, 3)
+    state = np.dot(step, trend[:3])
+    spread = trend[_SPREAD].copy().reshape(3, 3)
     spread = np.dot(step, np.dot(step, spread).T)
     for i in range(3):
         for j in range(3):
             spread[i, j] += jerk * t * row[i] * row[j] / (5.0 - i - j)
-    total, error = spread[0, 0] + white / dt_s, depth - state[0]
+    total = spread[0, 0] + white / dt_s
+    error = depth - state[0]
     cross = spread[0].copy()
     now[:3] = state + cross * (error / total)
     now[_SPREAD] = (spread - np.outer(cross, cross / total)).ravel()

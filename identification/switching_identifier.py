@@ -49,10 +49,13 @@ _RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twic
 _TURNED = 0.3  # What a reversal leaves instead of 1, as a rest does: it is over in half the travel
 _SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
 _GAP_S = 0.25  # A longer block is a gap: what it says is not used
-_USUAL_S, _USUAL_MM = 10.0, 3.0
+_USUAL_S = 10.0
+_USUAL_MM = 3.0
 """The usual speed is the highest of so much time and travel: the approach may be
 quick."""
-_CREEP, _SLOW, _HALF = 0.05, 0.15, 0.3
+_CREEP = 0.05
+_SLOW = 0.15
+_HALF = 0.3
 """Advancing means faster than this [mm/s] and than a part of the usual speed; new
 hypotheses want more of it: at a stop the force falls without any rupture."""
 _CHANNEL_MM = (
@@ -63,10 +66,9 @@ _DEADBAND = (
 )
 _UNSETTLED = 0.3  # Error of friction while presliding turns or after a rest, as part of the force
 _TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
-_PROVISIONAL_M, _FINAL_M = (
-    1e-3,
-    3e-3,
-)  # travel after a rupture at which its layer is reported
+# travel after a rupture at which its layer is reported
+_PROVISIONAL_M = 1e-3
+_FINAL_M = 3e-3
 _REVISE_S = 0.1  # time between two revisions of the layers left
 _MOTION_MM = (
     0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
@@ -74,10 +76,9 @@ _MOTION_MM = (
 _SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
 _FAR_MM = 1e9
 _NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
-_LAYERS, _RUPTURES = (
-    4,
-    8,
-)  # added where the layer left, or ruptures, are to be reported first
+# added where the layer left, or ruptures, are to be reported first
+_LAYERS = 4
+_RUPTURES = 8
 Noise = tuple[
     float, float, float
 ]  # deviations of depth and speed; variance of force by motion
@@ -147,30 +148,29 @@ class SwitchingMethod:
 
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
-        self._bank, self._memory = BankMemory(state.bank), working_copy(state.memory)
-        self._answer, self._events = working_copy(state.answer), Events()
-        self._levels, self._tissue, self._trend = (
-            state.levels,
-            state.tissue,
-            state.trend,
-        )
+        self._bank = BankMemory(state.bank)
+        self._memory = working_copy(state.memory)
+        self._answer = working_copy(state.answer)
+        self._events = Events()
+        self._levels = state.levels
+        self._tissue = state.tissue
+        self._trend = state.trend
         self._texture = state.texture
-        self._place, self._stage, self._resumed = (
-            state.place,
-            state.stage,
-            state.resumed,
-        )
-        self._deepest, self._spawned = state.deepest, state.spawned
-        self._force_std_in_air, self._rupture_state = (
-            state.force_std_in_air,
-            state.rupture_state,
-        )
-        self._ruptures, self._alarm = state.ruptures, state.alarm
+        self._place = state.place
+        self._stage = state.stage
+        self._resumed = state.resumed
+        self._deepest = state.deepest
+        self._spawned = state.spawned
+        self._force_std_in_air = state.force_std_in_air
+        self._rupture_state = state.rupture_state
+        self._ruptures = state.ruptures
+        self._alarm = state.alarm
         self._keep(state.layers)
 
     def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those left, with what every sample needs of them."""
-        self.layers, self._left = layers, np.zeros((len(layers), 4))
+        self._left = np.zeros((len(layers), 4))
+        self.layers = layers
         for row, layer in zip(
             self._left, layers, strict=True
         ):  # see `switching_outputs`
@@ -194,11 +194,9 @@ class SwitchingMethod:
         if self._tissue.is_known:
             time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
             place_m, speed = (part / _MM for part in self._tissue.at(clock_s))
-            depth_m, speed_m_s, raw_m = (
-                depth_m - place_m,
-                speed_m_s - speed,
-                raw_m - place_m,
-            )
+            depth_m = depth_m - place_m
+            speed_m_s = speed_m_s - speed
+            raw_m = raw_m - place_m
             # As the tissue, which moves, meets the needle.
             sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
         known = self._memory, self._answer, self._left
@@ -253,7 +251,8 @@ class SwitchingMethod:
             # elsewhere.
             by_mm = before.at(clock_s)[0] - self._tissue.at(clock_s)[0]
             samples.shift_depth(self._memory, by_mm / _MM)
-            self._deepest, self._spawned = self._deepest + by_mm, self._spawned + by_mm
+            self._deepest = self._deepest + by_mm
+            self._spawned = self._spawned + by_mm
 
     def _after(self, clock_s: float) -> int:
         """What is left to do for a block once its bank is pruned."""
@@ -272,48 +271,44 @@ class SwitchingMethod:
 
     def _use_block(self, sample: Sample) -> None:
         """Let every hypothesis predict the force of the block, and learn from it."""
-        clock_s, last, deepest, bank = (
-            sample[-1],
-            self._place,
-            self._deepest,
-            self._bank,
-        )
+        clock_s = sample[-1]
+        last = self._place
+        deepest = self._deepest
+        bank = self._bank
         place, (depth_std, speed_std, by_motion) = _block(
             clock_s, self._memory, last.force
         )
-        dt_s, z, v = place.dt_s, place.depth, place.speed
+        dt_s = place.dt_s
+        z = place.depth
+        v = place.speed
         fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
         faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
-        usual, is_gap = (
-            max(last.usual_speed * faded, v),
-            dt_s > max(_GAP_S, 10.0 * last.dt_s),
-        )
+        usual = max(last.usual_speed * faded, v)
+        is_gap = dt_s > max(_GAP_S, 10.0 * last.dt_s)
         own = self._own_speed(place, (depth_std, speed_std), is_gap=is_gap)
         is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
         is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
-        left, self._deepest = (
-            self._levels.beside(self._tissue, clock_s),
-            max(deepest, z),
-        )
+        left = self._levels.beside(self._tissue, clock_s)
+        self._deepest = max(deepest, z)
         by_speed = last.by_speed + _damping(bank, z) * (own - last.speed)
         place = place._replace(
             speed=own, usual_speed=usual, noise=left.noise, by_speed=by_speed
         )
         _predict(bank, place, fresh, left, self._tissue)
-        is_met, self._stage = (
-            self._answer[0][samples.IN_CONTACT] > 0.0,
-            self._after(clock_s),
-        )
+        is_met = self._answer[0][samples.IN_CONTACT] > 0.0
+        self._stage = self._after(clock_s)
         if (is_advancing or not is_met) and not is_gap:
             self._resumed *= math.exp(-fresh / _RESUMED_MM)
             # A force that is being released is no noise, nor is what the speed does;
             # beats are.
             force = place.force - by_speed
-            is_release, levels = self._is_open and not self._is_series, self._levels
+            is_release = self._is_open and not self._is_series
+            levels = self._levels
             levels = (
                 levels.restarted() if is_release else levels.with_force(force, dt_s, v)
             )
-            self._levels, left = levels, levels.beside(self._tissue, clock_s)
+            left = levels.beside(self._tissue, clock_s)
+            self._levels = levels
             place = place._replace(noise=left.noise)
             # A speed is as late as its filter: where it changes it is off by a block's
             # change.
@@ -338,15 +333,14 @@ class SwitchingMethod:
         """A block from which nothing is learnt: after a gap, at rest, in a channel
         already cut.
         """
-        self._levels, self._texture = (
-            self._levels.restarted(),
-            self._texture.restarted(),
-        )
+        self._levels = self._levels.restarted()
+        self._texture = self._texture.restarted()
         if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
             # The needle went on: something may have happened half way or near the end,
             # dated alike, so that either may prove right without taking back an alarm.
             # The next block prunes.
-            end_s, store = place.time_s + 0.5 * place.dt_s, self._bank.store
+            end_s = place.time_s + 0.5 * place.dt_s
+            store = self._bank.store
             for ago_s in (0.5 * place.dt_s, 0.1 * place.dt_s):
                 scene = place.depth - place.speed * ago_s, place.speed, place.deflection
                 force = float(law.regressor(store[3][0], scene) @ store[0][0])
@@ -368,7 +362,8 @@ class SwitchingMethod:
         self, place: Place, noise: tuple[float, float], *, is_gap: bool
     ) -> float:
         """The needle's own speed, less jitter; less the tissue's, if that moves."""
-        trend, tissue = NO_TREND if is_gap else self._trend, self._tissue
+        trend = NO_TREND if is_gap else self._trend
+        tissue = self._tissue
         at_mm, rate = tissue.at(place.time_s) if tissue.is_known else (0.0, 0.0)
         around = place.raw + at_mm, place.speed + rate
         own, self._trend = follow_speed(trend, *around, noise, place.dt_s)
@@ -405,7 +400,8 @@ class SwitchingMethod:
         """Raise or take back an alarm, report the layer left, answer for the next
         samples.
         """
-        place, alarm = self._place, self._alarm
+        place = self._place
+        alarm = self._alarm
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         found = reports.count_ruptures(evidence, self._ruptures, place)
         now = RuptureState.EXPECTED if found.more > 0.5 else RuptureState.NO_RUPTURE
@@ -430,7 +426,8 @@ class SwitchingMethod:
             gone = replace(alarm, probability=1.0 - found.fewer)
             self._events = self._events._replace(retracted=gone)
             self._keep(self.layers if self._is_open else self.layers[:-1])
-            self._alarm, self._ruptures = None, min(found.best, self._ruptures - 1)
+            self._ruptures = min(found.best, self._ruptures - 1)
+            self._alarm = None
         elif (
             alarm is not None
             and self._events.rupture is None
@@ -454,11 +451,13 @@ class SwitchingMethod:
     def _raise_alarm(
         self, evidence: reports.Evidence, sample: Sample, found: reports.Evaluation
     ) -> None:
-        layers, identified = self.layers, self._events.identified_layer
+        layers = self.layers
+        identified = self._events.identified_layer
         if layers and not layers[-1].is_final:
             identified = replace(layers[-1], is_final=True)
             self._keep((*layers[:-1], identified))
-        number, at = layers_traversed(layers) + 1, (sample[0], sample[2], sample[-1])
+        number = layers_traversed(layers) + 1
+        at = (sample[0], sample[2], sample[-1])
         self._alarm = reports.rupture_of(evidence, found.pick, number, found.more, at)
         self._ruptures = int(evidence.ruptures[found.pick])
         self._rupture_state = RuptureState.DETECTED
@@ -486,7 +485,8 @@ class SwitchingMethod:
         """Report the layer that the last rupture ended, provisional or final, or
         revise it.
         """
-        layers, is_open = self.layers, self._is_open
+        layers = self.layers
+        is_open = self._is_open
         is_due = self._is_final(alarm)
         evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
@@ -536,18 +536,24 @@ def _block(time_s: float, memory: Array, before: float) -> tuple[Place, Noise]:
     *sums, _, _, _, _, jitter, speed_noise, _, _, _ = np.array(memory).tolist()
     filled, z, v, w, force, raw, by_motion = sums
     memory[: len(sums)] = [0.0] * len(sums)
-    z, v, raw = _MM * z / filled, _MM * v / filled, _MM * raw / filled
-    jitter, speed_noise = _MM * jitter, _MM * speed_noise
+    z = _MM * z / filled
+    v = _MM * v / filled
+    raw = _MM * raw / filled
+    jitter = _MM * jitter
+    speed_noise = _MM * speed_noise
     # A filter that leaves so much noise in both is as slow as their ratio.
     lag_s = reports.speed_lag(jitter, speed_noise)
-    at_s, w, force = time_s - 0.5 * filled, w / filled, force / filled
+    at_s = time_s - 0.5 * filled
+    w = w / filled
+    force = force / filled
     place = Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before)
     return place, (jitter, speed_noise, by_motion / filled)
 
 
 def _damping(bank: BankMemory, depth: float) -> float:
     """Viscous friction of the whole shaft [N/(mm/s)], by the likeliest hypothesis."""
-    best, fact = bank.store[0][0], bank.store[3][0]
+    best = bank.store[0][0]
+    fact = bank.store[3][0]
     return float(
         best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0)
     )
@@ -588,7 +594,8 @@ def _learn(
     resumed: float,
     noise: Noise,
 ) -> None:
-    (depth_std, speed_std, by_motion), (best, fact) = noise, bank.likeliest
+    depth_std, speed_std, by_motion = noise
+    best, fact = bank.likeliest
     damping = _damping(bank, place.depth)
     white = float(levels.levels[0]) * levels.step_s / place.dt_s
     variance = max(white, 1e-8) + (damping * speed_std) ** 2 + by_motion
@@ -610,10 +617,8 @@ def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> 
     slope += (
         best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
     )
-    damping, variance = (
-        max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0),
-        0.0,
-    )
+    damping = max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0)
+    variance = 0.0
     for level, (hz, _), most in zip(
         levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True
     ):

@@ -11,24 +11,32 @@ from identification.estimate import Outputs
 from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 
 _MM = 1e3
-_BLOCK_S, _BLOCK_MM, _LEAST_S = 0.01, 0.06, 0.002
+_BLOCK_S = 0.01
+_BLOCK_MM = 0.06
+_LEAST_S = 0.002
 """A block ends after a travel well below any release, or after a time; both are enough
 to average the noise of single samples."""
 _PRESLIDING_MM = 0.3
 """Travel over which friction turns after a reversal: gel clings for a fifth, soft
 tissue for half a millimetre."""
-_DEADBAND, _LEAST_DEADBAND_M = 3.0, 2e-5
+_DEADBAND = 3.0
+_LEAST_DEADBAND_M = 2e-5
 """Standard deviations of the depth, and least travel, within which the needle may not
 have moved: an arm's joints have play, and a filtered depth swings past a sudden stop."""
-_REST_SPEED, _REST_S = 0.1, 8.5
+_REST_SPEED = 0.1
+_REST_S = 8.5
 """Slower than this [mm/s] the needle rests; real liver loses its force in that time."""
-_RELAXED, _UNKNOWN = 0.6, 0.3
+_RELAXED = 0.6
+_UNKNOWN = 0.3
 """Part of the friction lost in a long rest, as of the whole force in real liver (19
 holds of 60 s); and standard deviation of that part, and of friction while presliding
 turns."""
 _UNLOADED_M = 1e-3  # A tip drawn back by a needle diameter touches nothing
 _UNLOADING_MM = 0.5  # travel over which its force goes on the way
-_MASS_KG, _JITTER, _ACCELERATION_S, _INERTIA_S = 10.0, 3.0, 0.03, 0.2
+_MASS_KG = 10.0
+_JITTER = 3.0
+_ACCELERATION_S = 0.03
+_INERTIA_S = 0.2
 """Masses are known roughly, and inertia is taken out with another lag than the force
 has: so a virtual force is uncertain where the arm accelerates. Mass that the needle is
 taken to have there at most (an LWR's along it: 3 to 4 kg in the insertions, below 10 kg
@@ -146,9 +154,12 @@ def _forces(
 
     The last number is the force that all this predicts.
     """
-    w, rest, mean = memory[_DEFLECTION], memory[_REST], answer[1]
+    w = memory[_DEFLECTION]
+    rest = memory[_REST]
+    mean = answer[1]
     offset = mean[_OFFSET]
-    force, by_motion = force - offset, memory[_BY_MOTION]
+    force = force - offset
+    by_motion = memory[_BY_MOTION]
     std = math.sqrt(answer[0][NOISE] + answer[2][_OFFSET] + by_motion)
     further = _MM * depth_m - answer[0][DEPTH]
     tip = answer[0][TIP_FORCE] + mean[_STIFFNESS] * further
@@ -164,7 +175,8 @@ def _forces(
     # it.
     loose = _UNKNOWN * max(1.0 - abs(w), rest)
     w *= 1.0 - _RELAXED * rest
-    p, q = w * coulomb_fraction, speed * viscous_fraction
+    p = w * coulomb_fraction
+    q = speed * viscous_fraction
     left = p * mean[LEFT_COULOMB] + q * mean[LEFT_VISCOUS]
     variance = _variance(answer, LEFT_COULOMB, p, q) + (loose * mean[LEFT_COULOMB]) ** 2
     left_std = _with_offset(answer, LEFT_COULOMB, p, q, variance + by_motion)
@@ -179,21 +191,18 @@ def _forces(
     friction = w * (mean[COULOMB] + mean[_OWN_COULOMB] * further)
     friction += speed * (mean[VISCOUS] + mean[_OWN_VISCOUS] * further)
     variance = _variance(answer, COULOMB, w, speed) + (loose * mean[COULOMB]) ** 2
-    predicted, enhanced = offset + friction + tip, force - left
+    predicted = offset + friction + tip
+    enhanced = force - left
     # A force counts less, the more uncertain motion makes it, beside what is not known
     # of friction.
     kept = 1.0 - by_motion / (answer[0][NOISE] + max(variance, 0.0) + by_motion + _TINY)
-    force, excess = (
-        kept * force + (1.0 - kept) * (friction + tip),
-        max(friction - force, 0.0),
-    )
+    excess = max(friction - force, 0.0)
+    force = kept * force + (1.0 - kept) * (friction + tip)
     tip, known = _not_pulled(force - friction, w * w * answer[0][_LAW])
     # At rest the force may relax faster than this friction says.
     variance += kept * by_motion + excess**2 - known
-    tip_std, std = (
-        _with_offset(answer, COULOMB, w, speed, variance),
-        math.sqrt(max(variance, 0.0)),
-    )
+    tip_std = _with_offset(answer, COULOMB, w, speed, variance)
+    std = math.sqrt(max(variance, 0.0))
     return enhanced, left_std, tip, tip_std, force - tip, std, predicted
 
 
@@ -224,18 +233,18 @@ def switching_outputs(
     `layers`, shape (n, 4), are those left: where they begin [m], their thickness [m],
     and Coulomb [N] and viscous friction [N/(mm/s)] of their whole length.
     """
-    speed, mean = _MM * speed_m_s, answer[1]
+    speed = _MM * speed_m_s
+    mean = answer[1]
     forces = _forces(depth_m, speed, force_N, memory, answer, layers)
     speed = max(abs(speed), _REST_SPEED)
     b, b_std = _per_speed(answer, _OWN_COULOMB, speed)
     if answer[0][CUMULATIVE_SPEED] != 0.0:
         speed = answer[0][CUMULATIVE_SPEED]
     d, d_std = _per_speed(answer, LEFT_COULOMB, speed)
-    k, k_std = (
-        _MM * mean[_STIFFNESS],
-        _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS]),
-    )
-    b, b_std = _MM * _MM * b, _MM * _MM * b_std
+    k = _MM * mean[_STIFFNESS]
+    k_std = _MM * math.sqrt(answer[2 + _STIFFNESS][_STIFFNESS])
+    b = _MM * _MM * b
+    b_std = _MM * _MM * b_std
     in_contact = answer[0][IN_CONTACT] > 0.0
     stiffness = (k, k_std, in_contact and k_std <= IDENTIFIED * abs(k))
     damping = (
@@ -276,7 +285,8 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
 
     A course is a row, shape (m, n); so are the results.
     """
-    deflection, left = np.ones_like(depths_mm), np.ones_like(depths_mm)
+    deflection = np.ones_like(depths_mm)
+    left = np.ones_like(depths_mm)
     for course in range(len(depths_mm)):
         depth = depths_mm[course]
         deepest = depth[0]
@@ -308,16 +318,16 @@ def update_switching(
     Returns whether the block being filled is full, and what to report, see
     `switching_outputs`.
     """
-    m, (depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m) = (
-        memory,
-        sample,
-    )
+    m = memory
+    depth_m, speed_m_s, depth_std_m, speed_std_m_s, force_N, std, raw_m = sample
     m[_LAGGED] += (arm_m_s - m[_LAGGED]) * dt_s / (_ACCELERATION_S + dt_s)
     change = max(abs(arm_m_s - m[_LAGGED]) - _JITTER * speed_std_m_s, 0.0)
     inertia = (_MASS_KG * change / _ACCELERATION_S) ** 2
     m[_INERTIA] = max(inertia, m[_INERTIA] * math.exp(-dt_s / _INERTIA_S))
     m[_BY_MOTION] = min(std * std, m[_INERTIA])
-    w, last, rest = m[_DEFLECTION], m[_FOLLOWER], m[_REST]
+    w = m[_DEFLECTION]
+    last = m[_FOLLOWER]
+    rest = m[_REST]
     if m[_DEEPEST] == _NOWHERE_M:
         last = depth_m
     deadband = max(_DEADBAND * depth_std_m, _LEAST_DEADBAND_M)
@@ -338,9 +348,12 @@ def update_switching(
     m[FORCE_SUM] += dt_s * force_N
     m[RAW_SUM] += dt_s * raw_m
     m[BY_MOTION_SUM] += dt_s * m[_BY_MOTION]
-    m[_DEFLECTION], m[_FOLLOWER], m[_REST] = w, follower, rest
+    m[_DEFLECTION] = w
+    m[_FOLLOWER] = follower
+    m[_REST] = rest
     m[_DEEPEST] = max(m[_DEEPEST], depth_m)
-    m[DEPTH_STD], m[SPEED_STD] = depth_std_m, speed_std_m_s
+    m[DEPTH_STD] = depth_std_m
+    m[SPEED_STD] = speed_std_m_s
     is_far = _MM * abs(m[SPEED_SUM]) >= _BLOCK_MM and m[FILLED] > _LEAST_S * (
         1.0 - 1e-6
     )

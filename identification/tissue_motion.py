@@ -15,24 +15,31 @@ from identification.estimate import Array
 from identification.hypothesis_bank import Place
 from identification.tissue_window import Fit, Window, displacement, turned
 
-_LEAST_S, _MARGIN = 2.5, 7
+_LEAST_S = 2.5
+_MARGIN = 7
 """Least length of a window, and newest means left out: a release may have begun
 there."""
 _SETTLE_S = 0.25  # after an alarm, until its release is over
-_LOST, _PATIENCE = 1.0, 8
+_LOST = 1.0
+_PATIENCE = 8
 """Mean square of the errors of a fit to give up, and so many steps in a row that are
 not good."""
-_FINE, _WITHOUT_HEART, _PROVEN = 0.12, 0.25, 5
+_FINE = 0.12
+_WITHOUT_HEART = 0.25
+_PROVEN = 5
 """Of a likely motion: most mean square of its errors, the same as part of that without
 its heartbeat (seen: 1/8 to 1/280), and how many steps in a row both must hold."""
-_CHECK_S, _ADAPT_S, _WAIT_S = 0.25, 0.2, 0.5
+_CHECK_S = 0.25
+_ADAPT_S = 0.2
+_WAIT_S = 0.5
 """Between two looks whether the tissue moves, two steps of a known motion, and two
 searches."""
-_STEPS, _STEPS_EACH = (
-    8,
-    7,
-)  # Gauss-Newton steps of a fit, and of each start of one with two beats
-_SLOW, _SIZES = np.linspace(0.15, 0.45, 7), (0.7, 1.4)  # Breaths that those begin with
+# Gauss-Newton steps of a fit, and of each start of one with two beats
+_STEPS = 8
+_STEPS_EACH = 7
+# Breaths that those begin with
+_SLOW = np.linspace(0.15, 0.45, 7)
+_SIZES = (0.7, 1.4)
 _SCANNED = len(windows.BREATH) + 2 * len(
     windows.HEART
 )  # units of a search before the first fit
@@ -40,7 +47,8 @@ _BOTH = 2 * _STEPS - 1 + len(_SLOW) * (1 + _STEPS_EACH)
 _DONE = _STEPS - 1, _BOTH, _BOTH + _STEPS
 """Units after those at which a fit is done: the heart alone, both, the breath alone."""
 _UNITS = _SCANNED + _DONE[-1] + 2
-_FADE_S, _BELIEF_S = 1.0, 2.0
+_FADE_S = 1.0
+_BELIEF_S = 2.0
 """Over which a motion just found comes in, and is believed: the bank has learned
 without it."""
 _EMPTY = (0.0,) * 5
@@ -97,10 +105,8 @@ class TissueMotion(NamedTuple):
         at_s = np.array([time_s - self.fit.at_s])
         place, speed = (float(each[0]) for each in displacement(self.fit.beats, at_s))
         part = min(max((time_s - self.since_s) / _FADE_S, 0.0), 1.0)
-        kept, rate = (
-            part * part * (3.0 - 2.0 * part),
-            6.0 * part * (1.0 - part) / _FADE_S,
-        )
+        kept = part * part * (3.0 - 2.0 * part)
+        rate = 6.0 * part * (1.0 - part) / _FADE_S
         return kept * place, kept * speed + rate * place
 
     def limits(self, time_s: float) -> tuple[float, float, float]:
@@ -118,12 +124,16 @@ class TissueMotion(NamedTuple):
 
         Of the layers before stays the last one that was long enough to say something.
         """
-        window, until_s, fit = self.window, self.until_s, Fit()
+        window = self.window
+        until_s = self.until_s
+        fit = Fit()
         is_last = window[:, 0] >= self.from_s
         if is_last.sum() >= _MARGIN + _LEAST_S / windows.STEP_S:
-            window, fit = window[is_last], self.fit
+            window = window[is_last]
+            fit = self.fit
             until_s = float(window[-_MARGIN, 0])
-        from_s, since_s = time_s + _SETTLE_S, self.since_s
+        from_s = time_s + _SETTLE_S
+        since_s = self.since_s
         return TissueMotion(
             window, until_s=until_s, from_s=from_s, fit=fit, since_s=since_s
         )
@@ -185,10 +195,8 @@ class TissueMotion(NamedTuple):
         held = self.held + 1 if fit.error < min(_FINE * window.count, least) else 0
         if held > 0 and window.is_clear(fit, is_proven=held >= _PROVEN):
             return self._known(fit, time_s)
-        likely, unit = (
-            fit if fit.error < windows.FAIR * window.count else Fit(),
-            max(self.unit, 0),
-        )
+        likely = fit if fit.error < windows.FAIR * window.count else Fit()
+        unit = max(self.unit, 0)
         return self._replace(
             likely=likely, held=held, unit=unit, next_s=time_s + _ADAPT_S
         )
@@ -205,7 +213,8 @@ class TissueMotion(NamedTuple):
         unit = self.unit - _SCANNED
         if unit == _DONE[-1] + 1:
             return self._chosen(window, time_s)
-        first, (start, step) = self.first, divmod(unit - _STEPS, 1 + _STEPS_EACH)
+        first = self.first
+        start, step = divmod(unit - _STEPS, 1 + _STEPS_EACH)
         if 0 <= start < len(_SLOW):
             tried = self._started(window, start, step, time_s)
             if step == _STEPS_EACH and tried.error < first.error:
@@ -231,13 +240,16 @@ class TissueMotion(NamedTuple):
         """Scan the next frequency: of breaths, of hearts, of hearts beside the best
         breath.
         """
-        n, m, unit = len(windows.BREATH), len(windows.HEART), self.unit
+        n = len(windows.BREATH)
+        m = len(windows.HEART)
+        unit = self.unit
         row = 0 if unit < n else 1 if unit < n + m else 2
         scanned = windows.HEART[(unit - n) % m] if row else windows.BREATH[unit]
         hz = [[], [], [self.found[0, 1]]][row] + [scanned]
         # With waves that grow many a slow one fits as well: what matters is where to
         # begin.
-        error, found = window.waves(np.array(hz))[1], self.found.copy()
+        error = window.waves(np.array(hz))[1]
+        found = self.found.copy()
         if unit in (0, n, n + m) or error < found[row, 0]:
             found[row] = error, hz[0], hz[-1]
         return self._replace(found=found, unit=unit + 1, best=Fit(), first=Fit())
@@ -257,7 +269,8 @@ class TissueMotion(NamedTuple):
         return self._replace(likely=tried) if is_likely else self
 
     def _chosen(self, window: Window, time_s: float) -> "TissueMotion":
-        state, best = self._replace(**_IDLE), self.best
+        state = self._replace(**_IDLE)
+        best = self.best
         if self.is_known:
             if best.error < 0.5 * self.fit.error:
                 return state._replace(fit=best)

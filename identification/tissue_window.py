@@ -28,8 +28,11 @@ from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_S
 from identification.switching_update import contact_along
 from needleforce.jit import Matrix, Vector, compiled
 
-STEP_S, SIZE = 0.05, 256  # the window: means over so long, so many of them at most
-BREATH, HEART = np.linspace(0.15, 0.45, 13), np.linspace(0.8, 1.9, 23)
+# the window: means over so long, so many of them at most
+STEP_S = 0.05
+SIZE = 256
+BREATH = np.linspace(0.15, 0.45, 13)
+HEART = np.linspace(0.8, 1.9, 23)
 """Frequencies scanned [Hz]: 9 to 27 breaths and 48 to 114 beats a minute."""
 SLOWEST_HEART = 0.6
 _BREATH_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
@@ -39,8 +42,11 @@ _HEART_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
 _BREATH_S = 6.0, 10.0
 """Least length of a window that shows a breath, and of one that shows two: shorter ones
 take part of a breath for a quick one."""
-GOOD, FAIR = 0.05, 0.5  # Mean square of a good fit's errors, and of a fair one's
-_CLEARER, CLEAR = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD)), 10.0
+# Mean square of a good fit's errors, and of a fair one's
+GOOD = 0.05
+FAIR = 0.5
+_CLEARER = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD))
+CLEAR = 10.0
 """The motion must lower the error by this factor, to at most that mean square: a
 heartbeat, breathing (a layer that bends looks like one), and less than two breaths; and
 by so much."""
@@ -48,7 +54,8 @@ _UNLIKE = 1.5
 """Breath shows only where the law of tissue at rest is off by more than it admits, a
 mean square of 1: a membrane, or a layer of another law, bends the force within that, as
 a slow breath would."""
-_NOISE_N, _LAW_ERROR = 0.02, 0.03
+_NOISE_N = 0.02
+_LAW_ERROR = 0.03
 """Error of a mean that the law leaves: a part of its own and one of the force."""
 _OWN = 7  # unknowns that a layer has of its own
 Pair = tuple[Matrix, Matrix]
@@ -69,12 +76,18 @@ class Fit(NamedTuple):
 @compiled
 def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
     """Place [mm] and speed [mm/s] of the tissue at n times since its phases' zero."""
-    place, speed = np.zeros_like(time_s), np.zeros_like(time_s)
+    place = np.zeros_like(time_s)
+    speed = np.zeros_like(time_s)
     for k in range(len(beats)):
-        rate, a, b = 2.0 * math.pi * beats[k, 0], beats[k, 1], beats[k, 2]
-        c, d = beats[k, 3], beats[k, 4]
-        cosine, sine = np.cos(rate * time_s), np.sin(rate * time_s)
-        cosine_2, sine_2 = cosine * cosine - sine * sine, 2.0 * cosine * sine
+        rate = 2.0 * math.pi * beats[k, 0]
+        a = beats[k, 1]
+        b = beats[k, 2]
+        c = beats[k, 3]
+        d = beats[k, 4]
+        cosine = np.cos(rate * time_s)
+        sine = np.sin(rate * time_s)
+        cosine_2 = cosine * cosine - sine * sine
+        sine_2 = 2.0 * cosine * sine
         place += a * cosine + b * sine + c * cosine_2 + d * sine_2
         speed += rate * (b * cosine - a * sine + 2.0 * (d * cosine_2 - c * sine_2))
     return place, speed
@@ -85,23 +98,29 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     """Derivatives of place and speed at n times by the five numbers of each beat, (5
     beats, n).
     """
-    places, speeds = (
-        np.zeros((beats.size, len(time_s))),
-        np.zeros((beats.size, len(time_s))),
-    )
+    places = np.zeros((beats.size, len(time_s)))
+    speeds = np.zeros((beats.size, len(time_s)))
     for k in range(len(beats)):
-        row, phase = 5 * k, 2.0 * math.pi * beats[k, 0] * time_s
-        cosine, sine = np.cos(phase), np.sin(phase)
+        row = 5 * k
+        phase = 2.0 * math.pi * beats[k, 0] * time_s
+        cosine = np.cos(phase)
+        sine = np.sin(phase)
         for h in range(1, 3):
             hertz = 2.0 * math.pi * h
-            rate, a, b = hertz * beats[k, 0], beats[k, 2 * h - 1], beats[k, 2 * h]
+            rate = hertz * beats[k, 0]
+            a = beats[k, 2 * h - 1]
+            b = beats[k, 2 * h]
             if h == 2:
-                cosine, sine = cosine * cosine - sine * sine, 2.0 * cosine * sine
+                double_sine = 2.0 * cosine * sine
+                cosine = cosine * cosine - sine * sine
+                sine = double_sine
             ahead = b * cosine - a * sine
             places[row] += hertz * time_s * ahead
             speeds[row] += hertz * (ahead - rate * time_s * (a * cosine + b * sine))
-            places[row + 2 * h - 1], places[row + 2 * h] = cosine, sine
-            speeds[row + 2 * h - 1], speeds[row + 2 * h] = -rate * sine, rate * cosine
+            places[row + 2 * h - 1] = cosine
+            places[row + 2 * h] = sine
+            speeds[row + 2 * h - 1] = -rate * sine
+            speeds[row + 2 * h] = rate * cosine
     return places, speeds
 
 
@@ -129,30 +148,32 @@ def _waves(
     `courses`, shape (4, n), are time, travel, speed, and travel in a second layer,
     negative before; `one` and `force` are over its deviation.
     """
-    time_s, y, v, later = (
-        courses[0] - courses[0, -1],
-        courses[1],
-        courses[2],
-        courses[3],
-    )
-    columns, row = np.ones((8 + 8 * len(hz), len(y))), 8
-    columns[1], columns[2], columns[3], columns[4], columns[5] = (
-        y,
-        y * y,
-        y**3,
-        v,
-        v * y,
-    )
-    columns[6], columns[7] = 1.0 * (later >= 0.0), np.maximum(later, 0.0)
+    time_s = courses[0] - courses[0, -1]
+    y = courses[1]
+    v = courses[2]
+    later = courses[3]
+    columns = np.ones((8 + 8 * len(hz), len(y)))
+    row = 8
+    columns[1] = y
+    columns[2] = y * y
+    columns[3] = y**3
+    columns[4] = v
+    columns[5] = v * y
+    columns[7] = np.maximum(later, 0.0)
+    columns[6] = 1.0 * (later >= 0.0)
     for k in range(2 * len(hz)):
         phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * time_s
-        cosine, sine = np.cos(phase), np.sin(phase)
-        columns[row], columns[row + 1], columns[row + 2] = cosine, cosine * y, sine
+        cosine = np.cos(phase)
+        sine = np.sin(phase)
+        columns[row] = cosine
+        columns[row + 1] = cosine * y
+        columns[row + 2] = sine
         columns[row + 3] = sine * y
         row += 4
     columns *= one
     scale = np.sqrt((columns * columns).sum(axis=1)) + 1e-12
-    matrix, none = np.ascontiguousarray(columns.T / scale), np.zeros(len(scale))
+    matrix = np.ascontiguousarray(columns.T / scale)
+    none = np.zeros(len(scale))
     found, error = _fitted(matrix, force, np.diag(none), none)
     return found / scale, np.dot(error, error) / len(y)
 
@@ -172,25 +193,30 @@ def _rows(
     speed are relative to the tissue; a second layer begins at row `begin`, if that is
     not 0.
     """
-    (w, g), layers = contact, 2 if begin else 1
+    w, g = contact
+    layers = 2 if begin else 1
     rows = np.zeros((len(speed), 3 + _OWN * layers))
-    end, deepest = depth[0], depth[0]
+    end = depth[0]
+    deepest = depth[0]
     for k in range(len(speed)):
         deepest = max(deepest, depth[k])
         end = deepest if k <= begin else end
-        rows[k, 0], rows[k, 1], rows[k, 2] = one[k], w[k] * one[k], speed[k] * one[k]
+        rows[k, 0] = one[k]
+        rows[k, 1] = w[k] * one[k]
+        rows[k, 2] = speed[k] * one[k]
         for layer in range(layers):
             shaft = deepest - end if layer else (end if begin else deepest) - depth[0]
             at = 3 + _OWN * layer
-            rows[k, at], rows[k, at + 1] = rows[k, 1] * shaft, rows[k, 2] * shaft
+            rows[k, at] = rows[k, 1] * shaft
+            rows[k, at + 1] = rows[k, 2] * shaft
             if (begin > 0 and k >= begin) == (layer == 1):
-                tip, back = g[k] * one[k], shaft - deepest + depth[k]
-                rows[k, at + 2], rows[k, at + 3], rows[k, at + 4] = (
-                    tip,
-                    tip * shaft,
-                    tip * shaft**2,
-                )
-                rows[k, at + 5], rows[k, at + 6] = back * one[k], back**2 * one[k]
+                tip = g[k] * one[k]
+                back = shaft - deepest + depth[k]
+                rows[k, at + 2] = tip
+                rows[k, at + 3] = tip * shaft
+                rows[k, at + 4] = tip * shaft**2
+                rows[k, at + 5] = back * one[k]
+                rows[k, at + 6] = back**2 * one[k]
     return rows
 
 
@@ -201,7 +227,8 @@ def _changes(
     """What m courses of depth and speed change of the force of the first, shape (n,
     m - 1).
     """
-    (w, g), (depths, speeds) = contact, courses
+    w, g = contact
+    depths, speeds = courses
     forces = np.zeros((len(depths), len(one)))
     for k in range(len(depths)):
         rows = _rows((w[k], g[k]), depths[k], speeds[k], one, begin)
@@ -219,9 +246,12 @@ def _step(
     and of the numbers, which lie within `stds` beforehand and are pulled by `pull`.
     """
     linear, slopes = rows
-    n, size = len(prior), len(prior) + len(stds)
-    known, pulled = np.zeros((size, size)), np.zeros(size)
-    known[:n, :n], pulled[n:] = prior, pull
+    n = len(prior)
+    size = len(prior) + len(stds)
+    known = np.zeros((size, size))
+    pulled = np.zeros(size)
+    known[:n, :n] = prior
+    pulled[n:] = pull
     for k in range(len(stds)):
         held = stds[k] ** -2.0
         known[n + k, n + k] = held + damping * (held + (slopes[:, k] ** 2).sum())
@@ -232,15 +262,15 @@ def _step(
 
 def turned(fit: Fit, time_s: float) -> Fit:
     """The same motion with its phases counted from another time."""
-    beats, shift = fit.beats.copy(), time_s - fit.at_s
+    beats = fit.beats.copy()
+    shift = time_s - fit.at_s
     phase = 2.0 * math.pi * shift * fit.beats[:, :1] * np.array([1.0, 2.0])
-    cosine, sine, a, b = (
-        np.cos(phase),
-        np.sin(phase),
-        fit.beats[:, 1::2],
-        fit.beats[:, 2::2],
-    )
-    beats[:, 1::2], beats[:, 2::2] = a * cosine + b * sine, b * cosine - a * sine
+    cosine = np.cos(phase)
+    sine = np.sin(phase)
+    a = fit.beats[:, 1::2]
+    b = fit.beats[:, 2::2]
+    beats[:, 1::2] = a * cosine + b * sine
+    beats[:, 2::2] = b * cosine - a * sine
     return fit._replace(beats=beats, at_s=time_s)
 
 
@@ -248,7 +278,8 @@ def _growth(force: Array) -> float:
     """Of the force in a layer: of 25 means the fifth largest is above most turns of
     friction.
     """
-    oldest, newest = force[:25], force[-25:]
+    oldest = force[:25]
+    newest = force[-25:]
     at = -min(5, len(oldest))
     return float(np.partition(newest, at)[at] - np.partition(oldest, at)[at])
 
@@ -258,7 +289,8 @@ class Window:
 
     def __init__(self, window: Array, until_s: float, from_s: float) -> None:
         self.time_s, self.depth, self.speed, force = window.T.copy()
-        self.travel, size = self.depth - self.depth[0], np.abs(force)
+        size = np.abs(force)
+        self.travel = self.depth - self.depth[0]
         until, end = np.searchsorted(self.time_s, (until_s, from_s)).tolist()
         self.begin = end if end < len(window) else 0
         self.one = 1.0 / (_NOISE_N + _LAW_ERROR * size)
@@ -277,7 +309,8 @@ class Window:
         """Information on the linear unknowns beforehand, and its vector; `most` is
         the force.
         """
-        slope, pull = self.slope, np.zeros(3 + _OWN * layers)
+        slope = self.slope
+        pull = np.zeros(3 + _OWN * layers)
         own = (slope, slope / 3, most, slope, slope / 10, slope, slope / 10)
         stds = [0.05, most, most / 3, *own * layers]
         information = np.diag(np.array(stds) ** -2.0)
@@ -314,14 +347,16 @@ class Window:
         """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5
         beats).
         """
-        beats, time_s = fit.beats, self.time_s - fit.at_s
+        beats = fit.beats
+        time_s = self.time_s - fit.at_s
         places, speeds = _derivatives(beats, time_s)
         place, speed = displacement(beats, time_s)
         # What turns round remembers its way there: differences.
         steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
         depths = self.depth - np.vstack((place, place + steps * places))
         speeds = self.speed - np.vstack((speed, speed + steps * speeds))
-        contact, courses = contact_along(depths), (depths, speeds)
+        contact = contact_along(depths)
+        courses = (depths, speeds)
         changes = _changes(contact, courses, self.one, self.begin, linear)
         return np.ascontiguousarray(changes / steps.T)
 
@@ -336,12 +371,18 @@ class Window:
         Of a motion that is proven, which has explained what came later, less than two
         breaths do.
         """
-        still, length_s, (clearer, most) = self.still, self.count * STEP_S, _CLEARER[0]
+        still = self.still
+        length_s = self.count * STEP_S
+        clearer, most = _CLEARER[0]
         least = 0.0
         for hz in fit.beats[:, 0].tolist():
-            grid, periods, least_s = (BREATH, 1.0, _BREATH_S[0])
+            grid = BREATH
+            periods = 1.0
+            least_s = _BREATH_S[0]
             if hz > SLOWEST_HEART:
-                grid, periods, least_s = (HEART, 4.0, 0.0)
+                grid = HEART
+                periods = 4.0
+                least_s = 0.0
             else:
                 least = _UNLIKE * self.count
                 is_long = is_proven or length_s > max(_BREATH_S[1], 2.0 / hz)
@@ -361,7 +402,8 @@ class Window:
         """A motion of these frequencies that damping would turn into the waves of
         the force.
         """
-        found, y = self.waves(hz)[0], float(self.travel[-1])
+        found = self.waves(hz)[0]
+        y = float(self.travel[-1])
         damping = (
             self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
         )
@@ -372,7 +414,9 @@ class Window:
         sizes = np.stack(
             (waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2
         ).reshape(-1, 4)
-        fits, at_s, most = [], float(self.time_s[-1]), _stds(hz[:, None])[:, 1:2]
+        fits = []
+        at_s = float(self.time_s[-1])
+        most = _stds(hz[:, None])[:, 1:2]
         for scale in (0.5, 1.0, 2.0):
             limited = np.minimum(np.maximum(scale * sizes, -most), most)
             beats = np.hstack((hz[:, None], limited))
@@ -383,7 +427,8 @@ class Window:
         """A fit with its slow beat of such a size and of any phase, if that leaves
         less error.
         """
-        beats, best = fit.beats.copy(), fit
+        beats = fit.beats.copy()
+        best = fit
         for phase in np.arange(0.0, 2.0 * math.pi, 0.25 * math.pi).tolist():
             beats[0, 1:] = size * math.cos(phase), size * math.sin(phase), 0.0, 0.0
             error = self.solved(beats, fit.at_s)[2]
@@ -393,14 +438,14 @@ class Window:
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
         """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
-        beats, at_s = fit.beats, fit.at_s
+        beats = fit.beats
+        at_s = fit.at_s
         rows, linear, _, error = self.solved(beats, at_s)
-        stds, target = _stds(beats), beats.copy()
+        stds = _stds(beats)
+        target = beats.copy()
         if is_prior:
-            stds[:, 0], stds[:, 1:] = (
-                0.02,
-                0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:],
-            )
+            stds[:, 1:] = 0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:]
+            stds[:, 0] = 0.02
         else:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
@@ -412,7 +457,8 @@ class Window:
             pull,
             fit.damping,
         )
-        change, left = step.reshape(beats.shape), float(error @ error)
+        change = step.reshape(beats.shape)
+        left = float(error @ error)
         before = left + float((((beats - target) / stds) ** 2).sum())
         for _ in range(3):
             tried = beats + change

@@ -55,7 +55,8 @@ class PlanFollower:
     def __init__(
         self, plan: Plan | None, entry_in_base_m: NDArray[np.float64] | None
     ) -> None:
-        self._plan, self._entry_m = plan, entry_in_base_m
+        self._plan = plan
+        self._entry_m = entry_in_base_m
         where = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
         self.memory = PlanMemory("" if plan is None else plan.fingerprint + where)
         self.state: PlanState | None = None
@@ -75,7 +76,9 @@ class PlanFollower:
         """
         if self._plan is None or not np.isfinite(depth_m):
             return
-        last, ruptures, rupture = self.memory, self.memory.ruptures, found.rupture
+        last = self.memory
+        ruptures = self.memory.ruptures
+        rupture = found.rupture
         if found.retracted is not None:
             wrong_s = found.retracted.alarm_s
             ruptures = tuple(one for one in ruptures if one[0] != wrong_s)
@@ -112,4 +115,5 @@ class PlanFollower:
 
     def resume(self, memory: PlanMemory, state: "PlanState | None") -> None:
         """Go on from a memory and what `read` makes of it."""
-        self.memory, self.state = memory, state
+        self.memory = memory
+        self.state = state

@@ -44,10 +44,13 @@ class ReferenceForce:
     """
 
     def __init__(self, sensor: ForceSensor, axis: ArrayLike = (0.0, 0.0, 1.0)) -> None:
-        self._sensor, self._axis = sensor, unit_axis(axis)
+        self._axis = unit_axis(axis)
+        self._sensor = sensor
         self._readings = deque[float](maxlen=ZERO_READINGS)
         self._zero_N = self.axial_N = math.nan
-        self._squares_N2, self.count, self._silent = 0.0, 0, 0
+        self._squares_N2 = 0.0
+        self.count = 0
+        self._silent = 0
 
     @property
     def rms_N(self) -> float:
@@ -59,7 +62,8 @@ class ReferenceForce:
     def zero(self) -> bool:
         """Take the mean of the latest readings for no force; False if there is none."""
         self._zero_N = float(np.mean(self._readings)) if self._readings else math.nan
-        self._squares_N2, self.count = 0.0, 0
+        self._squares_N2 = 0.0
+        self.count = 0
         return bool(self._readings)
 
     def update(self, wrench: WrenchEstimate) -> None:

@@ -123,7 +123,8 @@ _NOT_USED = (
 _PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
 _TAKEN_BACK_S = 0.25  # A push on the arm grows for so long before it is known as one
 # Looking up a name of an enumeration takes as long as a call, so it is done once.
-_OK, _REJECTED = Status.OK, Status.REJECTED
+_OK = Status.OK
+_REJECTED = Status.REJECTED
 _USED = tuple(status for status in SampleStatus if status.is_used)
 
 
@@ -187,14 +188,10 @@ class InsertionSession:
             raise SettingError(
                 f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
             )
-        self._sensor, self.sensor_config = (
-            VirtualForceSensor(robot, sensor_config),
-            sensor_config,
-        )
-        self._identifier, self._identifier_config = (
-            Identifier(identifier_config),
-            identifier_config,
-        )
+        self._sensor = VirtualForceSensor(robot, sensor_config)
+        self.sensor_config = sensor_config
+        self._identifier = Identifier(identifier_config)
+        self._identifier_config = identifier_config
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
         self._plan = PlanFollower(None, None)
@@ -322,7 +319,8 @@ class InsertionSession:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._sensor.reset()
-        self._is_started, self._time_s = False, 0.0
+        self._is_started = False
+        self._time_s = 0.0
         self.begin_insertion()
 
     def snapshot(self) -> SessionSnapshot:
@@ -374,12 +372,11 @@ class InsertionSession:
         self._identifier.restore(snapshot.identifier)
         self._count_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
-        self._travel, self._unused_s = snapshot.travel, snapshot.unused_s
-        self._time_s, self._earlier, self._is_due = (
-            snapshot.time_s,
-            snapshot.earlier,
-            False,
-        )
+        self._travel = snapshot.travel
+        self._unused_s = snapshot.unused_s
+        self._time_s = snapshot.time_s
+        self._earlier = snapshot.earlier
+        self._is_due = False
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
 
@@ -423,10 +420,8 @@ class InsertionSession:
         self._count_from(TravelZero(tool.pose[:3, 3].copy(), tool.axis_in_base.copy()))
 
     def _count_from(self, zero: TravelZero) -> None:
-        self.zero, self._start_m = (
-            zero,
-            float(zero.axis_in_base.dot(zero.start_in_base_m)),
-        )
+        self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
+        self.zero = zero
 
     def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Depth, speed and, where the force can be used, the identification."""
@@ -441,8 +436,11 @@ class InsertionSession:
             # The sensor's clock counts the time of rejected samples and knows one that
             # was set.
             self._time_s += self._sensor.elapsed_s
-        sensor, tool, axis = self._sensor, self._tool, self.zero.axis_in_base
-        elapsed_s, lags_s = sensor.elapsed_s, (self._speed_lag_s, sensor.filter_lag_s)
+        sensor = self._sensor
+        tool = self._tool
+        axis = self.zero.axis_in_base
+        elapsed_s = sensor.elapsed_s
+        lags_s = (self._speed_lag_s, sensor.filter_lag_s)
         tip = axis, tool.needle, sensor.velocity_rad_s
         self._travel = travel = travel_step(
             tip, self._start_m, self._travel, elapsed_s, lags_s
@@ -452,9 +450,12 @@ class InsertionSession:
         if self._unused_s:
             if sensor.recheck(wrench).warnings & _PUSHED:
                 return self._skip(wrench, elapsed_s)
-            elapsed_s, self._unused_s = elapsed_s + self._unused_s, 0.0
+            elapsed_s = elapsed_s + self._unused_s
+            self._unused_s = 0.0
         _, _, depth_m, speed_m_s = travel
-        time_s, force_N, std_N = self._time_s, wrench.axial_unsmoothed, wrench.axial_std
+        time_s = self._time_s
+        force_N = wrench.axial_unsmoothed
+        std_N = wrench.axial_std
         found = self._identifier.update(
             depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N
         )
@@ -465,10 +466,8 @@ class InsertionSession:
             if wrench.warnings & _PUSHED:
                 return self._skip(wrench, 0.0)  # its time was used: that is taken back
         self._identification = found
-        self._had_events, due_s = (
-            found.has_events,
-            self._earlier[1].time_s + _TAKEN_BACK_S,
-        )
+        self._had_events = found.has_events
+        due_s = self._earlier[1].time_s + _TAKEN_BACK_S
         self._is_due = self._had_events or self._time_s >= due_s
         self._plan.follow(found, depth_m, self._identifier)
         at = (found.status in _USED, self._time_s, self._plan.state)
@@ -479,10 +478,8 @@ class InsertionSession:
         reported again.
         """
         if self._is_due:  # since the last sample, which had enough to do
-            now, self._is_due = (
-                Checkpoint(self._time_s, self._identifier.snapshot()),
-                False,
-            )
+            now = Checkpoint(self._time_s, self._identifier.snapshot())
+            self._is_due = False
             self._earlier = now if self._had_events else self._earlier[1], now
 
     def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
@@ -498,10 +495,8 @@ class InsertionSession:
         if used_s > 0.5 * elapsed_s and wrench.warnings & _PUSHED:
             self._identifier.resume(before.identifier)  # checks take longer than a tick
             self._identification = before.identifier.last
-            self._unused_s, self._earlier = (
-                self._time_s - before.time_s,
-                (before, before),
-            )
+            self._unused_s = self._time_s - before.time_s
+            self._earlier = (before, before)
         return self._idle(wrench)
 
     def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:

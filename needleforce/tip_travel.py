@@ -36,7 +36,9 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
     place, axes, jacobian, tip, direction = needle
     at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
     along = direction[0] * axes[0] + direction[1] * axes[1] + direction[2] * axes[2]
-    twist, (x, y, z), (a, b, c) = dq.dot(jacobian), at, along
+    twist = dq.dot(jacobian)
+    x, y, z = at
+    a, b, c = along
     speed = a * twist[0] + b * twist[1] + c * twist[2]
     speed += (
         (y * c - z * b) * twist[3]
@@ -71,7 +73,8 @@ def travel_step(
         lags_s: Of the speed's own low-pass, 0 for none, and of the force.
     """
     along, speed = tip_motion(*tip)
-    depth, (speed_lag_s, force_lag_s) = along - start_m, lags_s
+    depth = along - start_m
+    speed_lag_s, force_lag_s = lags_s
     _, last_speed, late_depth, late_speed = last
     if speed_lag_s > 0.0:
         speed = last_speed - math.expm1(-dt_s / speed_lag_s) * (speed - last_speed)

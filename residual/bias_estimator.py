@@ -68,7 +68,8 @@ class TareRecorder:
     def close_block(self) -> None:
         """End the open block; the next sample begins another."""
         self.sums = np.concatenate((self.sums, self.open[None]))
-        self.open, self.age_s = np.zeros_like(self.open), 0.0
+        self.open = np.zeros_like(self.open)
+        self.age_s = 0.0
         if len(self.sums) >= MOST_BLOCKS:
             older = self.sums[: MOST_BLOCKS // 2]
             self.sums = np.concatenate(
@@ -84,7 +85,8 @@ class TareRecorder:
         if window_s is not None:
             kept = -age_s <= window_s
             kept[-1] = True
-            means, age_s = means[kept], age_s[kept]
+            means = means[kept]
+            age_s = age_s[kept]
         scatter = np.maximum(means[:, 4] - means[:, 3] ** 2, 0.0)
         return TareBlocks(
             q_rad=means[:, 2],
@@ -155,7 +157,8 @@ class BiasEstimator:
         self._config = config
         self._basis = basis = BiasModel(robot, config.tare, config.prior)
         self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
-        self._weightless, self._data = pin.Model(robot.model), robot.create_data()
+        self._weightless = pin.Model(robot.model)
+        self._data = robot.create_data()
         self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
         loops_Nm = np.outer(config.prior.hysteresis_widths, basis.effort_Nm)
@@ -186,7 +189,8 @@ class BiasEstimator:
         renewed, too.
         """
         memory = self.memory
-        memory.q, memory.dq = q, dq
+        memory.q = q
+        memory.dq = dq
         memory.now_s += dt_s
         if dt_s > self.LEAP_S:
             # A drift fitted to motion before and after such a step would be far off.
@@ -205,19 +209,22 @@ class BiasEstimator:
         """Renew what changes slowly: hysteresis, friction, the offset, and the error
         by motion.
         """
-        memory, basis, q = self.memory, self._basis, self.memory.q
+        memory = self.memory
+        basis = self._basis
+        q = self.memory.q
         dt_s = memory.now_s - memory.renewed_s
         torque = memory.torque_sum / memory.summed
-        memory.torque_sum, memory.summed = np.zeros(self._joints), 0
-        memory.renewed_s, memory.due_s = memory.now_s, memory.now_s + self.RENEW_S
+        memory.torque_sum = np.zeros(self._joints)
+        memory.summed = 0
+        memory.renewed_s = memory.now_s
+        memory.due_s = memory.now_s + self.RENEW_S
         if not memory.started:
             memory.joint_memory[-2:] = torque, q
-            memory.smooth_dq, memory.started = memory.dq, True
+            memory.smooth_dq = memory.dq
+            memory.started = True
         if dt_s > 0.0:
-            followed, stribeck = (
-                (memory.joint_memory, memory.states),
-                basis.prior.stribeck_rad_s,
-            )
+            followed = (memory.joint_memory, memory.states)
+            stribeck = basis.prior.stribeck_rad_s
             follow_joints(
                 *followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s
             )
@@ -296,7 +303,9 @@ class BiasEstimator:
                 fit, wrench, self._config.contact_force_N, is_external=is_external
             )
         memory.tare = fit.tare
-        memory.tared, memory.tared_s, memory.leapt_s = True, memory.now_s, 0.0
+        memory.tared = True
+        memory.tared_s = memory.now_s
+        memory.leapt_s = 0.0
         memory.bias = self._basis.bias_Nm(fit.tare, memory.q, memory.states, 0.0)
         return fit.tare
 
@@ -305,11 +314,13 @@ class BiasEstimator:
         the next.
         """
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
-        self.memory.tared, self.memory.leapt_s = False, 0.0
+        self.memory.tared = False
+        self.memory.leapt_s = 0.0
 
     def reset(self) -> None:
         """Forget everything."""
-        still, states = np.zeros(self._joints), self._basis.states
+        still = np.zeros(self._joints)
+        states = self._basis.states
         self.memory = BiasState(
             recorder=TareRecorder.of_size(self._joints, states),
             joint_memory=np.zeros((states, self._joints)),

@@ -68,14 +68,16 @@ class FreeMotionFit:
         *,
         learn: bool = True,
     ) -> None:
-        self.basis, self.blocks = basis, blocks
+        self.basis = basis
+        self.blocks = blocks
         columns = np.stack(
             list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s))
         )
         touched = columns[:, :, :0] if contact is None else contact
         self._columns = np.concatenate((columns, touched), axis=2)
         residual = blocks.residual_Nm
-        is_model, is_few = basis.kind == "model", len(residual) < FEW_BLOCKS
+        is_model = basis.kind == "model"
+        is_few = len(residual) < FEW_BLOCKS
         terms = WALK_TERMS if is_model and not is_few else 0
         self._walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
@@ -106,7 +108,8 @@ class FreeMotionFit:
         """Both passes; returns the variance of a single residual about the fit,
         shape (n,).
         """
-        blocks, residual = self.blocks, self.blocks.residual_Nm
+        blocks = self.blocks
+        residual = self.blocks.residual_Nm
         # With few blocks their differences mean nothing: a block then counts as noisy
         # as a sample.
         least = np.square(basis.prior.resolution_fraction * basis.effort_Nm)
@@ -139,7 +142,8 @@ class FreeMotionFit:
         """Every joint with its columns over all blocks, the walk's last; shape
         (blocks, m).
         """
-        joints, terms = self._columns.shape[1], self._walk.shape[1]
+        joints = self._columns.shape[1]
+        terms = self._walk.shape[1]
         for joint in range(joints):
             walk = np.zeros((len(self._walk), joints * terms))
             walk[:, joint * terms : (joint + 1) * terms] = self._walk
@@ -150,7 +154,8 @@ class FreeMotionFit:
         (blocks, n).
         """
         residual = self.blocks.residual_Nm
-        information, evidence = np.zeros((len(std), len(std))), np.zeros(len(std))
+        information = np.zeros((len(std), len(std)))
+        evidence = np.zeros(len(std))
         for joint, rows in self._rows():
             weighted = self._whiteners[joint] @ rows
             information += rows.T @ weighted
@@ -161,10 +166,8 @@ class FreeMotionFit:
         units = np.outer(std, std)
         covariance = np.linalg.inv(np.eye(len(std)) + information * units).astype(float)
         mean = covariance @ (std * evidence)
-        self._mean, self._covariance = (
-            std * self._lagging(mean, covariance),
-            covariance * units,
-        )
+        self._mean = std * self._lagging(mean, covariance)
+        self._covariance = covariance * units
         return np.stack(
             [residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1
         )
@@ -177,7 +180,8 @@ class FreeMotionFit:
         whose output leads: wide ones would hide changes of the force. The narrowest
         removes some of the noise.
         """
-        basis, loops = self.basis, self.basis.groups.get("hysteresis")
+        basis = self.basis
+        loops = self.basis.groups.get("hysteresis")
         if loops is None or basis.loops == 1:
             return mean
         own = np.arange(loops.start, loops.stop).reshape(basis.loops, basis.joints)
@@ -197,7 +201,8 @@ class FreeMotionFit:
         of its information.
         """
         count = torque.shape[2]
-        information, evidence = np.zeros((count, count)), np.zeros(count)
+        information = np.zeros((count, count))
+        evidence = np.zeros(count)
         shared = np.zeros((len(self._mean), count))
         for joint, rows in self._rows():
             weighted = self._whiteners[joint] @ torque[:, joint]

@@ -141,20 +141,21 @@ def all_columns(
     ripple_per_rad: Vector,
 ) -> Array:
     """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
-    (joints, first), count = links.shape, len(states)
+    joints, first = links.shape
+    count = len(states)
     # Regressors of each joint's own parameters, one row per parameter.
     own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
-    own[:count], own[count] = states, age_s
+    own[:count] = states
+    own[count] = age_s
     own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
     if len(ripple_per_rad):
-        own[count + 2], own[count + 3] = (
-            np.sin(ripple_per_rad * q),
-            np.cos(ripple_per_rad * q),
-        )
+        own[count + 2] = np.sin(ripple_per_rad * q)
+        own[count + 3] = np.cos(ripple_per_rad * q)
     columns = np.zeros((joints, joints + first + own.size))
     columns[:, joints : joints + first] = links
     for k in range(joints):
-        columns[k, k], columns[k, joints + first + k :: joints] = 1.0, own[:, k]
+        columns[k, joints + first + k :: joints] = own[:, k]
+        columns[k, k] = 1.0
     return columns
 
 
@@ -176,7 +177,8 @@ class BiasModel:
         n = self.joints = robot.nv
         self.kind: TareKind = kind
         self.prior = prior
-        self._model, self._data = robot.model, robot.create_data()
+        self._data = robot.create_data()
+        self._model = robot.model
         self._still = np.zeros(n)
         self.effort_Nm = known_limits(robot.effort_limit_Nm, prior.fallback_effort_Nm)
         ratio = prior.gear_ratio if kind == "model" else ()
@@ -185,10 +187,8 @@ class BiasModel:
                 f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or none"
             )
         self.ripple_per_rad = 2.0 * np.array(ratio, dtype=np.float64)
-        self.loops, self.elements = (
-            len(prior.hysteresis_widths),
-            len(prior.presliding_rad),
-        )
+        self.loops = len(prior.hysteresis_widths)
+        self.elements = len(prior.presliding_rad)
         self.states = self.loops + self.elements + 2
         std = self._prior_std()
         self.std = np.concatenate(list(std.values()))
@@ -197,7 +197,8 @@ class BiasModel:
 
     def _prior_std(self) -> dict[str, Array]:
         """Prior standard deviations of every group of columns, in order."""
-        prior, effort = self.prior, self.effort_Nm
+        prior = self.prior
+        effort = self.effort_Nm
         if self.kind == "constant":
             return {"offset": 100.0 * prior.offset_fraction * effort}
         links = []
@@ -207,7 +208,8 @@ class BiasModel:
                 prior.com_m, prior.mass_fraction * np.abs(inertia.lever)
             )
             links += [prior.mass_fraction * mass, *moment]
-        coulomb, viscous = prior.friction_fraction, prior.viscous_fraction_s
+        coulomb = prior.friction_fraction
+        viscous = prior.viscous_fraction_s
         std = {
             "offset": prior.offset_fraction * effort,
             "links": np.array(links),
@@ -237,7 +239,8 @@ class BiasModel:
         """H at a position [rad], states and age of the tare [s], shape (n, m)."""
         if self.kind == "constant":
             return np.eye(self.joints)
-        fading_s, ripple_per_rad = self.prior.fading_s, self.ripple_per_rad
+        fading_s = self.prior.fading_s
+        ripple_per_rad = self.ripple_per_rad
         return all_columns(
             self.regressor(q), q, states, age_s, fading_s, ripple_per_rad
         )
@@ -264,7 +267,8 @@ class BiasModel:
         covariance.
         """
         noise = np.diag((1e-3 * self.effort_Nm) ** 2)
-        steady, none = np.zeros(self.joints), np.zeros(len(self.std))
+        steady = np.zeros(self.joints)
+        none = np.zeros(len(self.std))
         return Tare(none, np.diag(self.std**2), noise, steady, self.walk_Nm2_per_s())
 
     def walk_Nm2_per_s(self) -> Array:

@@ -61,7 +61,8 @@ LEAST_OFF = 0.12  # the same if another joint or a lag explains the difference
 UNEXPLAINED = 0.1
 """Fraction that may be left: by a factor of dq's mean square travel, by a lag of the
 difference."""
-LONGEST_LAG_S, LAG_SECONDS = 0.1, 2.0
+LONGEST_LAG_S = 0.1
+LAG_SECONDS = 2.0
 """A longer lag is reported, after so many seconds of motion; a filtered velocity is
 late by only 20 ms."""
 STILL = (
@@ -77,18 +78,21 @@ LEAST_SINGULAR_VALUE = 0.05
 together, as much as the noise of one torque sample; below it the pose is near singular."""
 MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
 MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
-NOW_S, BEFORE_S, USUAL_S = (
-    0.06,
-    0.6,
-    8.0,
-)  # memory of the torque now, before, of their difference
-PUSHED, LET_GO, USUAL, BESIDE = 15.0, 12.0, 6.0, 4.0
+# memory of the torque now, before, of their difference
+NOW_S = 0.06
+BEFORE_S = 0.6
+USUAL_S = 8.0
+PUSHED = 15.0
+LET_GO = 12.0
+USUAL = 6.0
+BESIDE = 4.0
 """Mean square of a torque change that no wrench explains, in units of the usual one.
 From PUSHED on the arm is pushed, until below LET_GO; below USUAL it is learnt as usual.
 From BESIDE on, for what no axial force explains, a rupture is not reported."""
 LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
 LEARNED_S = 1.0  # learning time before anything is called unusual
-LEAST_CHANGE_NM, CHANGE_ERROR = 3e-4, 0.02
+LEAST_CHANGE_NM = 3e-4
+CHANGE_ERROR = 0.02
 """A change up to this may be hysteresis of a joint's sensor; one up to this fraction of
 the largest explained change may be an error of the lever arms."""
 
@@ -121,7 +125,8 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
     """A match that knows one check only, of position [rad] and velocity [rad/s],
     shape (n,).
     """
-    n, still = len(q), np.zeros(len(q))
+    n = len(q)
+    still = np.zeros(len(q))
     sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
     return VelocityMatch(np.stack((q, dq, still, still, still)), *sums)
 
@@ -140,13 +145,17 @@ def travel_step(
     """``motion`` of a `VelocityMatch` at the next check, and whether any joint
     travels.
     """
-    way, way_dq = q - motion[0], 0.5 * dt_s * (dq + motion[1])
+    way = q - motion[0]
+    way_dq = 0.5 * dt_s * (dq + motion[1])
     now = np.zeros_like(motion)
-    now[0], now[1], now[2] = q, dq, way / dt_s
+    now[0] = q
+    now[1] = dq
+    now[2] = way / dt_s
     jump = np.abs(now[2] - motion[2]).max()
     if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
         kept = math.exp(-dt_s / TRAVEL_S)
-        now[3], now[4] = kept * motion[3] + way, kept * motion[4] + way_dq
+        now[3] = kept * motion[3] + way
+        now[4] = kept * motion[4] + way_dq
     return now, bool(travels(now).any())
 
 
@@ -157,16 +166,20 @@ def sums_step(
     """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the
     last motion.
     """
-    a, b = motion[3], motion[4]
-    way, way_dq = motion[0] - last[0], 0.5 * dt_s * (motion[1] + last[1])
+    a = motion[3]
+    b = motion[4]
+    way = motion[0] - last[0]
+    way_dq = 0.5 * dt_s * (motion[1] + last[1])
     tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
         np.abs(way), np.abs(way_dq)
     )
     beyond = np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2
     own = np.stack((b, a, (a - last[3]) / dt_s), axis=1)
     pairs = own.reshape(-1, 3, 1) * own.reshape(-1, 1, 3)
-    faded, moves = 1.0 - math.exp(-dt_s / MEMORY_S), 1.0 * travels(motion)
-    each, row = moves.reshape(-1, 1), (a * a).reshape(1, -1)
+    faded = 1.0 - math.exp(-dt_s / MEMORY_S)
+    moves = 1.0 * travels(motion)
+    each = moves.reshape(-1, 1)
+    row = (a * a).reshape(1, -1)
     return (
         sums[0] + moves * (dt_s - faded * sums[0]),
         sums[1] + moves * (dt_s * beyond - faded * sums[1]),
@@ -192,11 +205,9 @@ def velocity_fault(match: VelocityMatch) -> str:
     """What is wrong with velocities, joint by joint, with likely reasons; empty if
     nothing is.
     """
-    square_dq, product, own = (
-        match.moments[:, 0, 0],
-        match.moments[:, 0, 1],
-        match.moments[:, 1, 1],
-    )
+    square_dq = match.moments[:, 0, 0]
+    product = match.moments[:, 0, 1]
+    own = match.moments[:, 1, 1]
     differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
     if not differs.any():
         return ""
@@ -205,9 +216,11 @@ def velocity_fault(match: VelocityMatch) -> str:
     joints: dict[str, list[int]] = {}
     is_sure = False
     for i in np.flatnonzero(off).tolist():
-        fault, least = _other_joint(match, i, off) or _late(match, i), LEAST_BEYOND
+        fault = _other_joint(match, i, off) or _late(match, i)
+        least = LEAST_BEYOND
         if not fault and difference[i] > MOST_OFF**2 * own[i]:
-            fault, least = _factor(match, i), MOST_OFF
+            fault = _factor(match, i)
+            least = MOST_OFF
         if fault:
             joints.setdefault(fault, []).append(i)
             is_sure |= bool(match.beyond[i] > least**2 * own[i])
@@ -222,11 +235,9 @@ def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
     """The joint whose rate dq of joint i is, if there is one; its own dq must be
     wrong, too.
     """
-    squares, products, square_dq = (
-        match.squares[i],
-        match.products[i],
-        match.moments[i, 0, 0],
-    )
+    squares = match.squares[i]
+    products = match.products[i]
+    square_dq = match.moments[i, 0, 0]
     is_right = (match.seconds >= LEAST_SECONDS) & ~off
     moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
     left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
@@ -249,7 +260,8 @@ def _late(match: VelocityMatch, i: int) -> str:
     found = np.linalg.solve(normal, others)
     late_s = -found[1]
     left = square_dq - found.dot(others)
-    difference, explained = square_dq - 2.0 * product + own, late_s**2 * change
+    difference = square_dq - 2.0 * product + own
+    explained = late_s**2 * change
     is_all = left < UNEXPLAINED * difference < 2.0 * UNEXPLAINED * explained
     if abs(late_s) < LONGEST_LAG_S or not is_all:
         return ""
@@ -268,10 +280,12 @@ def _factor(match: VelocityMatch, i: int) -> str:
         return "moves while q stands still: is q sent at all?"
     if product**2 < (1.0 - UNEXPLAINED) * square_dq * own:
         return "does not follow q: is it late, stale, or another joint's?"
-    factor, reason = float(f"{product / own:.2g}"), OTHER_FACTOR
+    factor = float(f"{product / own:.2g}")
+    reason = OTHER_FACTOR
     for known, text in FACTORS.items():
         if abs(abs(product) / own / known - 1.0) < NEAR:
-            factor, reason = math.copysign(known, product), text
+            factor = math.copysign(known, product)
+            reason = text
     if factor < 0.0 and factor != -1.0:
         reason = f"is its sign the other one, and {reason}"
     return f"is {factor:.3g} times the rate of q: {reason}"
@@ -338,8 +352,11 @@ def change_step(
     """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` >
     0 later.
     """
-    torques, square = last.copy(), 0.0
-    now, before, usual = torques[0], torques[1], torques[2:]
+    torques = last.copy()
+    square = 0.0
+    now = torques[0]
+    before = torques[1]
+    usual = torques[2:]
     now -= math.expm1(-dt_s / NOW_S) * (residual - now)
     change = now - before
     if learned_s >= LEARNED_S:
@@ -409,7 +426,8 @@ class ConsistencyMonitor:
         covariance is a fitted one.
         """
         found = SensorWarning.NONE
-        lower, upper = self._lower, self._upper
+        lower = self._lower
+        upper = self._upper
         at_limit = tuple(
             i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i]
         )
@@ -417,7 +435,8 @@ class ConsistencyMonitor:
             found |= SensorWarning.JOINT_LIMIT
         if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
             found |= SensorWarning.NEAR_SINGULAR
-        widening, last = self.state.widening, self.state.mismatch_squared
+        widening = self.state.widening
+        last = self.state.mismatch_squared
         now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0
         square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
         if square > MOST_MISMATCH**2:
@@ -432,7 +451,8 @@ class ConsistencyMonitor:
             match = first_match(q, dq)
         else:
             match = velocity_match_step(match, q, dq, dt_s)
-        last_match, fault = self.state.match, self.velocity_fault
+        last_match = self.state.match
+        fault = self.velocity_fault
         self.state = MonitorState(square, widening, int(found), at_limit, match, change)
         # While nothing moves the sums stay.
         if match is None or last_match is None or match.beyond is not last_match.beyond:
@@ -443,7 +463,8 @@ class ConsistencyMonitor:
         """The next `TorqueChange`: how far torques have changed as no wrench changes
         them.
         """
-        last, n = self.state.change, len(residual)
+        last = self.state.change
+        n = len(residual)
         if last is None or dt_s <= 0.0:
             return last or TorqueChange(
                 np.vstack((residual, residual, np.zeros((n, n))))
@@ -489,10 +510,8 @@ class ConsistencyMonitor:
         is_off = self.state.widening * square > MOST_MISMATCH**2
         found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
         if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
-            axial, torques = (
-                self._wrench.kinematics.axial_jacobian[None],
-                change.torques,
-            )
+            axial = self._wrench.kinematics.axial_jacobian[None]
+            torques = change.torques
             if (
                 unusual_change(axial, torques[0] - torques[1], torques[2:], BESIDE)
                 > BESIDE
@@ -524,7 +543,8 @@ class ConsistencyMonitor:
         self._report("" if state.match is None else velocity_fault(state.match))
 
     def _report(self, velocity_fault: str) -> None:
-        self.velocity_fault, self.message = velocity_fault, ""
+        self.velocity_fault = velocity_fault
+        self.message = ""
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)
         if self.velocity_fault:

@@ -117,7 +117,9 @@ class WrenchEstimate(NamedTuple):
     @classmethod
     def unknown(cls, joints: int, components: int) -> Self:
         """An estimate that knows nothing, for a first sample that is bad."""
-        nothing, residual, removed = np.zeros(3), np.zeros(joints), np.zeros(components)
+        nothing = np.zeros(3)
+        residual = np.zeros(joints)
+        removed = np.zeros(components)
         unknown = np.diag(np.full(components, UNSEEN_STD**2))
         for array in (nothing, residual, removed, unknown):
             array.setflags(write=False)

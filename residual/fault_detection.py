@@ -95,7 +95,8 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     The Jacobian is that of the tool's linear velocity, shape (3, n), the scale the jump
     that each joint may make without a reason [Nm], shape (n,).
     """
-    levers, wanted = jacobian.T / scale[:, None], jump / scale
+    levers = jacobian.T / scale[:, None]
+    wanted = jump / scale
     force = np.linalg.lstsq(levers, wanted, rcond=None)[0]
     left = wanted - levers.dot(force)
     is_explained = left.dot(left) <= MOST_UNEXPLAINED**2 * wanted.dot(wanted)
@@ -162,7 +163,8 @@ class FaultDetector:
     ) -> None:
         n = self._joints = robot.nv
         size = (3 if has_velocity else 2) * n
-        self._has_velocity, self._delay_s = has_velocity, velocity_delay_s
+        self._has_velocity = has_velocity
+        self._delay_s = velocity_delay_s
         # Infinite, or those of a large arm, where the description gives none.
         self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
         self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
@@ -237,22 +239,28 @@ class FaultDetector:
         Its joint velocity [rad/s] is measured or estimated; ``dt_s`` is 0 for the first
         sample.
         """
-        memory, probe = self.memory, self.memory.probe
-        memory.before, memory.step_s = memory.last, dt_s
-        memory.last, memory.velocity = now, velocity
+        memory = self.memory
+        probe = self.memory.probe
+        memory.before = memory.last
+        memory.step_s = dt_s
+        memory.last = now
+        memory.velocity = velocity
         position_repeats, motion_repeats, torque_repeats = self._repeats
         if position_repeats:
             memory.held_s += dt_s
             memory.swept = self._sweep(velocity, dt_s)
         elif memory.held_s:
-            memory.held_s, memory.swept = 0.0, None
+            memory.held_s = 0.0
+            memory.swept = None
         learning = probe is not None
         if motion_repeats or memory.motion.repeats:
             memory.motion.accept(motion_repeats, dt_s, learning=learning)
         if torque_repeats or memory.torque.repeats:
             memory.torque.accept(torque_repeats, dt_s, learning=learning)
         if memory.missed_s:
-            memory.rejected, memory.missed_s, memory.stayed_s = None, 0.0, 0.0
+            memory.rejected = None
+            memory.missed_s = 0.0
+            memory.stayed_s = 0.0
         if probe is not None and (rows := probe.add(now, dt_s)) is not None:
             self._learn(rows)
         memory.age_s += dt_s
@@ -265,7 +273,8 @@ class FaultDetector:
 
         A source of positions that is slower than the clock makes up for it in one step.
         """
-        memory, speed = self.memory, np.abs(velocity)
+        memory = self.memory
+        speed = np.abs(velocity)
         if not self._has_velocity:
             speed = speed + HELD_ACCELERATION_RAD_S2 * min(
                 memory.held_s, stuck.LONGEST_USUAL_S
@@ -281,7 +290,8 @@ class FaultDetector:
         """The first half second, shape (m, size), is over: learn noise and
         resolution.
         """
-        n, memory = self._joints, self.memory
+        n = self._joints
+        memory = self.memory
         # Each signal by its own clock: what mostly repeats would seem to have no noise.
         signals = np.split(rows, rows.shape[1] // n, axis=1)
         memory.noise = np.concatenate(
@@ -344,10 +354,12 @@ class FaultDetector:
         has_moved = bool(beyond[0].any())
         if dt_s > LONGEST_HOLD_S:
             return has_moved and memory.missed_s > 0.0
-        since_s, rejected = dt_s - memory.missed_s, memory.rejected
+        since_s = dt_s - memory.missed_s
+        rejected = memory.rejected
         agrees = rejected is not None and not self._beyond(now, rejected, since_s).any()
         memory.stayed_s = memory.stayed_s + since_s if agrees else 0.0
-        memory.missed_s, memory.rejected = dt_s, now
+        memory.missed_s = dt_s
+        memory.rejected = now
         if memory.stayed_s >= STAYED_S - ROUNDING_S:
             return has_moved
         jumped = named_joints(np.flatnonzero(beyond.any(axis=0)))
@@ -361,7 +373,9 @@ class FaultDetector:
         """Which signals have jumped further than an arm or a contact can, shape
         (signals, n).
         """
-        n, memory, velocity = self._joints, self.memory, self.memory.velocity
+        n = self._joints
+        memory = self.memory
+        velocity = self.memory.velocity
         change = now - last
         gates = self._gates.copy()
         # A tick too: a sample that comes twice is no spike.

@@ -13,7 +13,8 @@ import numpy as np
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
 from residual.errors import Array
 
-TORQUE_LAG_S, POSITION_LAG_S = 0.05, 0.01
+TORQUE_LAG_S = 0.05
+POSITION_LAG_S = 0.01
 """Lags of the torque and the position that are followed [s]. The residual is 14 ms
 late: states that are much later than it turn round too late in each stroke, and
 hysteresis and friction are confused."""

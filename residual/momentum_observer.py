@@ -54,7 +54,9 @@ RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
 """Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and
 tau [Nm]."""
 END = 4  # the last four at the end of the tick follow in the same order
-BEFORE, ROWS = 5, 9  # so many rows are known before the tick, and so many there are
+# so many rows are known before the tick, and so many there are
+BEFORE = 5
+ROWS = 9
 Motion = tuple[Matrix, Matrix]  # see `momentum_step`
 Joints = tuple[Matrix, Matrix, Vector]  # likewise
 
@@ -73,11 +75,15 @@ def set_step_weights(
     """
     for k in range(len(gains_per_s)):
         gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
-        row, half = weights[k], 0.5 * gained
+        row = weights[k]
+        half = 0.5 * gained
         row[RESIDUAL] = 1.0 - gained
-        row[MOMENTUM], row[MOMENTUM + END] = -gained / dt_s, gained / dt_s
-        row[CORIOLIS], row[CORIOLIS + END] = -half, -half
-        row[GRAVITY], row[GRAVITY + END] = half, half
+        row[MOMENTUM] = -gained / dt_s
+        row[MOMENTUM + END] = gained / dt_s
+        row[CORIOLIS] = -half
+        row[CORIOLIS + END] = -half
+        row[GRAVITY] = half
+        row[GRAVITY + END] = half
         row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
@@ -85,7 +91,8 @@ def _momentum_by_numpy(
     motion: Motion, joints: Joints, velocity: Array, rows: Array
 ) -> None:
     """`set_momentum` where nothing compiles."""
-    (twists, momenta), (directions, crossing, armature) = motion, joints
+    twists, momenta = motion
+    directions, crossing, armature = joints
     directions.dot(momenta.ravel(), rows[MOMENTUM + END])
     if armature.size:
         rows[MOMENTUM + END] += armature * velocity
@@ -100,14 +107,17 @@ def set_momentum(
     """Write momentum p and C' dq at the end of a tick; arguments as of
     `momentum_step`.
     """
-    (twists, momenta), (directions, crossing, armature) = motion, joints
+    twists, momenta = motion
+    directions, crossing, armature = joints
     for j in range(len(velocity)):
-        along, turned = armature[j] * velocity[j] if armature.size else 0.0, 0.0
+        along = armature[j] * velocity[j] if armature.size else 0.0
+        turned = 0.0
         for a in range(6):
             along += directions[j, 6 * j + a] * momenta[j, a]
             for b in range(6):
                 turned += momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
-        rows[MOMENTUM + END, j], rows[CORIOLIS + END, j] = along, turned
+        rows[MOMENTUM + END, j] = along
+        rows[CORIOLIS + END, j] = turned
 
 
 @compiled
@@ -236,7 +246,8 @@ class MomentumObserver:
             )
         if friction is not None:
             check_friction(friction, n)
-        self._model, self._friction = robot.model, friction
+        self._model = robot.model
+        self._friction = friction
         axes = [joint_axis(joint) for joint in list(robot.model.joints)[1:]]
         # v x S = -(S x v)
         crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in axes)))
@@ -293,14 +304,19 @@ class MomentumObserver:
         """As `update`, for a checked time step and one contiguous array of shape (3,
         n).
         """
-        memory, q, dq = self.memory, sample[0], sample[1]
+        memory = self.memory
+        q = sample[0]
+        dq = sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
             set_step_weights(self._weights, self._gains, dt_s, self._held)
             self._dt_s = dt_s
-        rows, weights, threshold = memory.rows, self._weights, self._noise_threshold
-        model, data = self._model, self._data
+        rows = memory.rows
+        weights = self._weights
+        threshold = self._noise_threshold
+        model = self._model
+        data = self._data
         load = pin.computeGeneralizedGravity(model, data, q)
         if self._friction is not None:
             # A model that writes into its argument must not change the caller's sample.
@@ -308,7 +324,8 @@ class MomentumObserver:
             still.setflags(write=False)
             load += self._friction.torque(still)
         pin.computeCentroidalMomentum(model, data, q, dq)
-        motion, joints = self._motion, self._directions
+        motion = self._motion
+        joints = self._directions
         if not momentum_step(
             rows, motion, joints, load, sample, weights, threshold, dt_s
         ):
@@ -351,7 +368,9 @@ class MomentumObserver:
             ConfigurationError: If it belongs to a robot with another number of joints,
                 or is damaged; nothing has then changed.
         """
-        rows, noise, n = memory.rows, memory.noise, self._joints
+        rows = memory.rows
+        noise = memory.noise
+        n = self._joints
         if rows.shape != (ROWS, n):
             raise ConfigurationError(
                 f"state has rows of shape {rows.shape}, expected {(ROWS, n)}"
@@ -383,7 +402,9 @@ def _shared_rows(vectors: Any) -> Array:
     """The spatial vectors of all joints of a Pinocchio workspace, in place, shape
     (n, 6).
     """
-    first, last, step = vectors[1].vector, vectors[len(vectors) - 1].vector, 6 * 8
+    first = vectors[1].vector
+    last = vectors[len(vectors) - 1].vector
+    step = 6 * 8
     rows = np.lib.stride_tricks.as_strided(first, (len(vectors) - 1, 6), (step, 8))
     if rows[-1].ctypes.data != last.ctypes.data:
         raise ConfigurationError(

@@ -78,18 +78,21 @@ class SampleStream:
         is_external: bool = False,
     ) -> None:
         n = self._joints = robot.nv
-        self.is_external, self.has_velocity = is_external, has_velocity
+        self.is_external = is_external
+        self.has_velocity = has_velocity
         torque = "external_torque" if is_external else "tau"
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
         self._velocity = self._guard = self._observer = None
         delay_s = self.lag_s = self.filter_lag_s = 0.0
-        alignment, gap_s = config.alignment, config.max_gap_s + ROUNDING_S
+        alignment = config.alignment
+        gap_s = config.max_gap_s + ROUNDING_S
         if not has_velocity:
             self._velocity = VelocityEstimator(
                 n, config.velocity_bandwidth_per_s, alignment=alignment, max_gap_s=gap_s
             )
             # The matched filter hands on a continuous torque.
-            delay_s, alignment = self._velocity.delay_s, "trapezoid"
+            delay_s = self._velocity.delay_s
+            alignment = "trapezoid"
         if config.guard:
             # Without an offset forces are tried at the tool frame, whatever frame is
             # asked for.
@@ -106,7 +109,8 @@ class SampleStream:
             )
             self.filter_lag_s = 1.0 / config.slowest_gain_per_s
             self.lag_s = self.filter_lag_s + delay_s
-        self._model, self._data = robot.model, robot.create_data()
+        self._data = robot.create_data()
+        self._model = robot.model
         self._adds_gravity = config.torque_is_gravity_compensated and not is_external
         self._max_gap_s = gap_s
         self._settling_s = SETTLING_LAGS * self.filter_lag_s - ROUNDING_S
@@ -136,7 +140,8 @@ class SampleStream:
             rows = rows.copy()
             rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
             rows.setflags(write=False)
-        now, guard = rows.ravel(), self._guard
+        now = rows.ravel()
+        guard = self._guard
         # What is hardly off the last sample needs no other check, nor one of its
         # numbers.
         if guard is None or not guard.surely_passes(now):
@@ -153,11 +158,15 @@ class SampleStream:
         return sample
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:
-        memory, observer, last_s = self.memory, self._observer, dt_s
-        found, settled = rows, True
+        memory = self.memory
+        observer = self._observer
+        last_s = dt_s
+        found = rows
+        settled = True
         if self._velocity is not None:
             found, settled = self._velocity.step(rows, dt_s)
-        q, dq = found[0], found[1]
+        q = found[0]
+        dq = found[1]
         if observer is None:
             return TorqueSample(q, dq, rows[-1], rows[-1], settled)
         if self._velocity is not None:

@@ -52,11 +52,9 @@ def arrays(node: Any, place: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
             raise SnapshotError(f"{place} cannot be {str(node)[:80]}")
     hints = get_type_hints(type(node)) if _names(node) else {}
     for name in _names(node):
-        part, hint, where = (
-            getattr(node, name),
-            hints[name],
-            f"{place}.{name}" if place else name,
-        )
+        part = getattr(node, name)
+        hint = hints[name]
+        where = f"{place}.{name}" if place else name
         given = get_args(hint) if isinstance(hint, UnionType) else (hint,)
         kinds = tuple(get_origin(kind) or kind for kind in given)
         if Literal not in kinds and not isinstance(part, kinds):
@@ -78,7 +76,8 @@ def settings_text(config: Any, joints: int) -> str:
         for name in _names(config)
         if name != "friction"
     ]
-    friction, text = config.friction, "None"
+    friction = config.friction
+    text = "None"
     if friction is not None:
         found = hashlib.sha256()
         for speed in (*_SPEEDS_RAD_S, *-_SPEEDS_RAD_S):
@@ -129,7 +128,8 @@ def robot_digest(robot: Robot) -> str:
     return found.hexdigest()
 
 
-TRIED, TRIED_S = 3, 0.03
+TRIED = 3
+TRIED_S = 0.03
 """Steps of a trial, each long enough that everything which changes slowly is
 renewed."""
 

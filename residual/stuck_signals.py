@@ -18,10 +18,9 @@ from residual.errors import Array
 from residual.input_validation import ROUNDING_S
 
 ORDER = 3  # of the differences: a smooth motion has almost none over three ticks
-LEAST_S, LEAST_REPEATS = (
-    0.02,
-    8,
-)  # no shorter repeat counts as a stuck source, whatever the signal
+# no shorter repeat counts as a stuck source, whatever the signal
+LEAST_S = 0.02
+LEAST_REPEATS = 8
 FAR_LONGER = 20.0  # times the longest repeat of the first half second
 LONGEST_USUAL_S = (
     0.1  # no source of positions or torques is slower than ten samples a second
@@ -35,10 +34,9 @@ LEAST_WHITENESS = 0.5
 smooth motion that has none."""
 ROUNDING = 1e-9  # no smaller difference counts as one [rad, rad/s, Nm]
 LEAST_ROWS = 16
-LEAST_SAMPLES, MOST_SAMPLES = (
-    32,
-    2048,
-)  # of which noise is learnt, however slow or fast the clock
+# of which noise is learnt, however slow or fast the clock
+LEAST_SAMPLES = 32
+MOST_SAMPLES = 2048
 
 
 def new_rows(rows: Array) -> Array:
@@ -163,7 +161,8 @@ class SingleSignalDetector:
         last check.
         """
         self.still_s = (values == self.values) * (self.still_s + dt_s)
-        self.values, self.longest_s = values, max(self.still_s.tolist())
+        self.longest_s = max(self.still_s.tolist())
+        self.values = values
         return (
             np.flatnonzero(self.still_s >= self.limit_s).tolist()
             if self.longest_s

@@ -19,14 +19,17 @@ IMPLAUSIBLE = (
     32.0  # Times the prior's drift or walk: so does a needle in tissue, no sensor
 )
 
-MOST_LEFT, MOST_LEFT_BY_A_MASS = 0.2, 0.6
+MOST_LEFT = 0.2
+MOST_LEFT_BY_A_MASS = 0.6
 """Fraction of the residual, rms, that an explanation may leave over; offsets are
 among it."""
 LEAST_OFFSETS = (
     3.0  # Residual, in the offset's prior deviations, beyond which a cause is sought
 )
 NEAR = 0.15  # so near to a factor with a reason a factor is that one
-STILL_RAD, MOVED_RAD = 1e-9, 0.01  # Rounding of a mean; a way that moves every encoder
+# Rounding of a mean; a way that moves every encoder
+STILL_RAD = 1e-9
+MOVED_RAD = 0.01
 OFFSET_BLOCKS = 10.0
 FURTHEST_M = 0.5  # no hand or tool has its centre of mass further from the last joint
 
@@ -50,13 +53,12 @@ def check_free_of_contact(
     residual is one that the robot sends itself. `TareError` with the force seen, or the
     likely reason.
     """
-    basis, blocks = fit.basis, fit.blocks
+    basis = fit.basis
+    blocks = fit.blocks
     seen = [_beyond_prior(basis, blocks, wrench)]
     if seen[0][0] == 0.0:
-        at_prior, axis = (
-            FreeMotionFit(basis, blocks, learn=False),
-            -wrench.kinematics.axis_in_tool,
-        )
+        at_prior = FreeMotionFit(basis, blocks, learn=False)
+        axis = -wrench.kinematics.axis_in_tool
         torque = np.empty(
             (*blocks.q_rad.shape, 3)
         )  # per newton on the tip, along the tool's axes
@@ -93,21 +95,22 @@ def _beyond_prior(
     """Axial force that no error of the prior's size makes, and its std; zeros if
     there is none.
     """
-    prior, worst, excess = basis.prior_tare, (0.0, 0.0), SIGMAS
+    prior = basis.prior_tare
+    worst = (0.0, 0.0)
+    excess = SIGMAS
     for part in np.array_split(
         np.arange(len(blocks.age_s)), min(INTERVALS, len(blocks.age_s))
     ):
         k = part[len(part) // 2]
-        q, age_s = blocks.q_rad[k], abs(float(blocks.age_s[k]))
+        q = blocks.q_rad[k]
+        age_s = abs(float(blocks.age_s[k]))
         wrench.set_torque_covariance(
             basis.covariance_Nm2(prior, q, blocks.states[k], age_s)
         )
         seen = wrench.estimate(q, blocks.residual_Nm[part].mean(axis=0))
         if abs(seen.axial) > excess * seen.axial_std:
-            worst, excess = (
-                (seen.axial, seen.axial_std),
-                abs(seen.axial) / seen.axial_std,
-            )
+            worst = (seen.axial, seen.axial_std)
+            excess = abs(seen.axial) / seen.axial_std
     return worst
 
 
@@ -159,21 +162,19 @@ def _best_interval(information: Array, evidence: Array) -> tuple[int, int]:
     forces per part.
     """
     count = len(evidence) // 3
-    information, evidence = (
-        information.reshape(count, 3, count, 3),
-        evidence.reshape(count, 3),
-    )
-    best, most = (0, count), 0.0
+    information = information.reshape(count, 3, count, 3)
+    evidence = evidence.reshape(count, 3)
+    best = (0, count)
+    most = 0.0
     for first in range(count):
         for last in range(first + 1, count + 1):
             own = slice(first, last)
-            known, seen = (
-                information[own, :, own].sum(axis=(0, 2)),
-                evidence[own].sum(axis=0),
-            )
+            known = information[own, :, own].sum(axis=(0, 2))
+            seen = evidence[own].sum(axis=0)
             gain = float(seen @ np.linalg.lstsq(known, seen, rcond=1e-9)[0])
             if gain > most:
-                best, most = (first, last), gain
+                best = (first, last)
+                most = gain
     return best
 
 
@@ -270,10 +271,8 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     columns = np.vstack((np.hstack((masses, offsets)), prior))
     # Directions that a short motion does not show stay at zero.
     found = np.linalg.lstsq(columns, np.append(residual, np.zeros(n)), rcond=1e-3)[0]
-    mass, is_body = (
-        float(found[0]),
-        np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0]),
-    )
+    mass = float(found[0])
+    is_body = np.linalg.norm(found[1:4]) < FURTHEST_M * abs(found[0])
     if not is_body or _rms(residual - masses @ found[:4]) > MOST_LEFT_BY_A_MASS * _rms(
         residual
     ):

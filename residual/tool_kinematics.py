@@ -47,14 +47,16 @@ class ToolKinematics:
     ) -> None:
         self.axis_in_tool = unit_axis(insertion_axis)
         frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
-        at, offset_m = robot.model.frames[frame_id], check_offset(offset_m)
+        at = robot.model.frames[frame_id]
+        offset_m = check_offset(offset_m)
         tip = at.placement * pin.SE3(np.eye(3), offset_m)
         self._model = pin.Model(robot.model)
         self._frame_id = self._model.addFrame(
             pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME),
             False,
         )
-        self._data, self._joint = self._model.createData(), at.parentJoint
+        self._data = self._model.createData()
+        self._joint = at.parentJoint
         self._tip = tip.translation.copy(), tip.rotation.dot(self.axis_in_tool)
         self._share()
 

@@ -38,7 +38,9 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     ends.
     """
     tick = bandwidth_per_s * dt_s
-    decay, gained, per_tick = math.exp(-tick), -math.expm1(-tick), 1.0 / tick
+    decay = math.exp(-tick)
+    gained = -math.expm1(-tick)
+    per_tick = 1.0 / tick
     start = gained * per_tick - decay
     first = np.array([decay, 0.0, start, 1.0 - gained * per_tick])
     end = 1.0 + decay - 2.0 * gained * per_tick
@@ -54,10 +56,15 @@ def lag_pair_step(
     shape (3, n).
     """
     n = len(given) // 2
-    rows[3, :n], rows[3, n:] = given[:n], rows[2, n:] if held else given[n:]
-    out, found = factors.dot(rows), np.empty((3, n))
-    rows[:2], rows[2] = out[:2], given
-    found[0], found[1], found[2] = out[1, :n], out[2, :n], out[1, n:]
+    rows[3, :n] = given[:n]
+    rows[3, n:] = rows[2, n:] if held else given[n:]
+    out = factors.dot(rows)
+    found = np.empty((3, n))
+    rows[:2] = out[:2]
+    rows[2] = given
+    found[0] = out[1, :n]
+    found[1] = out[2, :n]
+    found[2] = out[1, n:]
     return found
 
 
@@ -116,9 +123,12 @@ class VelocityEstimator:
         check_positive("joints", joints)
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
-        self._joints, self._bandwidth = int(joints), float(bandwidth_per_s)
-        self._held, self._max_gap_s = alignment == "hold", max_gap_s
-        self._settling_s, self._dt_s = self.SETTLING_LAGS / bandwidth_per_s, math.nan
+        self._joints = int(joints)
+        self._bandwidth = float(bandwidth_per_s)
+        self._held = alignment == "hold"
+        self._max_gap_s = max_gap_s
+        self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
+        self._dt_s = math.nan
         self.memory = VelocityState(np.zeros((ROWS, 2 * self._joints)))
 
     @property
@@ -150,16 +160,17 @@ class VelocityEstimator:
         The sample is position and torque, shape (2, n), contiguous; what a
         `MatchedSample` holds is returned, its arrays as one, shape (3, n).
         """
-        memory, rows, given = self.memory, self.memory.rows, sample.ravel()
+        memory = self.memory
+        rows = self.memory.rows
+        given = sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:
             rows[:] = given
-            memory.age_s, memory.started = 0.0, True
+            memory.age_s = 0.0
+            memory.started = True
             return np.stack((sample[0], np.zeros(self._joints), sample[1])), False
         if dt_s != self._dt_s:  # on an even clock that is once
-            self._coefficients, self._dt_s = (
-                lag_pair_coefficients(self._bandwidth, dt_s),
-                dt_s,
-            )
+            self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
+            self._dt_s = dt_s
         found = lag_pair_step(rows, self._coefficients, given, self._held)
         memory.age_s += dt_s
         return found, memory.age_s >= self._settling_s - ROUNDING_S

@@ -85,7 +85,9 @@ class VirtualForceSensor:
     __copy__ = deepcopy  # A shallow copy would share what every sample changes
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
-        self._robot, self._config, self._digest = robot, config, robot_digest(robot)
+        self._digest = robot_digest(robot)
+        self._robot = robot
+        self._config = config
         SampleStream(
             robot, config, has_velocity=True
         )  # refuses what does not fit the robot now
@@ -250,14 +252,17 @@ class VirtualForceSensor:
         self._restart()
         self._before = self._last = None
         self._clock = SampleClock(self._config.max_gap_s)
-        self.rejected, self._refusal = 0, ""
+        self.rejected = 0
+        self._refusal = ""
 
     def _restart(self) -> None:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
         self._followed = working_copy(np.zeros((3, self._wrench.size)))
-        self._follows, self._unchecked_s, self._waiting = False, 0.0, 2
+        self._follows = False
+        self._unchecked_s = 0.0
+        self._waiting = 2
 
     @property
     def filter_lag_s(self) -> float:
@@ -327,10 +332,14 @@ class VirtualForceSensor:
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed, self._follows = working_copy(state.wrench), state.follows
-        self.lag_s, self._unchecked_s = state.lag_s, state.unchecked_s
-        self._waiting, self._clock.missed_s = state.waiting, state.missed_s
-        self._last, self.rejected = state.last, state.rejected
+        self._followed = working_copy(state.wrench)
+        self._follows = state.follows
+        self.lag_s = state.lag_s
+        self._unchecked_s = state.unchecked_s
+        self._waiting = state.waiting
+        self._clock.missed_s = state.missed_s
+        self._last = state.last
+        self.rejected = state.rejected
         if state.last is not None:
             for value in state.last:
                 if isinstance(value, np.ndarray):  # it may be handed out again
@@ -371,17 +380,23 @@ class VirtualForceSensor:
         """Remove the offset, project, and say what the caller should know."""
         q, dq, tau, residual, settled = sample
         self._clock.missed_s = 0.0
-        self.elapsed_s, self.lag_s = elapsed_s, stream.lag_s
-        offset, wrench, monitor = self._offset, self._wrench, self._monitor
-        renewed, bias = offset.follow(q, dq, tau, elapsed_s), offset.memory
+        self.elapsed_s = elapsed_s
+        self.lag_s = stream.lag_s
+        offset = self._offset
+        wrench = self._wrench
+        monitor = self._monitor
+        renewed = offset.follow(q, dq, tau, elapsed_s)
+        bias = offset.memory
         if settled and not bias.tared:
             offset.record(residual, elapsed_s)
         self._unchecked_s += elapsed_s
-        waiting, checks = self._waiting, False
+        waiting = self._waiting
+        checks = False
         if renewed or waiting:
             # The tick after a renewal checks, the next one weighs; what waits still, as
             # with a slow clock and in the first tick, is done with the next renewal.
-            checks, weighs = waiting == 2, waiting == 1 or (renewed and waiting == 2)
+            checks = waiting == 2
+            weighs = waiting == 1 or (renewed and waiting == 2)
             self._waiting = 2 if renewed else waiting - 1
             if weighs and (offset.is_covariance_due or monitor.wants_widening):
                 self._weigh()
@@ -396,7 +411,9 @@ class VirtualForceSensor:
             sent = dq if stream.has_velocity else None
             monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
             self._unchecked_s = 0.0
-        status, message, warnings = _OK, monitor.message, monitor.warnings
+        status = _OK
+        message = monitor.message
+        warnings = monitor.warnings
         if (
             not (settled and bias.tared)
             or bias.leapt_s
@@ -414,7 +431,8 @@ class VirtualForceSensor:
         self, stream: SampleStream, *, settled: bool
     ) -> tuple[Status, str, SensorWarning]:
         """Status, message and warnings of a sample that is not simply a good one."""
-        offset, monitor = self._offset, self._monitor
+        offset = self._offset
+        monitor = self._monitor
         warnings = monitor.warnings
         if stream.warning:
             warnings |= SensorWarning.FROZEN
@@ -433,7 +451,8 @@ class VirtualForceSensor:
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """The last valid estimate again; the time of a bad sample still passes."""
-        self.rejected, self._refusal = self.rejected + 1, str(error)
+        self._refusal = str(error)
+        self.rejected = self.rejected + 1
         last = self._last
         if last is None:
             last = WrenchEstimate.unknown(self._robot.nv, COMPONENTS[self._config.mode])

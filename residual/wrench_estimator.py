@@ -30,7 +30,8 @@ EXPECTED_TORQUE_NM = (
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 # Compiled code uses constants of its own file only.
-_UNSEEN, _CONDITIONING = UNSEEN_STD**2, MOST_CONDITIONING
+_UNSEEN = UNSEEN_STD**2
+_CONDITIONING = MOST_CONDITIONING
 _LEAST_NOISE_N2 = 1e-12  # Keeps quotients by the noise finite
 MOST_TURN_RAD = 1e-3
 """A gain is used until the joints together have moved so far: the force is then off by
@@ -155,7 +156,8 @@ def smoothing_step(
     Returns how far the smoothed force is behind afterwards, as `split_force` does.
     """
     # Python's own floats where nothing compiles: those of numpy take twice as long.
-    x, y = float(wrench[0] - smoothed[0]), float(wrench[1] - smoothed[1])
+    x = float(wrench[0] - smoothed[0])
+    y = float(wrench[1] - smoothed[1])
     z = float(wrench[2] - smoothed[2])
     along, across_squared = split_force(axis, x, y, z)
     # Two components of the lateral force are noisy.
@@ -211,13 +213,16 @@ def wrench_step(
     unsmoothed, _ = split_force(
         axis, float(wrench[0]), float(wrench[1]), float(wrench[2])
     )
-    smoothed, followed, hidden = memory[0], memory[1], memory[2]
+    smoothed = memory[0]
+    followed = memory[1]
+    hidden = memory[2]
     smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
     for k in range(len(found)):
         found[k] = smoothed[k]
     along, across_squared = split_force(axis, smoothed[0], smoothed[1], smoothed[2])
     missed, missed_across = smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    variance, variance_across = axis[3], axis[4]
+    variance = axis[3]
+    variance_across = axis[4]
     kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
     square = max(missed * missed - variance, kept * hidden[0])
     # Two components of the lateral force are noisy.
@@ -292,7 +297,8 @@ class WrenchEstimator:
             robot, config.frame, config.insertion_axis, config.tool_offset_m
         )
         self._in_base = config.axes == "base"
-        self._joints, size = robot.nv, COMPONENTS[config.mode]
+        self._joints = robot.nv
+        size = COMPONENTS[config.mode]
         self.size = max(size, 3)
         # Components of force and torque, in the frame's axes, that each unknown stands
         # for.
@@ -342,7 +348,8 @@ class WrenchEstimator:
             raise ConfigurationError(
                 "covariance_Nm2 is not finite, symmetric, positive definite"
             )
-        self.torque_covariance, self._inverse = covariance, inverse
+        self.torque_covariance = covariance
+        self._inverse = inverse
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed = smoothed
 
@@ -368,16 +375,20 @@ class WrenchEstimator:
         """Compute the gain at a configuration [rad], shape (n,); `solve` uses it
         until the next.
         """
-        tool, directions = self.kinematics, self._directions
+        tool = self.kinematics
+        directions = self._directions
         tool.update(q)
-        jacobian, axis, size = tool.jacobian, tool.axis_in_tool, self.size
+        jacobian = tool.jacobian
+        axis = tool.axis_in_tool
+        size = self.size
         if self._in_base:
             turn = tool.pose[:3, :3]
             jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
             axis = turn.dot(axis)
         if len(directions) == 1:
             directions = np.concatenate((axis, _NOTHING))[None]
-        rows, inverse = directions.dot(jacobian), self._inverse
+        rows = directions.dot(jacobian)
+        inverse = self._inverse
         precision = inverse if self._weighted else np.eye(self._joints)
         error = self.torque_covariance - self._smoothed
         gain, covariance, conditioning, removed = weighted_inverse(
@@ -414,7 +425,8 @@ class WrenchEstimator:
         `SampleError` for numbers that are not finite.
         """
         rows, axis, reported, _, _ = self.gain
-        left, found = residual - offset, np.empty(self.size)
+        left = residual - offset
+        found = np.empty(self.size)
         numbers = wrench_step(q, left, rows, axis, lags, memory, found)
         if not math.isfinite(numbers[0]):
             self.weigh(q)

@@ -78,7 +78,8 @@ def measured(page, size):
     assert "<script" not in text
     text = text.replace(POLICY, f"{POLICY}; script-src 'unsafe-inline'")
     with tempfile.TemporaryDirectory() as folder:
-        copy, frame = Path(folder) / "copy.html", Path(folder) / "frame.html"
+        copy = Path(folder) / "copy.html"
+        frame = Path(folder) / "frame.html"
         copy.write_text(text.replace("</body>", f"{MEASURE}</body>"), encoding="utf-8")
         frame.write_text(FRAME.format(width=size[0], height=size[1]), encoding="utf-8")
         said = _run(frame).stdout

@@ -55,7 +55,8 @@ def tare_index(run):
 
 def insert(session, last=None, *, with_velocity=True):
     """Every estimate of the short run up to a sample, tared where a user would."""
-    tare, found = tare_index(short_run()), []
+    tare = tare_index(short_run())
+    found = []
     for k, sample in samples(short_run(), with_velocity=with_velocity):
         if k == tare:
             session.tare()

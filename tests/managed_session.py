@@ -18,10 +18,14 @@ FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e
 class Sensor:
     """Stands in for a session: what it reports is set by the test."""
 
-    lag_s, sensor_config = 0.014, SensorConfig()
+    lag_s = 0.014
+    sensor_config = SensorConfig()
 
     def __init__(self):
-        self.tared, self.estimate, self.refuses, self.zero = False, FIRST, False, 0
+        self.tared = False
+        self.estimate = FIRST
+        self.refuses = False
+        self.zero = 0
 
     def update(self, q, dq, tau, dt_s):
         return self.estimate
@@ -35,10 +39,8 @@ class Sensor:
         self.tared = False
 
     def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
-        now, wrench = (
-            self.estimate,
-            {"warnings": SensorWarning.NONE, "message": ""} | wrench,
-        )
+        now = self.estimate
+        wrench = {"warnings": SensorWarning.NONE, "message": ""} | wrench
         self.estimate = now._replace(
             wrench=now.wrench._replace(status=status, **wrench),
             status=status,

@@ -25,7 +25,8 @@ class OpenPage:
     """A tab: evaluate, look at the console, take a picture."""
 
     def __init__(self, socket):
-        self._socket, self._numbers = socket, itertools.count(1)
+        self._numbers = itertools.count(1)
+        self._socket = socket
         self.errors = []
         for method in ("Page.enable", "Runtime.enable", "Log.enable"):
             self.call(method)
@@ -43,7 +44,8 @@ class OpenPage:
             self._note(message)
 
     def _note(self, message):
-        method, found = message.get("method"), message.get("params", {})
+        method = message.get("method")
+        found = message.get("params", {})
         if method == "Runtime.exceptionThrown":
             self.errors.append(str(found["exceptionDetails"])[:300])
         elif method == "Log.entryAdded" and found["entry"]["level"] == "error":
@@ -92,10 +94,8 @@ def open_page(url, size=(1400, 900)):
             command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
         try:
-            place, end_s = (
-                Path(profile) / "DevToolsActivePort",
-                time.monotonic() + START_s,
-            )
+            place = Path(profile) / "DevToolsActivePort"
+            end_s = time.monotonic() + START_s
             while not (place.exists() and place.read_text().count("\n")):
                 assert time.monotonic() < end_s, "the browser has not started"
                 time.sleep(0.1)

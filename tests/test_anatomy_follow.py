@@ -45,7 +45,9 @@ ENTRY_m = ZERO.start_in_base_m + SURFACE_m * ZERO.axis_in_base
 @pytest.fixture(scope="module")
 def whole():
     """Estimates of the insertion, and snapshots above, in and behind the gel."""
-    session, found, kept = InsertionSession(RUN.robot), [], {}
+    session = InsertionSession(RUN.robot)
+    found = []
+    kept = {}
     session.follow(MATCH, ENTRY_m)
     for k, row in samples(RUN):
         if k == TARE:
@@ -61,7 +63,9 @@ def test_estimates_name_the_layer_the_next_boundary_and_the_offset(whole):
     found, kept = whole
     assert found[TARE - 1].plan is None
     (alarm,) = [k for k, e in enumerate(found) if e.identification.rupture is not None]
-    above, before, after = found[TARE + 200], found[alarm - 1000], found[alarm + 200]
+    above = found[TARE + 200]
+    before = found[alarm - 1000]
+    after = found[alarm + 200]
     assert (above.plan.name, above.plan.next_name) == (OUTSIDE, "gel")
     assert kept[TARE - 50].plan.contact_m is None
     assert kept[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
@@ -216,7 +220,8 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
         def __init__(self, host):
             assert host == "127.0.0.9"
             super().__init__()
-            self.weight, self.k = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0]), -1
+            self.weight = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
+            self.k = -1
 
         def read(self):
             self.k += 1

@@ -52,7 +52,10 @@ def touched(points, rng, std=0.5e-3):
     ("count", "is_known"), [(3, True), (4, True), (4, False), (6, False)]
 )
 def test_the_error_at_the_target_is_as_stated(count, is_known):
-    rng, inside, errors, stated = np.random.default_rng(count), [], [], []
+    rng = np.random.default_rng(count)
+    inside = []
+    errors = []
+    stated = []
     for _ in range(1500):
         robot, (rotation, shift) = touched(FRONT_m[:count], rng)
         found = fit_landmarks(
@@ -143,7 +146,9 @@ def rough(points, robot, truth, rng, size=1.0):
 
 
 def test_touches_find_the_surface_among_those_that_slipped():
-    rng, mesh, inside = np.random.default_rng(2), organ(), []
+    rng = np.random.default_rng(2)
+    mesh = organ()
+    inside = []
     surface = Surface("organ", mesh.vertices, mesh.faces)
     for _ in range(12):
         points = touch(mesh, 100, rng)
@@ -175,16 +180,15 @@ def test_surfaces_that_slide_or_spin_are_refused(shape):
     mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
     points = touch(mesh, 100, rng, 0.0)
     robot, truth = touched(points, rng, 0.0)
-    surface, start = (
-        Surface("organ", mesh.vertices, mesh.faces),
-        rough(points, robot, truth, rng),
-    )
+    surface = Surface("organ", mesh.vertices, mesh.faces)
+    start = rough(points, robot, truth, rng)
     with pytest.raises(RegistrationError, match="slides or spins"):
         fit_surface(surface, robot, start)
 
 
 def test_touches_that_cannot_register_are_refused():
-    rng, mesh = np.random.default_rng(4), organ()
+    rng = np.random.default_rng(4)
+    mesh = organ()
     surface = Surface("organ", mesh.vertices, mesh.faces)
     points = touch(mesh, 100, rng)
     robot, truth = touched(points, rng, 0.0)
@@ -201,8 +205,10 @@ def test_touches_that_cannot_register_are_refused():
 
 
 def test_touches_after_the_patient_has_moved_are_refused():
-    rng, mesh = np.random.default_rng(5), organ()
-    surface, wrong = Surface("organ", mesh.vertices, mesh.faces), 0
+    rng = np.random.default_rng(5)
+    mesh = organ()
+    surface = Surface("organ", mesh.vertices, mesh.faces)
+    wrong = 0
     for _ in range(10):
         points = touch(mesh, 100, rng, 0.0)
         robot, truth = touched(points, rng, 0.0)
@@ -227,10 +233,8 @@ def test_touches_after_the_patient_has_moved_are_refused():
     ],
 )
 def test_touches_of_another_unit_or_without_width_are_refused(change, says):
-    mesh, start = (
-        organ(),
-        Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0),
-    )
+    mesh = organ()
+    start = Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
     for check in (True, False):
         with pytest.raises(RegistrationError, match=says):
             fit_surface(
@@ -243,10 +247,8 @@ def test_touches_of_another_unit_or_without_width_are_refused(change, says):
 
 @pytest.mark.parametrize("std_m", [np.nan, np.inf, 0.0, -1e-3, 1.0])
 def test_deviations_of_touches_that_are_none_are_refused(std_m):
-    mesh, start = (
-        organ(),
-        Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0),
-    )
+    mesh = organ()
+    start = Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
     surface = Surface("organ", mesh.vertices, mesh.faces)
     with pytest.raises(
         RegistrationError, match=r"std_m=.*standard deviation in metres"
@@ -322,7 +324,8 @@ def test_air_in_front_of_the_skin_is_no_layer():
         replace(o, entry_m=o.entry_m + 0.015, exit_m=o.exit_m + 0.015) for o in layers
     ]
     air = Layer("unlabelled", 0.0, 0.015, 0.0, 0.0, False)
-    without, match = PlanMatch(layers, 3e-3), PlanMatch([air, *moved], 3e-3)
+    without = PlanMatch(layers, 3e-3)
+    match = PlanMatch([air, *moved], 3e-3)
     for depth_m, ruptures_m in ((-0.005, []), (0.005, []), (0.024, [0.024])):
         known = {"contact_m": 0.002} if depth_m > 0.002 else {}
         expected = without.state(depth_m, ruptures_m, **known)

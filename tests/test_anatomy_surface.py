@@ -116,10 +116,8 @@ def test_mean_normals_leave_out_bumps_and_the_far_side():
         .subdivide()
         .subdivide()
     )
-    flat, places = (
-        Surface("plate", plate.vertices, plate.faces),
-        np.array([[0, 0, 0.002]]),
-    )
+    flat = Surface("plate", plate.vertices, plate.faces)
+    places = np.array([[0, 0, 0.002]])
     up = flat.mean_normals(places, np.array([[0.0, 0.0, 1.0]]), 8e-3)
     np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
 

@@ -247,10 +247,8 @@ class Slanted:
     """An image whose slices are shifted by so much more each, in their own axes."""
 
     def __init__(self, step_mm):
-        self._image, self._step_mm = (
-            sitk.Image(4, 4, 40, sitk.sitkInt16),
-            np.array(step_mm),
-        )
+        self._image = sitk.Image(4, 4, 40, sitk.sitkInt16)
+        self._step_mm = np.array(step_mm)
         self._image.SetSpacing((0.7, 0.9, 2.5))
 
     def __getattr__(self, name):
@@ -409,11 +407,9 @@ def test_names_say_what_stops_a_needle():
 
 def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     torso = analytic_torso()
-    shape, axes, origin = (
-        (56, 40, 52),
-        6e-3 * np.eye(3),
-        np.array([-0.165, -0.117, -0.153]),
-    )
+    shape = (56, 40, 52)
+    axes = 6e-3 * np.eye(3)
+    origin = np.array([-0.165, -0.117, -0.153])
     values = torso.voxels(shape, origin, axes)
     grid = Grid(shape, origin, axes)
     names = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
@@ -453,10 +449,8 @@ def test_in_a_real_ct_left_is_left():
     labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
     assert len(labels.structures) == 61
     middle = labels.centroid_m("vertebrae_L1")
-    left, right = (
-        labels.centroid_m("spleen") - middle,
-        labels.centroid_m("liver") - middle,
-    )
+    left = labels.centroid_m("spleen") - middle
+    right = labels.centroid_m("liver") - middle
     assert left[0] > 0.05 > 0.0 > right[0]  # LPS: x to the left
     assert labels.centroid_m("vertebrae_T12")[2] > labels.centroid_m("vertebrae_L4")[2]
     assert middle[1] > labels.centroid_m("liver")[1]  # y to the back

@@ -68,7 +68,8 @@ def listed(names):
 
 def test_one_update_of_the_chain_passes_few_files():
     run = short_run()
-    session, tare = InsertionSession(run.robot), tare_index(run)
+    session = InsertionSession(run.robot)
+    tare = tare_index(run)
     touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
     found = []
     for k, sample in enumerate(JointSignals.of_run(run).samples()[: touched + 3000]):
@@ -91,10 +92,13 @@ def files_of_a_row(log, out):
     is in both.
     """
     update = VirtualForceSensor.update.__code__
-    before, between, since = set(), set(), set()
+    before = set()
+    between = set()
+    since = set()
 
     def note(frame):
-        code, above = frame.f_code, frame
+        code = frame.f_code
+        above = frame
         if code is update:
             between.update(since)
             since.clear()

@@ -156,7 +156,8 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
 def test_a_run_with_some_of_its_rows_is_done_again(
     changed, again, tmp_path, monkeypatch, capsys
 ):
-    done, names = [], ("wrench_rmse_N", "rupture_recall")
+    done = []
+    names = ("wrench_rmse_N", "rupture_recall")
 
     def pretend(job, progress):
         done.append(job.seed)
@@ -169,7 +170,8 @@ def test_a_run_with_some_of_its_rows_is_done_again(
     path = tmp_path / "a.json"
     asked = ["run", "--seeds", "3", "--workers", "1", "--json", str(path)]
     assert main(asked) == 0
-    whole, found = path.read_bytes(), json.loads(path.read_bytes())
+    whole = path.read_bytes()
+    found = json.loads(path.read_bytes())
     for key, value in changed.items():
         found[key] = found[key][value] if isinstance(value, slice) else value
     path.write_text(json.dumps(found))
@@ -202,7 +204,8 @@ def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
         inside += low <= 0.0 <= high
     assert 0.89 <= inside / 200 <= 0.98
     # Runs of one seed that are all alike tell no more than one of them.
-    seeds, by_seed = np.repeat(np.arange(8), 12), np.repeat(rng.normal(size=8), 12)
+    seeds = np.repeat(np.arange(8), 12)
+    by_seed = np.repeat(rng.normal(size=8), 12)
     widths = [
         np.ptp(interval(by_seed, each, np.random.default_rng(0), is_mean=True))
         for each in (seeds, np.arange(96), seeds % 2)

@@ -208,7 +208,8 @@ def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_p
 def signal(true, error_N=0.0, zero_m=0.0):
     """The true force with an error, and with the zero of depth where a user has it."""
     force_N = true.axial_N + np.resize(error_N, true.t_s.shape)
-    depth_m, speed_m_s = true.depth_m + zero_m, true.speed_m_s
+    depth_m = true.depth_m + zero_m
+    speed_m_s = true.speed_m_s
     return NeedleSignal(
         source="ft", t_s=true.t_s, depth_m=depth_m, speed_m_s=speed_m_s, force_N=force_N
     )

@@ -15,7 +15,8 @@ from benchmarks.kdl_peer import (
 from benchmarks.signals import JointSignals
 from urdf import NeedleTool, load_lwr
 
-GAIN_per_s, PERIOD_s = 70.0, 1e-3
+GAIN_per_s = 70.0
+PERIOD_s = 1e-3
 
 
 def pushed(robot, samples=600):
@@ -24,8 +25,10 @@ def pushed(robot, samples=600):
     t = PERIOD_s * np.arange(samples)
     middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
     q = middle + 0.1 * np.sin(np.outer(t, np.arange(1.0, 8.0)))
-    dq, data = np.gradient(q, PERIOD_s, axis=0), robot.create_data()
-    ddq, axes = np.gradient(dq, PERIOD_s, axis=0), pin.ReferenceFrame.LOCAL
+    dq = np.gradient(q, PERIOD_s, axis=0)
+    data = robot.create_data()
+    ddq = np.gradient(dq, PERIOD_s, axis=0)
+    axes = pin.ReferenceFrame.LOCAL
     force_N = np.where(t > 0.1, 2.0, 0.0)
     tau = []
     for row, force in zip(zip(q, dq, ddq, strict=True), force_N, strict=True):

@@ -184,7 +184,8 @@ def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
 
 def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     write_results(tmp_path / "a.json", clean_rows())
-    page, readme = tmp_path / "results.md", tmp_path / "README.md"
+    page = tmp_path / "results.md"
+    readme = tmp_path / "README.md"
     readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     paths = ["--page", str(page), "--readme", str(readme)]
     assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
@@ -199,10 +200,8 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     text = page.read_text(encoding="utf-8")
     assert str(tmp_path) not in text
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
-    force, ruptures = (
-        "Axial force against ground truth",
-        "Online identification: ruptures",
-    )
+    force = "Axial force against ground truth"
+    ruptures = "Online identification: ruptures"
     assert titles == ["Targets", force, ruptures]
     assert text.index("**missed**") < text.index("| met |")
     none = str(tmp_path / "no" / "p.md")
@@ -227,7 +226,8 @@ def goal(metric="wrench_rmse_N", **limits):
     return Target(what="a goal", metric=metric, plant="degraded", **limits)
 
 
-LIMIT, RATIO = goal(at_most=0.12), goal(at_most=0.5, of_published=True)
+LIMIT = goal(at_most=0.12)
+RATIO = goal(at_most=0.5, of_published=True)
 DELAY = goal("rupture_delay_ms", at_most=0.5, of_published=True, where_reported=True)
 VALUES = st.floats(-1e3, 1e3)
 

@@ -208,7 +208,8 @@ def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
 def test_a_name_that_is_no_text_is_read_drawn_and_printed(folder, tmp_path, capsys):
     name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")
     name.write_bytes((folder / "good.csv").read_bytes())
-    page, picture = tmp_path / "page", tmp_path / "f.png"
+    page = tmp_path / "page"
+    picture = tmp_path / "f.png"
     argv = [
         "force",
         str(name),

@@ -105,7 +105,8 @@ def test_every_column_says_its_unit_vector_and_travel_are_right(
 def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
     columns, printed = run(log)
     (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
-    start_s, end_s = float(line.split()[1]), float(line.split()[3])
+    start_s = float(line.split()[1])
+    end_s = float(line.split()[3])
     assert end_s - start_s == pytest.approx(2.0)
     assert columns["force_status"][columns["t_s"] > end_s].max() == 0
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)

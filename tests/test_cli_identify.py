@@ -36,7 +36,8 @@ def identify(needle, tmp_path, capsys):
     complaints."""
 
     def run(*options, **changes):
-        log, out = tmp_path / "log.csv", tmp_path / "out.csv"
+        log = tmp_path / "log.csv"
+        out = tmp_path / "out.csv"
         columns = {
             name: values for name, values in (needle | changes).items() if len(values)
         }
@@ -53,7 +54,8 @@ def identify(needle, tmp_path, capsys):
 
 
 def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_path):
-    png, pdf = tmp_path / "o.png", tmp_path / "depth.pdf"
+    png = tmp_path / "o.png"
+    pdf = tmp_path / "depth.pdf"
     table, (layer,), _ = identify("--png", str(png))
     assert "±" in layer["friction N"]
     assert len(table) == len(needle["t_s"])
@@ -99,7 +101,8 @@ def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_pat
 
 
 def test_a_clock_that_was_set_back_hides_no_layer(needle, identify):
-    whole_s, t_s = needle["t_s"], needle["t_s"].copy()
+    whole_s = needle["t_s"]
+    t_s = needle["t_s"].copy()
     half = int(np.searchsorted(needle["depth_m"], 0.004))
     t_s[half:] -= t_s[half]
     rows, (layer,), said = identify(t_s=t_s, speed_m_s=())
@@ -123,7 +126,8 @@ def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
 ):
     count = len(needle["t_s"])
     status, warnings = np.zeros((2, count))
-    status[:4], warnings[4:6] = [0.0, 1.0, 2.0, 3.0], [5.0, 32.0 + 1.0]
+    status[:4] = [0.0, 1.0, 2.0, 3.0]
+    warnings[4:6] = [5.0, 32.0 + 1.0]
     rows, _, said = identify(force_status=status, force_warnings=warnings)
     assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
     assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]

@@ -21,7 +21,8 @@ ID = "gel-25-constant"
 @pytest.fixture(scope="module")
 def run():
     """One simulated insertion at 500 Hz, without its withdrawal, for all tests."""
-    whole, rows = short_run(), slice(None, None, 2)
+    whole = short_run()
+    rows = slice(None, None, 2)
     return replace(
         whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows)
     )

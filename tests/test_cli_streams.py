@@ -52,7 +52,8 @@ def logs(lwr, tmp_path_factory):
 def case(request, logs):
     """A command with its log, and what it writes for the whole file."""
     name = "identify" if request.param == "derived" else request.param
-    path, table = logs / f"{request.param}.csv", logs / f"{request.param}-expected.csv"
+    path = logs / f"{request.param}.csv"
+    table = logs / f"{request.param}-expected.csv"
     assert main([name, str(path), *OPTIONS[name], "-o", str(table)]) == 0
     return name, path, table.read_bytes()
 
@@ -66,7 +67,8 @@ def wait_for(condition):
 
 @contextlib.contextmanager
 def start(*argv):
-    command, pipe = [*PROGRAM, *map(str, argv)], subprocess.PIPE
+    command = [*PROGRAM, *map(str, argv)]
+    pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe) as process:
         try:
             yield process
@@ -96,7 +98,8 @@ def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
 def test_a_log_on_standard_input_is_not_replaced_by_its_output(logs, tmp_path, suffix):
     log = tmp_path / f"log.{suffix}"
     write_table(log, read_table(logs / "force.csv").columns)
-    before, argv = log.read_bytes(), ["force", "-", *OPTIONS["force"], "-o", str(log)]
+    before = log.read_bytes()
+    argv = ["force", "-", *OPTIONS["force"], "-o", str(log)]
     with log.open("rb") as stream:
         done = subprocess.run(
             [*PROGRAM, *argv], stdin=stream, capture_output=True, check=False
@@ -126,14 +129,13 @@ def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
 
 
 def test_a_growing_file_gives_rows_at_once_and_all_of_them_in_the_end(logs, tmp_path):
-    log, growing, out = (
-        logs / "force.csv",
-        tmp_path / "growing.csv",
-        tmp_path / "out.csv",
-    )
+    log = logs / "force.csv"
+    growing = tmp_path / "growing.csv"
+    out = tmp_path / "out.csv"
     whole = tmp_path / "whole.csv"
     assert main(["force", str(log), *OPTIONS["force"], "-o", str(whole)]) == 0
-    data, expected = log.read_bytes(), whole.read_bytes()
+    data = log.read_bytes()
+    expected = whole.read_bytes()
     half = data.index(b"\n", len(data) // 2) - 5
     growing.write_bytes(data[:half])
     with start("force", growing, "--follow", *OPTIONS["force"], "-o", out) as process:

@@ -311,7 +311,8 @@ def test_a_command_draws_it_and_prints_what_it_prints_without(
     path = tmp_path / "log.csv"
     write_table(path, LONG_COLUMNS)
     assert main(["identify", str(path)]) == 0
-    plain, stream = capsys.readouterr().out, Terminal()
+    plain = capsys.readouterr().out
+    stream = Terminal()
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.setenv("TERM", "xterm")
     assert main(["identify", str(path)]) == 0

@@ -40,7 +40,8 @@ def test_the_dead_zone_opens_for_a_hand_and_closes_behind_it():
 
 
 def test_what_swings_is_damped_and_what_is_led_is_not():
-    guidance, speeds = Guidance(ROBOT, np.full(7, 10.0)), []
+    guidance = Guidance(ROBOT, np.full(7, 10.0))
+    speeds = []
     for k in range(3000):
         torque = 5.0 * np.sin(2.0 * np.pi * 5e-3 * k)  # 5 Hz
         speeds.append(np.abs(velocity(guidance, torque)).max())
@@ -72,7 +73,8 @@ def test_a_damping_that_cannot_work_is_refused(damping):
 
 def test_a_stiff_hand_does_not_swing_an_arm_whose_torques_come_late():
     arm = GuidedArm("S", "fri", 1)
-    begin_s, arm.hand.stiffness_N_per_m = arm.begin_s, 2000.0
+    begin_s = arm.begin_s
+    arm.hand.stiffness_N_per_m = 2000.0
     way = np.array((0.02, 0.0, 0.0))
     arm.hand.path_m = lambda time_s: min(max(time_s - begin_s, 0.0) / 0.4, 1.0) * way
     apart_m = [np.linalg.norm(arm.hand.stretch_m) for _ in arm.run(1.5)]
@@ -82,7 +84,8 @@ def test_a_stiff_hand_does_not_swing_an_arm_whose_torques_come_late():
 
 
 def test_a_pause_does_not_make_the_arm_light():
-    guidance, torque = Guidance(ROBOT, np.full(7, 10.0)), 5.0
+    guidance = Guidance(ROBOT, np.full(7, 10.0))
+    torque = 5.0
     for k in range(300):
         velocity(guidance, 5.0 * np.sin(0.05 * k))
     for dt_s in (0.5, 1e5):
@@ -100,7 +103,8 @@ def test_a_time_step_that_is_none_changes_nothing():
 
 
 def test_numbers_that_no_joint_can_have_and_rejected_deviations_are_skipped():
-    guidance, other = Guidance(ROBOT), Guidance(ROBOT)
+    guidance = Guidance(ROBOT)
+    other = Guidance(ROBOT)
     assert np.isfinite(velocity(guidance, 1e308)).all()
     other.update(np.zeros(7), np.zeros(7), 1e-3, is_valid=False)
     assert velocity(guidance, 5.0, 300) == pytest.approx(
@@ -110,7 +114,8 @@ def test_numbers_that_no_joint_can_have_and_rejected_deviations_are_skipped():
 
 def test_a_torque_limit_that_nobody_knows_leaves_a_dead_zone():
     robot = SimpleNamespace(nv=1, effort_limit_Nm=np.zeros(1))
-    guidance, rng = Guidance(robot, [1.0]), np.random.default_rng(0)
+    guidance = Guidance(robot, [1.0])
+    rng = np.random.default_rng(0)
     wishes = [
         guidance.update(
             0.01 * rng.standard_normal(1), np.full(1, 0.01), 1e-3

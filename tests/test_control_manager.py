@@ -247,7 +247,8 @@ def test_who_does_not_know_where_the_needle_is_refuses_guidance():
 
 
 def test_data_that_no_log_can_hold_are_refused_and_change_nothing():
-    manager, circle = inserting()[0], []
+    manager = inserting()[0]
+    circle = []
     circle.append(circle)
     for data in ("\ud800", circle):
         with pytest.raises(SettingError, match="data of stop cannot be written"):

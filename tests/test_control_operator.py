@@ -12,11 +12,10 @@ def held(at_m=(0.0, 0.0, 0.0), **hand):
 
 
 def test_a_held_force_moves_the_hand_as_a_damped_spring_does():
-    master, force = (
-        held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0),
-        1.5,
-    )
-    decay, mass = 8.0 / 4.0, 2.0
+    master = held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0)
+    force = 1.5
+    decay = 8.0 / 4.0
+    mass = 2.0
     rate = np.sqrt(200.0 / mass - decay**2)
     for k in range(1500):
         master.render((force, 0.0, 0.0))

@@ -34,7 +34,8 @@ def tool_at(q):
 
 
 def rows_of(task, tool):
-    rows, rates = np.zeros((task.size, 7)), np.zeros(task.size)
+    rows = np.zeros((task.size, 7))
+    rates = np.zeros(task.size)
     task.write(tool, rows, rates)
     return rows, rates
 
@@ -43,7 +44,8 @@ def tasks_near(tool):
     off = np.array([1e-3, -2e-3, 5e-4])
     turned = pin.exp3(np.array([0.02, -0.01, 0.03])) @ tool.rotation
     turn = DecoupledMotion(tool, 1.0)
-    turn.goal_m, turn.rotation = tool.tip_m + off, turned
+    turn.goal_m = tool.tip_m + off
+    turn.rotation = turned
     return [
         RemoteCentre(tool.tip_m - 0.08 * tool.axis + off, 1.0),
         Fixture(tool.tip_m + off, turned, 1.0),
@@ -60,7 +62,8 @@ def test_a_task_without_rows_cannot_be_made():
 @pytest.mark.parametrize("index", range(4))
 def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
-    tool, step = tool_at(Q), 1e-6
+    tool = tool_at(Q)
+    step = 1e-6
     task = tasks_near(tool)[index]
     rows, rates = rows_of(task, tool)
     for joint in range(7):
@@ -84,7 +87,8 @@ def test_leaks_stay_below_the_target_and_hostile_ticks_within_limits(monkeypatch
 
 
 def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
-    control, q = Controller(ROBOT, Limits(ROBOT)), Q.copy()
+    control = Controller(ROBOT, Limits(ROBOT))
+    q = Q.copy()
     for _ in range(50):
         q = (
             q
@@ -108,9 +112,11 @@ def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
 
 
 def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
-    control, q = Controller(ROBOT, Limits(ROBOT)), Q.copy()
+    control = Controller(ROBOT, Limits(ROBOT))
+    q = Q.copy()
     control.tool.update(q)
-    start_m, motion = control.tool.tip_m, DecoupledMotion(control.tool)
+    start_m = control.tool.tip_m
+    motion = DecoupledMotion(control.tool)
     for _ in range(500):
         motion.move(control.tool, np.zeros(3), (0.1, 0.0, 0.0), 1e-3)
         command = control.update(ArmSample(1e-3, q, None, q), [motion, Posture(Q)])
@@ -142,9 +148,11 @@ def test_tasks_that_cannot_be_compared_are_tasks_as_others():
         size: int = 3
 
         def write(self, tool, rows, rates):
-            rows[:], rates[:] = tool.jacobian[:3], self.wish
+            rows[:] = tool.jacobian[:3]
+            rates[:] = self.wish
 
-    control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    control = Controller(ROBOT, Limits(ROBOT))
+    sample = ArmSample(1e-3, Q, None, Q)
     for _ in range(3):
         command = control.update(sample, [Push(np.full(3, 1e-3))])
         assert command.status in ("ok", "saturated")
@@ -196,7 +204,8 @@ def test_a_start_is_within_the_limits_of_speed():
 
 
 def test_whatever_a_sample_or_a_stack_brings_it_answers_and_keeps_the_last_tool():
-    control, good = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    control = Controller(ROBOT, Limits(ROBOT))
+    good = ArmSample(1e-3, Q, None, Q)
     control.update(good, [])
     tip_m = control.tool.tip_m
     bad = (
@@ -233,7 +242,8 @@ def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
 
 
 def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
-    control, sample = Controller(ROBOT, Limits(ROBOT)), ArmSample(1e-3, Q, None, Q)
+    control = Controller(ROBOT, Limits(ROBOT))
+    sample = ArmSample(1e-3, Q, None, Q)
     short = JointVelocity(np.full(6, 1e-3))
     tasks = (
         (Posture(np.zeros(6)), "6 joints"),

@@ -17,7 +17,8 @@ from needleforce.control import (
 from needleforce.control.insertion_profile import RuptureCount
 from needleforce.control.manager import MOVING
 
-DT, SPEED_M_S = 1e-3, 5e-3
+DT = 1e-3
+SPEED_M_S = 5e-3
 TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSERTION}
 
 
@@ -30,7 +31,8 @@ def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=
 
 def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
     """Layers left after a force that has grown for three seconds falls within 20 ms."""
-    ruptures, rng = RuptureCount(), np.random.default_rng(0)
+    ruptures = RuptureCount()
+    rng = np.random.default_rng(0)
     for k in range(3100):
         force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(
             max(k - 3000, 0) / 20.0, 1.0
@@ -65,7 +67,8 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
 
 
 def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
-    ruptures, left = RuptureCount(), []
+    ruptures = RuptureCount()
+    left = []
     for k in range(5000):
         force_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
         seen = found(alarm_N=2.0, alarm_m=0.015) if k == 4000 else found()
@@ -75,10 +78,8 @@ def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
 
 def test_a_force_that_falls_behind_a_gap_is_no_rupture():
     for gap_s, event in ((0.0, "rupture"), (3e-3, "")):
-        profile, events = (
-            InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)),
-            [],
-        )
+        profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1))
+        events = []
         for k in range(3050):
             axial_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
             now = situation(State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N)
@@ -100,7 +101,10 @@ def test_a_reading_that_is_no_number_is_skipped():
 @pytest.mark.parametrize("approach_m", [0.0, 3e-3])
 def test_a_stroke_begins_where_its_state_begins(approach_m):
     plan = InsertionPlan(speed_m_s=5e-3, depth_m=0.01, approach_m=approach_m)
-    profile, depth_m, state_s, state = InsertionProfile(plan), -0.03, 0.0, State.IDLE
+    profile = InsertionProfile(plan)
+    depth_m = -0.03
+    state_s = 0.0
+    state = State.IDLE
     entered = {}
     for k in range(1, 9500):
         state_s += DT
@@ -111,7 +115,8 @@ def test_a_stroke_begins_where_its_state_begins(approach_m):
         assert abs(step.speed_m_s) < 0.05
         if step.event:  # as the manager answers
             state = State.IDLE if step.event == "arrived" else TARGETS[step.event]
-            entered[state], state_s = depth_m, 0.0
+            entered[state] = depth_m
+            state_s = 0.0
     assert entered[State.TARE] == pytest.approx(-0.03 + approach_m, abs=1e-4)
     assert entered[State.INSERTION] == pytest.approx(-0.03 + approach_m, abs=1e-4)
 
@@ -151,7 +156,8 @@ def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
 )
 def test_a_program_goes_on_as_planned_or_not_at_all(states, offered):
     plan = InsertionPlan(speed_m_s=0.01, depth_m=0.1, approach_m=0.02, stroke_s=1.0)
-    profile, events = InsertionProfile(plan), []
+    profile = InsertionProfile(plan)
+    events = []
     names = states.split()
     for k, (before, name) in enumerate(zip(["", *names], names, strict=False)):
         now = situation(State(name), 0.0, k, 5.0 if name == before else 0.0)
@@ -169,11 +175,9 @@ def test_a_needle_above_its_zero_is_withdrawn_and_no_hold_is_faster_than_the_pla
 
 
 def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
-    profile, depth_m, events = (
-        InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1)),
-        0.0,
-        {},
-    )
+    profile = InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1))
+    depth_m = 0.0
+    events = {}
     for k in range(1500):
         axial_N = 0.8 * (20 < k < 200 or 1000 < k < 1200)  # it accelerates for 200 ms
         step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
@@ -184,10 +188,8 @@ def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
 
 
 def test_a_jerk_of_the_arm_is_no_rupture():
-    profile, depth_m = (
-        InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1)),
-        0.0,
-    )
+    profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1))
+    depth_m = 0.0
     for k in range(6000):
         axial_N = 2.9 + 0.5 * (k % 1000 in (998, 999))  # 1.6 m/s² for two samples
         step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))

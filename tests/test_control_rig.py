@@ -73,7 +73,8 @@ def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(
         for contacts in ((), [HandOnArm(at=at, force_N=lambda t_s: push)])
     )
     run(free, 0.4), run(held, 0.4)
-    truth, robot = held.truth, held.robot
+    truth = held.truth
+    robot = held.robot
     frame = robot.flange_frame if at == "hub" else robot.model.names[joint]
     gravity = pin.rnea(robot.model, robot.create_data(), truth.q_rad, REST, REST)
     expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push
@@ -83,7 +84,8 @@ def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(
 
 @pytest.mark.parametrize("plant", [CLEAN, FRI])
 def test_free_strokes_are_a_tare(plant):
-    rig, wish = SimulatedArm(plant=plant, seed=8), down(-0.03)
+    rig = SimulatedArm(plant=plant, seed=8)
+    wish = down(-0.03)
     session = InsertionSession(rig.robot)
     for sample in run(
         rig, 6.0, lambda t_s, rig: np.sin(np.pi / 3.0 * t_s) * wish(t_s, rig)
@@ -117,11 +119,14 @@ def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
         plant=IDEAL, contacts=[HandOnArm(at="wrist", force_N=lambda t_s: push)]
     )
     run(rig, 0.2, lambda t_s, rig: np.full(7, 0.3))
-    model, data = rig.robot.model, rig.robot.create_data()
-    momentum, rate = [], []
+    model = rig.robot.model
+    data = rig.robot.create_data()
+    momentum = []
+    rate = []
     for _ in range(100):
         truth = rig.truth
-        q, dq = truth.q_rad, truth.dq_rad_s
+        q = truth.q_rad
+        dq = truth.dq_rad_s
         momentum.append(pin.crba(model, data, q).copy() @ dq)
         drift = pin.computeCoriolisMatrix(model, data, q, dq).T @ dq
         drift = drift - pin.computeGeneralizedGravity(model, data, q)
@@ -147,9 +152,13 @@ def test_elastic_contacts_keep_the_energy_of_an_arm_without_motors():
     rig = SimulatedArm(plant=IDEAL)
     towards = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
     plant.place(rig.home_rad, towards[:, :3] @ (0.1 * DOWN))
-    model, data = bodies.model(), bodies.model().createData()
-    start, axis = plant.tip_m.copy(), plant.tip_axes[:, 2].copy()
-    elbows, pressed, found = [], [], []
+    model = bodies.model()
+    data = bodies.model().createData()
+    start = plant.tip_m.copy()
+    axis = plant.tip_axes[:, 2].copy()
+    elbows = []
+    pressed = []
+    found = []
     for _ in range(100):
         energy = pin.computeKineticEnergy(model, data, plant.q_rad, plant.dq_rad_s)
         energy += pin.computePotentialEnergy(model, data, plant.q_rad)
@@ -246,8 +255,12 @@ def test_the_arm_refuses_what_is_not_finite_and_what_it_was_made_to_refuse():
 
 @pytest.mark.parametrize("plant", [CLEAN, FRI, replace(DEGRADED, drop_probability=0.0)])
 def test_the_sensors_are_those_of_a_run_that_is_known_beforehand(plant):
-    rig, seed, n = SimulatedArm(plant=plant, seed=5, duration_s=0.2), 5, 200
-    samples, truth, wrench = [], [], []
+    rig = SimulatedArm(plant=plant, seed=5, duration_s=0.2)
+    seed = 5
+    n = 200
+    samples = []
+    truth = []
+    wrench = []
     for sample in rig:
         samples.append(sample), truth.append(rig.truth), wrench.append(rig.ft_wrench)
         rig.send(np.full(7, 0.05))

@@ -125,7 +125,9 @@ def test_needle_follows_the_scaled_hand_and_the_clutch_holds_it(scale):
 
 
 def test_a_needle_that_is_behind_stands_once_the_clutch_is_open():
-    tele, depth, speed = Teleoperation(motion_scale=1.0), 0.0, 0.0
+    tele = Teleoperation(motion_scale=1.0)
+    depth = 0.0
+    speed = 0.0
     for k in range(1500):
         place = (0.0, 0.0, 0.15 * min(k * DT, 0.5))  # 75 mm in half a second
         rate = (0.0, 0.0, 0.15 * (k < 500))
@@ -139,7 +141,9 @@ def test_a_needle_that_is_behind_stands_once_the_clutch_is_open():
 def test_a_device_may_send_less_often_than_it_is_read(every):
     rng = np.random.default_rng(2)
     master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)), position_step_m=0.0)
-    tele, read, count = Teleoperation(shown="raw"), master.read, iter(range(10**6))
+    tele = Teleoperation(shown="raw")
+    read = master.read
+    count = iter(range(10**6))
     master.read = lambda: (read(), None)[next(count) % every > 0]
     depth = drive(PLANTS["spring"], tele, master, 2.0, rng)
     assert depth == pytest.approx(0.4 * master.position_m[2], abs=3e-4)
@@ -153,7 +157,8 @@ def test_a_device_may_send_less_often_than_it_is_read(every):
 def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, seed):
     rng = np.random.default_rng([seed, least])
     master = HapticMaster(random_operator(advancing(20e-3, 30e-3), rng))
-    read, silent = master.read, iter(())
+    read = master.read
+    silent = iter(())
 
     def read_with_gaps():
         nonlocal silent
@@ -173,7 +178,11 @@ def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, 
 def test_a_handle_that_nobody_holds_gets_no_energy_however_seldom_it_is_read(
     every, mass_kg
 ):
-    tele, place, speed, depth, pace = Teleoperation(), 0.0, 0.0, 0.0, 0.0
+    tele = Teleoperation()
+    place = 0.0
+    speed = 0.0
+    depth = 0.0
+    pace = 0.0
     force_N = given_J = least_J = 0.0
     for k in range(4000):
         push_N = 6.0 if k // 1000 % 2 == 0 else -6.0
@@ -186,14 +195,16 @@ def test_a_handle_that_nobody_holds_gets_no_energy_however_seldom_it_is_read(
         )
         seen = estimate(300.0 * max(depth, 0.0), None, depth, pace)
         move = tele.update(handle if k % every == 0 else None, seen, DT)
-        force_N, pace = move.force_N[2], move.speed_m_s
+        force_N = move.force_N[2]
+        pace = move.speed_m_s
         depth += pace * DT
         assert abs(force_N) < 50.0
     assert least_J > -0.05
 
 
 def test_after_a_reset_nothing_goes_on_until_the_device_has_sent():
-    tele, handle = Teleoperation(), {"velocity_m_s": (0.0, 0.0, 0.04), "clutch": True}
+    tele = Teleoperation()
+    handle = {"velocity_m_s": (0.0, 0.0, 0.04), "clutch": True}
     for k in range(500):
         sample = SimpleNamespace(position_m=(0.0, 0.0, 4e-5 * k), **handle)
         move = tele.update(sample, estimate(2.0), DT)
@@ -206,7 +217,9 @@ def test_after_a_reset_nothing_goes_on_until_the_device_has_sent():
 
 
 def test_noise_is_not_shown_and_a_rupture_is_at_once():
-    tele, rng, shown = Teleoperation(), np.random.default_rng(4), []
+    tele = Teleoperation()
+    rng = np.random.default_rng(4)
+    shown = []
     for noise_N in rng.normal(0.0, 0.1, 2000):
         tele.update(None, estimate(1.0 + noise_N), DT)
         shown.append(tele.shown_N)
@@ -228,7 +241,8 @@ def test_a_force_that_grows_is_shown_without_lag_once_the_stiffness_is_known(
 ):
     """A membrane of 250 N/m at 4 mm/s; a stiffness out of reason moves it by 0.3 N
     at most."""
-    tele, speed = Teleoperation(), 4e-3
+    tele = Teleoperation()
+    speed = 4e-3
     for k in range(2000):
         force = 250.0 * speed * k * DT
         tele.update(None, estimate(force, speed_m_s=speed, stiffness=stiffness), DT)
@@ -297,7 +311,9 @@ def test_shown_force_lies_between_zero_and_the_measured_one(axial, tip):
 @given(st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-1.0, 1.0)), max_size=100))
 def test_a_free_device_never_gets_out_what_was_not_put_in(steps):
     """Whatever force is wanted and however the handle is hit between the samples."""
-    port, position_m, mass_kg = HandPort(), 0.0, 0.25
+    port = HandPort()
+    position_m = 0.0
+    mass_kg = 0.25
     for wanted_N, speed_m_s in steps:
         force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, (DT, DT))
         position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
@@ -329,7 +345,9 @@ def test_an_allowance_that_is_not_used_is_not_saved_up():
 
 
 def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance():
-    port, depth, speed = NeedlePort(1e-3, 0.0), 0.0, 0.0
+    port = NeedlePort(1e-3, 0.0)
+    depth = 0.0
+    speed = 0.0
     for _ in range(2000):
         speed = port.update(0.02, 20e3 * depth, speed, 0.0, DT)
         depth += speed * DT
@@ -337,7 +355,8 @@ def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance()
 
 
 def test_line_keeps_the_order_and_the_newest_counts():
-    rng, sent = np.random.default_rng(0), 0
+    rng = np.random.default_rng(0)
+    sent = 0
     late = DelayLine(0.02, 0.015, rng)
     last = -1
     for sent in range(500):
@@ -385,7 +404,8 @@ def handle(position_m=(0.0, 0.0, 0.0), velocity_m_s=(0.0, 0.0, 0.0), clutch=True
 def damping_Ns_m(tele, hz):
     """Most force per speed that a hand feels in free air, oscillating for half a
     second."""
-    position_m, most_N = 0.0, 0.0
+    position_m = 0.0
+    most_N = 0.0
     for angle in (2.0 * np.pi * hz * DT * np.arange(500)).tolist():
         speed_m_s = 0.02 * np.sin(angle)
         position_m += speed_m_s * DT
@@ -415,7 +435,8 @@ def test_a_hand_whose_force_is_late_is_damped_more():
 
 @pytest.mark.parametrize("dt_s", [np.nan, np.inf, 0.0, -1e-3, -0.2, None, "x"])
 def test_a_time_step_that_does_not_advance_lets_the_needle_stand(dt_s):
-    tele, now = Teleoperation(), estimate(axial_N=2.0)
+    tele = Teleoperation()
+    now = estimate(axial_N=2.0)
     moving = handle(velocity_m_s=(0.0, 0.0, 0.05))
     before = [tele.update(moving, now, DT) for _ in range(50)][-1]
     command = tele.update(moving, now, dt_s)
@@ -440,7 +461,8 @@ def test_a_time_step_that_does_not_advance_lets_the_needle_stand(dt_s):
 def test_a_sample_that_no_handle_can_give_counts_as_none(sample):
     forces_N = []
     for wrong in (sample, None):
-        tele, z = Teleoperation(), 0.0
+        tele = Teleoperation()
+        z = 0.0
         for k in range(100):
             z += 2e-5
             good = handle((0.0, 0.0, z), (0.0, 0.0, 0.02))
@@ -457,7 +479,9 @@ def test_a_sample_that_no_handle_can_give_counts_as_none(sample):
 
 @pytest.mark.parametrize("frozen", [False, True])
 def test_the_needle_stands_soon_after_a_device_has_gone_or_repeats_itself(frozen):
-    tele, depth_m, depths = Teleoperation(motion_scale=1.0), 0.0, []
+    tele = Teleoperation(motion_scale=1.0)
+    depth_m = 0.0
+    depths = []
     for k in range(2000):
         z = 3e-5 * min(k, 300)  # 30 mm/s; the needle follows with 20
         sample = handle((0.0, 0.0, z), (0.0, 0.0, 0.03)) if k < 300 or frozen else None

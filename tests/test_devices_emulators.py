@@ -76,7 +76,9 @@ def test_a_silence_of_a_haptic_device_is_one_outage(silence, monkeypatch):
         "device_id": "a",
         "state": {"cursor_position": place, "cursor_velocity": place},
     }
-    now_s, waiting, sent = 0.0, [], []
+    now_s = 0.0
+    waiting = []
+    sent = []
 
     def recv(timeout):
         if waiting:

@@ -139,7 +139,8 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
     arm = FriArm(port=0, wait_s=0.05, give_up_s=0.3)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
         box.sendto(measurement(count=5), arm.address)
-        samples, begin_s = iter(arm), time.monotonic()
+        samples = iter(arm)
+        begin_s = time.monotonic()
         assert next(samples).missed == 0
         is_over = threading.Event()
 
@@ -182,13 +183,15 @@ def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
 def test_no_more_time_is_reported_than_passed(
     count, passed_s, waiting, then, steps_s, monkeypatch
 ):
-    real, ahead_s = time.monotonic, 0.0
+    real = time.monotonic
+    ahead_s = 0.0
     for module in (fri, proxy):  # a slow clock, which advances where the test says so
         monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
     arm = FriArm(port=0, wait_s=1e-3, give_up_s=1e-3 * PATIENCE_S)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
         box.sendto(measurement(count=count), arm.address)
-        samples, found = iter(arm), []
+        samples = iter(arm)
+        found = []
         next(samples)
         ahead_s = passed_s
         for counts in (waiting, [then]):
@@ -291,7 +294,9 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
         ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
         with ft:
             assert ft.scale == (500_000.0, 2e6)
-            found, end_s, stream = [], time.monotonic() + PATIENCE_S, ft.stream()
+            found = []
+            end_s = time.monotonic() + PATIENCE_S
+            stream = ft.stream()
             for wrench in stream:
                 found.append(wrench)
                 if len(found) == 3000:
@@ -311,7 +316,8 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
 
 def test_a_force_sensor_that_loses_records_says_how_many():
     faults = Faults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
-    most_N, found = np.abs(WRENCH).max() + 1e-6, []
+    most_N = np.abs(WRENCH).max() + 1e-6
+    found = []
     with (
         Emulator(emulate_rdt, RdtSettings(wrench=WRENCH, faults=faults)) as box,
         NetFT(port=box.ready["port"], scale=Scale(1e6, 1e6)) as ft,
@@ -368,7 +374,8 @@ def test_a_sensor_that_reports_a_fault_gives_no_force():
         with NetFT("127.1", box.getsockname()[1], scale=Scale(1e6, 1e6)) as ft:
             _, asked_from = box.recvfrom(64)
             for count, status in enumerate((0, 1 << 31, 0)):
-                record["count"], record["status"] = count, status
+                record["count"] = count
+                record["status"] = status
                 box.sendto(record.tobytes(), asked_from)
             time.sleep(0.05)
             assert ft.read() is not None
@@ -394,7 +401,8 @@ def received(*datagrams):
 def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_record(
     first, anew
 ):
-    odd, again = [anew], range(anew, anew + 800)
+    odd = [anew]
+    again = range(anew, anew + 800)
     report = received(
         range(first, first + 50), odd, range(first + 50, first + 52), again
     )
@@ -419,7 +427,8 @@ def test_a_haptic_device_moves_and_is_felt():
     wish[0] = 0.0
     with Emulator(emulate_haply, wish) as service:
         with HaplyMaster(service.ready["address"], most_force_N=2.0) as master:
-            places, end_s = [], time.monotonic() + PATIENCE_S
+            places = []
+            end_s = time.monotonic() + PATIENCE_S
             while len(places) <= 1000 and time.monotonic() < end_s:
                 if (sample := master.read()) is not None:
                     places.append(sample.position_m[2])
@@ -459,7 +468,8 @@ def test_what_a_haptic_service_should_not_send_is_counted():
         with HaplyMaster(
             f"ws://{LOOPBACK}:{service.socket.getsockname()[1]}"
         ) as master:
-            sample, end_s = None, time.monotonic() + PATIENCE_S
+            sample = None
+            end_s = time.monotonic() + PATIENCE_S
             while sample is None and time.monotonic() < end_s:
                 time.sleep(0.01)
                 sample = master.read()

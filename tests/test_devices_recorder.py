@@ -23,7 +23,8 @@ from needleforce.recordings import FileAccessError, read_log
 def test_a_signal_ends_a_recording_whether_or_not_something_comes(
     number, sends, tmp_path, monkeypatch, capsys
 ):
-    path, arm = tmp_path / "x.mcap", FriArm(port=0, give_up_s=PATIENCE_S)
+    path = tmp_path / "x.mcap"
+    arm = FriArm(port=0, give_up_s=PATIENCE_S)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def ask():

@@ -71,7 +71,8 @@ def test_a_franka_arm_is_read_bit_for_bit():
 
 def test_a_ur_arm_is_read_and_its_currents_become_torques():
     pytest.importorskip("rtde_receive")
-    settings, constants = rows(6, 500.0), np.arange(1.0, 7.0)
+    settings = rows(6, 500.0)
+    constants = np.arange(1.0, 7.0)
     with Emulator(emulate_ur, settings) as emulator:
         with UrArm(torque_constant_Nm_A=constants) as arm:
             found = taken(arm, 500)
@@ -89,14 +90,16 @@ def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
     has_constants, tmp_path, capsys
 ):
     pytest.importorskip("rtde_receive")
-    settings, constants = rows(6, 500.0), np.arange(1.0, 7.0)
+    settings = rows(6, 500.0)
+    constants = np.arange(1.0, 7.0)
     path = tmp_path / "ur.npz"
     given = ["--motor-constants", *map(str, constants)] if has_constants else []
     with Emulator(emulate_ur, settings):
         ur = ["ur:127.0.0.1", "--seconds", "0.4", *given]
         assert main(["record", *ur, "-o", str(path)]) == 0
         assert has_constants or main(["live", *ur]) == 2
-    said, table = capsys.readouterr().err, np.load(path)
+    said = capsys.readouterr().err
+    table = np.load(path)
     assert "'ur10e'; --robot or --urdf names another" in said
     assert len(table["current_A"]) > 50
     assert ("give --motor-constants" in said) != has_constants

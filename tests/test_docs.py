@@ -50,7 +50,8 @@ LOOP = (ROOT / "docs" / "loop.md").read_text(encoding="utf-8")
 
 def run_example(code):
     """Names and printed text of an example."""
-    names, said = {}, io.StringIO()
+    names = {}
+    said = io.StringIO()
     with redirect_stdout(said):
         exec(compile(code, "example", "exec"), names)
     return names, said.getvalue()
@@ -181,7 +182,8 @@ def names():
 
 
 def test_the_arms_are_what_the_page_says(names):
-    arm, bent = names["arm"], names["bent"]
+    arm = names["arm"]
+    bent = names["bent"]
     assert (arm.flange_frame, arm.tool_frame) == ("panda_link8", "needle_tip")
     bare = urdf.load_example("panda", without=["panda_hand"])
     added = pin.computeTotalMass(arm.model) - pin.computeTotalMass(bare.model)

@@ -63,7 +63,8 @@ def test_blend_ends_at_the_two_tables_and_not_beyond():
 
 
 def test_blend_biases_the_flange_force_as_published():
-    (known,), jacobian = gravity_of(BARE, [POSTURE]), jacobian_of(BARE, POSTURE)
+    (known,) = gravity_of(BARE, [POSTURE])
+    jacobian = jacobian_of(BARE, POSTURE)
     for fraction, bias_N in FLANGE_BIAS_N.items():
         model = BARE.model.copy()
         for i, link in enumerate(blended_links(BARE.model, fraction), start=1):
@@ -74,7 +75,8 @@ def test_blend_biases_the_flange_force_as_published():
 
 
 def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_the_clean_one():
-    tool, rng = NeedleTool(), np.random.default_rng(0)
+    tool = NeedleTool()
+    rng = np.random.default_rng(0)
     shifts = [lwr_bodies(tool, DEGRADED, rng).needle.lever for _ in range(60)]
     spread = np.std(np.array(shifts) - tool.beyond_sensor.com_m)
     # 180 draws: 5 % standard error of the standard deviation
@@ -134,7 +136,8 @@ def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_res
 
 def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
     bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
-    plant, motion = plant_in(Tissue(()), bodies), joint_excitation(START, 10.0)
+    plant = plant_in(Tissue(()), bodies)
+    motion = joint_excitation(START, 10.0)
     trace = drive(plant, bodies.model(), motion)
     assert np.abs(trace.q_rad - motion[0][:-1]).max() < 1e-6
     assert not trace.external_torque_Nm.any()
@@ -179,7 +182,9 @@ def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
     rng = np.random.default_rng(1)
     for _ in range(20):
         q, dq, ddq = rng.uniform(-1.5, 1.5, (3, 7))
-        state.qpos, state.qvel, state.qacc = q, dq, ddq
+        state.qpos = q
+        state.qvel = dq
+        state.qacc = ddq
         mujoco.mj_inverse(physics, state)
         expected = pin.rnea(model, model.createData(), q, dq, ddq)
         np.testing.assert_allclose(state.qfrc_inverse, expected, atol=1e-9)
@@ -192,7 +197,9 @@ def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tiss
 ):
     """The push is balanced at the joints through the tip, so nothing moves."""
     bodies = bodies_of(name)
-    model, needle, rng = bodies.model(), bodies.needle, np.random.default_rng(2)
+    model = bodies.model()
+    needle = bodies.needle
+    rng = np.random.default_rng(2)
     for q in (START, *rng.uniform(-1.5, 1.5, (5, 7))):
         plant = plant_in(Push(push_N), bodies)
         plant.place(q, np.zeros(7))

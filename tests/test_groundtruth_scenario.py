@@ -208,7 +208,8 @@ def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives
     runs, name
 ):
     run = runs[name]
-    truth, z = run.truth, run.depth_m
+    truth = run.truth
+    z = run.depth_m
     assert run.tare_end_s < truth.contact_s < truth.withdrawn_s
     for instant in (truth.contact_s, truth.withdrawn_s):
         assert np.interp(instant, run.t_s, z) == pytest.approx(0.0, abs=1e-9)

@@ -66,10 +66,8 @@ def test_the_clean_arms_torque_has_white_noise_and_a_bias_as_stated():
 
 @pytest.mark.parametrize("plant_model", [FRI, DEGRADED], ids=["fri", "degraded"])
 def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
-    names, still = (
-        ("torque_noise_std_Nm", "torque_noise_correlation_s"),
-        np.zeros((10 * N, 7)),
-    )
+    names = ("torque_noise_std_Nm", "torque_noise_correlation_s")
+    still = np.zeros((10 * N, 7))
     noisy = replace(IDEAL, **{name: getattr(plant_model, name) for name in names})
     noise = torque_error(noisy, tau=still, q=still) / np.array(
         noisy.torque_noise_std_Nm
@@ -190,7 +188,9 @@ def bearings(**change):
 def pushed(friction, push_Nm, inertia, seconds):
     """Angles of free joints under a constant torque, Euler steps as long as the
     plant's."""
-    q, dq, angles = np.zeros(7), np.zeros(7), []
+    q = np.zeros(7)
+    dq = np.zeros(7)
+    angles = []
     for _ in range(round(seconds / STEP_s)):
         # a little damping of the tissue's kind, so that the bristle does not ring for
         # ever
@@ -219,7 +219,8 @@ def test_a_joint_at_rest_holds_below_the_peak_without_creeping_and_breaks_loose_
 def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(
     speed, level, direction
 ):
-    friction, dq = bearings(), np.full(7, direction * speed)
+    friction = bearings()
+    dq = np.full(7, direction * speed)
     for _ in range(round(20.0 * PRESLIDING_rad / (speed * STEP_s)) + 2):
         torque = friction.step(dq, STEP_s)
     np.testing.assert_allclose(torque, -direction * level * LEVEL_Nm, rtol=1e-3)

@@ -40,7 +40,8 @@ def runs() -> dict[str, Run]:
 def momentum_residual(run: Run):
     """Observer's residual by the rigid model and the measured torque, exact step,
     true motion."""
-    truth, model = run.truth, run.robot.model
+    truth = run.truth
+    model = run.robot.model
     data = model.createData()
     rows = list(zip(truth.q_rad, truth.dq_rad_s, strict=True))
     momentum = np.array([pin.crba(model, data, q) @ dq for q, dq in rows])
@@ -94,7 +95,8 @@ def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(
     assert power.sum(axis=0).max() < 0.0
     assert np.mean(power[np.abs(truth.speed_m_s) > 1e-3] <= 0.0) > 0.95
     assert np.abs(truth.depth_m - SCENARIO.motion.position_m(truth.t_s)).max() < 1e-4
-    seen, friction = momentum_residual(run), filtered(truth.joint_friction_Nm[:-1])
+    seen = momentum_residual(run)
+    friction = filtered(truth.joint_friction_Nm[:-1])
     assert np.abs(friction).max() > 0.02
     external = filtered(truth.external_torque_Nm[:-1])
     np.testing.assert_allclose(seen, external + friction, atol=1e-4)
@@ -102,7 +104,8 @@ def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(
 
 @pytest.mark.parametrize("name", PLANT_MODELS)
 def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
-    run, truth = runs[name], runs[name].truth
+    run = runs[name]
+    truth = runs[name].truth
     wanted = run.scenario.motion.position_m(truth.t_s)
     assert np.abs(truth.depth_m - wanted).max() < 1e-4
     np.testing.assert_allclose(
@@ -131,13 +134,15 @@ def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
 
 def test_equal_arguments_give_equal_runs_and_other_seeds_do_not(runs):
     done: list[float] = []
-    one, again = runs["degraded"], simulate(SCENARIO, "degraded", 1, done.append)
+    one = runs["degraded"]
+    again = simulate(SCENARIO, "degraded", 1, done.append)
     assert (done[0], done[-1]) == (0.0, 1.0)
     assert done == sorted(done)
     assert len(done) > 5
     for first, second in ((one.signals, again.signals), (one.truth, again.truth)):
         for item in fields(first):
-            mine, theirs = getattr(first, item.name), getattr(second, item.name)
+            mine = getattr(first, item.name)
+            theirs = getattr(second, item.name)
             if isinstance(mine, np.ndarray):
                 assert np.array_equal(mine, theirs), item.name
                 assert not mine.flags.writeable

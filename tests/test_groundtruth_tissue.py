@@ -29,12 +29,11 @@ FRICTION = ShaftFriction(
 )
 TABLE_I_N = {25: 113.0 * SPEED, 50: 283.0 * SPEED, 70: 534.0 * SPEED}
 
-fractions, travels, times = (
-    st.floats(0.0, 1.0),
-    st.floats(-0.1, 0.1),
-    st.floats(1e-6, 10.0),
-)
-bristles, lengths = st.floats(-1.0, 1.0), st.floats(1e-5, 1e-2)
+fractions = st.floats(0.0, 1.0)
+travels = st.floats(-0.1, 0.1)
+times = st.floats(1e-6, 10.0)
+bristles = st.floats(-1.0, 1.0)
+lengths = st.floats(1e-5, 1e-2)
 
 
 def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter():
@@ -135,7 +134,8 @@ def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_len
     assert (np.diff(tip[inside]) < 0.0).all()
     assert forces[-1].axial_N == pytest.approx(TABLE_I_N[percent], rel=0.01)
     assert forces[-1].layer == 2
-    depth_in, inward = depth, forces
+    depth_in = depth
+    inward = forces
     depth, outward = advance(law, layer.thickness_m + 5e-3, -2e-3)
     assert (tips(outward) == 0.0).all()
     friction_in = np.interp(depth, depth_in, [force.friction_N for force in inward])
@@ -196,9 +196,11 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
 def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state():
     assert Tissue(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
     assert Tissue(()).interfaces == ()
-    tissue, twin = Tissue((gel(25),)), Tissue((gel(25),))
+    tissue = Tissue((gel(25),))
+    twin = Tissue((gel(25),))
     advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
-    nan, inf = float("nan"), float("inf")
+    nan = float("nan")
+    inf = float("inf")
     bad = [
         (nan, 0.0, 1e-3),
         (0.0, inf, 1e-3),

@@ -21,7 +21,8 @@ def varied(layer, **change):
 
 def pushed_through(layers, end_m, speed_m_s=SPEED):
     """Depths 1e-5 m apart and the forces there."""
-    law, depths = Tissue(layers), np.arange(-1e-3, end_m, 1e-5)
+    law = Tissue(layers)
+    depths = np.arange(-1e-3, end_m, 1e-5)
     return depths, [law.step(float(z), speed_m_s, 1e-5 / speed_m_s) for z in depths]
 
 
@@ -67,7 +68,8 @@ def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_ex
     depth, plain = pushed_through(layers, end)
     _, held = pushed_through(kept, end)
     extra = np.array([b.tip_N - a.tip_N for a, b in zip(plain, held, strict=True)])
-    onset, exit_N = gel(70).thickness_m, gel(70).exit_force_N
+    onset = gel(70).thickness_m
+    exit_N = gel(70).exit_force_N
     assert np.abs(extra[depth < onset]).max() == 0.0
     at_release = np.interp(onset + gel(70).release_m, depth, extra)
     left = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
@@ -84,7 +86,8 @@ def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_a
         ratio = power[k].friction_N / plain[k].friction_N
         assert ratio == pytest.approx(fraction**-0.4, rel=1e-3)
         assert power[k].tip_N == plain[k].tip_N
-    plain, power = gel(70).friction, varied(gel(70), speed_exponent=0.3).friction
+    plain = gel(70).friction
+    power = varied(gel(70), speed_exponent=0.3).friction
     slid = power.sliding_N_per_m(SPEED)
     assert slid == pytest.approx(plain.sliding_N_per_m(SPEED))
     assert power.sliding_N_per_m(2 * SPEED) / slid == pytest.approx(2**0.3)

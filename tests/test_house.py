@@ -167,7 +167,8 @@ def with_arrays():
 
 @pytest.mark.parametrize("kind", list(with_arrays()), ids=lambda kind: kind.__name__)
 def test_frozen_dataclasses_with_arrays_are_compared_and_hashed_by_identity(kind):
-    one, other = object.__new__(kind), object.__new__(kind)
+    one = object.__new__(kind)
+    other = object.__new__(kind)
     for made in (one, other):
         for field in fields(kind):
             object.__setattr__(made, field.name, np.ones(2))

@@ -103,7 +103,8 @@ def later(bank, dt_s, travel, levels):
 
 
 def test_two_steps_of_time_and_travel_are_one():
-    bank, levels = hypothesis(1, law.LAYER), np.array([1e-4, 2e-4, 3e-4, 4e-4])
+    bank = hypothesis(1, law.LAYER)
+    levels = np.array([1e-4, 2e-4, 3e-4, 4e-4])
     whole = later(bank, 0.02, 0.08, levels)
     half = later(later(bank, 0.01, 0.04, levels), 0.01, 0.04, levels)
     for one, other in zip(whole, half, strict=True):
@@ -121,7 +122,8 @@ def learned(bank, force):
 
 def test_a_force_that_was_expected_teaches_as_kalman_says():
     bank = hypothesis(2, law.LAYER)
-    row, spread = law.regressor(bank.facts[0], SCENE), bank.spreads[0]
+    row = law.regressor(bank.facts[0], SCENE)
+    spread = bank.spreads[0]
     force = float(force_of(bank)[0])
     found = learned(bank, force)
     assert found.means[0] == pytest.approx(bank.means[0])
@@ -157,9 +159,12 @@ def test_noise_is_learned_part_by_part_and_neither_a_ramp_nor_chance_is_a_motion
 
 def test_texture_shows_an_error_of_the_law_and_noise_and_a_bend_do_not():
     smooth = rough = DisturbanceLevels.of_texture()
-    rng, (error, slope) = np.random.default_rng(2), (0.0, 0.0)
+    rng = np.random.default_rng(2)
+    error = 0.0
+    slope = 0.0
     a, b, c, d, *noise = transitions(1.0, 0.05, law.LAW_MM, (0.0, 0.0, 0.2**2))[2]
-    spread, found = np.array([noise[:2], noise[1:]]), []
+    spread = np.array([noise[:2], noise[1:]])
+    found = []
     for k, white in enumerate((0.005 * rng.standard_normal(4000)).tolist()):
         mixed = np.array([[a, b], [c, d]]) @ (error, slope)
         error, slope = mixed + rng.multivariate_normal((0.0, 0.0), spread)
@@ -276,17 +281,19 @@ def test_who_knows_only_of_an_older_rupture_denies_the_alarm():
 
 @pytest.mark.parametrize("friction", [0.2, 1.0, 1.4])
 def test_a_law_that_errs_leaves_no_tip_force_below_zero(friction):
-    memory, answer = samples.FIRST_MEMORY.copy(), samples.NO_ANSWER.copy()
-    memory[samples._DEFLECTION], memory[samples._DEEPEST] = 1.0, 0.02
-    answer[0, samples.IN_CONTACT], answer[0, samples._LAW] = 1.0, 0.3**2
-    answer[1, samples.COULOMB], answer[2 + samples.COULOMB, samples.COULOMB] = (
-        friction,
-        0.3**2,
-    )
+    memory = samples.FIRST_MEMORY.copy()
+    answer = samples.NO_ANSWER.copy()
+    memory[samples._DEFLECTION] = 1.0
+    memory[samples._DEEPEST] = 0.02
+    answer[0, samples.IN_CONTACT] = 1.0
+    answer[0, samples._LAW] = 0.3**2
+    answer[1, samples.COULOMB] = friction
+    answer[2 + samples.COULOMB, samples.COULOMB] = 0.3**2
     found = samples.switching_outputs(
         0.02, 0.005, 1.1, memory, answer, np.zeros((0, 4))
     )
     tips = np.random.default_rng(3).normal(1.1 - friction, 0.3, 1_000_000)
-    tips, excess = tips[tips > 0.0], max(friction - 1.1, 0.0)
+    tips = tips[tips > 0.0]
+    excess = max(friction - 1.1, 0.0)
     assert found[4:8:2] == pytest.approx((tips.mean(), 1.1 - tips.mean()), abs=2e-3)
     assert found[5:8:2] == pytest.approx([np.hypot(tips.std(), excess)] * 2, abs=2e-3)

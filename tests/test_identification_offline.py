@@ -7,7 +7,8 @@ from identification.errors import InvalidConfigError, InvalidLogError
 from identification.offline import LayerSpan, identify_offline, regression_matrix
 
 THICKNESS_M = 0.03
-STIFFNESS, FRICTION = 30.0, 9000.0
+STIFFNESS = 30.0
+FRICTION = 9000.0
 
 
 def _insertion(speed_of_t, duration_s=20.0):

@@ -35,7 +35,8 @@ def test_rls_equals_ridge_regression(rows):
         state, error = rls_step(state, (x, y), f)
         assert error == pytest.approx(innovation)
     table = np.array(rows)
-    phi, f = table[:, :2], table[:, 2]
+    phi = table[:, :2]
+    f = table[:, 2]
     information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
     expected = np.linalg.solve(information, phi.T @ f)
     assert np.allclose(state[:2], expected, atol=1e-8)
@@ -76,7 +77,8 @@ def test_ratios_stay_physical_whatever_was_measured(drop, force):
 
 
 def test_reweighting_is_equation_12_and_splits_the_force_by_the_ratios():
-    speed, ratio = 2.3e-3, 0.4
+    speed = 2.3e-3
+    ratio = 0.4
     variance = reweighted_friction_variance(1e6, 1 - ratio, ratio, speed)
     assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)
     state = (0.0, 0.0, 1e6, 0.0, variance)
@@ -106,7 +108,9 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
     fresh = (variances[0], 0.0, variances[1])
-    state, sums, history = (0.0, 0.0, *fresh), NO_SUMS, NO_WINDOWS
+    state = (0.0, 0.0, *fresh)
+    sums = NO_SUMS
+    history = NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
             state = (*state[:2], *fresh)
@@ -121,7 +125,8 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     assert np.all(gap < 1e-6 * scale)
 
 
-DT_S, SPEED = 1e-3, 2.3e-3
+DT_S = 1e-3
+SPEED = 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
 
 
@@ -130,7 +135,8 @@ def ml_insertion(layers=LAYERS, noise_N=0.01, beyond_m=4e-3, seed=3):
     rng = np.random.default_rng(seed)
     total = sum(layer[0] for layer in layers) + beyond_m
     z = np.arange(-1e-3, total, SPEED * DT_S)
-    f, start = np.zeros_like(z), 0.0
+    f = np.zeros_like(z)
+    start = 0.0
     for thickness, stiffness, friction in layers:
         reach = np.clip(z - start, 0.0, thickness)
         f += friction * reach * SPEED + np.where(

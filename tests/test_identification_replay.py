@@ -50,7 +50,8 @@ def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
     speed_m_s = speed_m_s if has_speed else None
     whole = replay(t_s, depth_m, force_N, speed_m_s)
-    stream, dt_s = ReplayStream(), np.diff(t_s, prepend=t_s[0])
+    stream = ReplayStream()
+    dt_s = np.diff(t_s, prepend=t_s[0])
     edges = [0, *sorted(set(cuts)), len(t_s)]  # the first piece is the head at least
     found = [
         stream.run(
@@ -95,7 +96,8 @@ def test_late_rows_shift_and_a_clock_that_was_set_back_hides_no_event(
     columns, has_speed
 ):
     t_s, depth_m, force_N, speed_m_s = columns
-    late_s, back_s = t_s.copy(), t_s.copy()
+    late_s = t_s.copy()
+    back_s = t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
     back_s[int(np.nanargmax(depth_m > 0.004)) :] -= 20.0
     given = (depth_m, force_N, speed_m_s if has_speed else None)

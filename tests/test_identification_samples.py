@@ -133,7 +133,8 @@ def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt
 
 
 def test_events_are_on_the_clock_of_the_caller():
-    summed, absolute = Identifier(), Identifier()
+    summed = Identifier()
+    absolute = Identifier()
     for k in range(8000):
         depth = 2.5e-6 * k - 2e-3
         force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.1
@@ -142,7 +143,8 @@ def test_events_are_on_the_clock_of_the_caller():
         assert found.time_s == pytest.approx(1e-3 * (k + 1))
         assert other.time_s == 5e4 + 1e-3 * k
         assert (other.rupture is None) == (found.rupture is None)
-    one, two = summed.layers[0].rupture, absolute.layers[0].rupture
+    one = summed.layers[0].rupture
+    two = absolute.layers[0].rupture
     assert two.time_s - one.time_s == pytest.approx(5e4 - 1e-3)
     assert two.alarm_s - one.alarm_s == pytest.approx(5e4 - 1e-3)
     assert two.depth_m == one.depth_m
@@ -161,7 +163,8 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_events_count_depth_from_the_zero_of_the_caller(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
-    plain, moved = Identifier(config), Identifier(config)
+    plain = Identifier(config)
+    moved = Identifier(config)
     assert plain.contact_depth_m is None
     for k in range(9000):
         depth = 2.5e-6 * k
@@ -169,7 +172,8 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
         found = plain.update(depth, 2.5e-3, force, 1e-3)
         other = moved.update(depth + (0.05 if k > 500 else 0.0), 2.5e-3, force, 1e-3)
         assert (other.rupture is None) == (found.rupture is None)
-    one, two = plain.layers[0], moved.layers[0]
+    one = plain.layers[0]
+    two = moved.layers[0]
     shift_m = pytest.approx(0.05, abs=1e-5)
     assert two.rupture.depth_m - one.rupture.depth_m == shift_m
     assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == shift_m
@@ -184,13 +188,17 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
 
 def check_rows(rows):
     """Statuses, memory after each row, and the depth of the last one used."""
-    memory, seen, depth_m, used_s = np.zeros(SAMPLE_MEMORY), [], None, 0.0
+    memory = np.zeros(SAMPLE_MEMORY)
+    seen = []
+    depth_m = None
+    used_s = 0.0
     for row in rows:
         taken = take_sample(*row, True, memory, check_limits(CheckConfig()))
         number, dt_s, _, depth, _ = taken
         seen.append(STATUSES[number])
         if number <= LAST_USED:
-            depth_m, used_s = depth, used_s + dt_s
+            depth_m = depth
+            used_s = used_s + dt_s
             # What has passed over rejected samples is in the interval of the next one
             # used.
             assert memory[TIME] == pytest.approx(used_s)
@@ -235,7 +243,8 @@ def test_a_gap_does_not_make_the_next_one_usual():
     "std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400]
 )
 def test_a_deviation_that_is_none_counts_as_not_stated(std):
-    found, other = Identifier(), Identifier()
+    found = Identifier()
+    other = Identifier()
     for k in range(300):
         row = (1e-5 * k, 1e-2, 0.01 * (k % 3), 1e-3, 0.001 * k)
         assert found.update(*row, std) == other.update(*row)

@@ -28,7 +28,8 @@ def run(identifier, rows):
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_memory_is_bounded(config):
     rng = np.random.default_rng(6)
-    identifier, sizes = Identifier(config), []
+    identifier = Identifier(config)
+    sizes = []
     noise = (0.01 * rng.standard_normal(30_000)).tolist()
     for k in range(30_000):
         identifier.update(1e-5 * k, 5e-3, 0.5 + 1e-5 * k + noise[k], 2e-3)
@@ -43,7 +44,11 @@ def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(
 ):
     """Each seventh one, and from a file each fifth one that is taken while work is
     left."""
-    whole, part, files, found, taken = Identifier(config), Identifier(config), 0, [], []
+    whole = Identifier(config)
+    part = Identifier(config)
+    files = 0
+    found = []
+    taken = []
     for k, row in enumerate(samples()):
         found.append(whole.update(*row))
         assert part.update(*row) == found[-1]

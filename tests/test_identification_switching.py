@@ -16,7 +16,8 @@ from identification.errors import InvalidConfigError
 
 SPEED = 4e-3
 THICK_M = (15e-3, 20e-3)
-STIFFNESS, FRICTION = (20.0, 35.0), (25.0, 40.0)
+STIFFNESS = (20.0, 35.0)
+FRICTION = (25.0, 40.0)
 """Tip force and shaft friction at `SPEED`, per length of the two layers [N/m]."""
 RELEASE_M = 0.3e-3
 
@@ -24,7 +25,9 @@ RELEASE_M = 0.3e-3
 def tissue_N(depth_m, slides=1.0):
     """Tip force and friction of each layer at a depth, `slides` as 1 when inwards at
     `SPEED`."""
-    tip, frictions, start = 0.0, [], 0.0
+    tip = 0.0
+    frictions = []
+    start = 0.0
     for k, thick in enumerate(THICK_M):
         inside = depth_m - start
         if 0.0 < inside <= thick:
@@ -39,14 +42,19 @@ def tissue_N(depth_m, slides=1.0):
 def insertion(moves, seed=0, noise_N=5e-3, motion_m=None, jitter_m=0.0, sway=0.0):
     """Depth, speed, force and interval of moves: (travel [m], seconds), from 4 mm
     above."""
-    rng, depth, rows = np.random.default_rng(seed), -4e-3, []
-    slides, deepest, t = 1.0, -4e-3, 0.0
+    rng = np.random.default_rng(seed)
+    depth = -4e-3
+    rows = []
+    slides = 1.0
+    deepest = -4e-3
+    t = 0.0
     for travel, seconds in moves:
         n = round(1e3 * seconds)
         ramp = np.minimum(np.minimum(np.arange(n) + 1.0, n - np.arange(n)) / 100.0, 1.0)
         ramp *= 1.0 + sway * np.sin(2.0 * np.pi * 0.5e-3 * np.arange(n))
         for step in (travel * ramp / ramp.sum()).tolist():
-            depth, t = depth + step, t + 1e-3
+            depth = depth + step
+            t = t + 1e-3
             true = depth - (motion_m(t) if motion_m else 0.0)
             if step:
                 aim = np.sign(step)
@@ -79,7 +87,8 @@ def of(estimates, name):
 
 
 def assert_both_found(identifier, estimates, *, within=0.2, false=0):
-    ruptures, retracted = of(estimates, "rupture"), of(estimates, "retracted")
+    ruptures = of(estimates, "rupture")
+    retracted = of(estimates, "retracted")
     assert len(ruptures) - len(retracted) == 2 + false
     kept = [
         one
@@ -143,7 +152,8 @@ def test_friction_at_changing_speed_is_neither_noise_nor_texture():
 def test_an_uncertain_force_counts_less_while_the_needle_accelerates():
     """A newton more for 30 ms, stated as exact, as uncertain, and as that of an arm
     in motion."""
-    rows, moved_N = straight(), []
+    rows = straight()
+    moved_N = []
     for std_N, more_m_s in ((0.0, 0.2), (1.0, 0.0), (1.0, 0.2)):
         identifier, estimates = run(rows[:3000])
         for depth_m, speed_m_s, force_N, dt_s in rows[3000:3030]:
@@ -239,7 +249,8 @@ def test_a_needle_drawn_out_feels_friction_only_and_then_nothing():
 
 def test_a_gap_in_time_is_no_rupture():
     rows = straight(9)
-    early, late = rows[:2500], rows[3200:4000]
+    early = rows[:2500]
+    late = rows[3200:4000]
     identifier, _ = run(early)
     first = identifier.update(*late[0][:3], 0.701)
     assert first.status is SampleStatus.TIME_GAP
@@ -249,7 +260,8 @@ def test_a_gap_in_time_is_no_rupture():
 
 @pytest.mark.parametrize("rate_hz", [1000, 50, 20])
 def test_noise_of_the_force_is_known_at_any_rate_and_ruptures_are_none(rate_hz):
-    every, slow = 1000 // rate_hz, insertion([(46e-3, 23.0)], seed=8, noise_N=0.02)
+    every = 1000 // rate_hz
+    slow = insertion([(46e-3, 23.0)], seed=8, noise_N=0.02)
     rows = [(*row[:3], 1e-3 * every) for row in slow[::every]]
     levels = run(rows)[0].snapshot().state.levels
     samples = max(round(0.01 * rate_hz), 1)

@@ -26,7 +26,9 @@ def insertion(waves, name="gel-25-constant", seed=5):
     chosen = replace(
         scenario(name, 0), tissue_motion=TrueMotion(waves=waves) if waves else None
     )
-    run, found, motions = insert_needle(chosen, seed=seed), [], []
+    run = insert_needle(chosen, seed=seed)
+    found = []
+    motions = []
     identifier = Identifier()
     samples = zip(
         run.depth_m.tolist(), run.speed_m_s.tolist(), run.force_N.tolist(), strict=True
@@ -56,7 +58,8 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     assert known
     assert known[-1].fit.beats[0, 0] == pytest.approx(hz, abs=0.01)
     true = TrueMotion(waves=waves)
-    rupture_s, begin_s = run.truth.ruptures[0].onset_s, found[0].time_s - CLOCK_S - 1e-3
+    rupture_s = run.truth.ruptures[0].onset_s
+    begin_s = found[0].time_s - CLOCK_S - 1e-3
     last = [motion for motion in known if motion.fit.at_s + begin_s < rupture_s][-1]
     times = np.linspace(0.0, 1.0 / hz, 50)
     place = displacement(last.fit.beats, times)[0]
@@ -86,7 +89,8 @@ def test_a_motion_that_has_ended_is_given_up():
     noise = np.random.default_rng(0)
     forces = (0.1 + 0.02 * depths) * deflections + (5e-3 + 2e-3 * depths) * speeds
     forces += (0.2 + 0.03 * depths) * left + noise.normal(0.0, 0.01, len(times))
-    motion, known = TissueMotion(), []
+    motion = TissueMotion()
+    known = []
     for time_s, depth, force in zip(
         times.tolist(), depths.tolist(), forces.tolist(), strict=True
     ):
@@ -114,7 +118,8 @@ def test_a_fit_that_has_become_bad_is_noise_only_once_it_stays_so():
     )
     window = np.column_stack((window, np.random.default_rng(0).normal(1.0, 0.3, 256)))
     fit = Fit(np.array([[1.2, 0.2, 0.0, 0.0, 0.0]]), 12.8, 5.0, rms_N=0.01)
-    motion, left_N = TissueMotion(window=window, fit=fit), []
+    motion = TissueMotion(window=window, fit=fit)
+    left_N = []
     for k in range(8):
         motion = motion.worked(12.8 + 0.2 * k)
         left_N.append(motion.fit.rms_N)
@@ -141,7 +146,8 @@ def test_an_insertion_goes_on_from_a_snapshot_in_moving_tissue():
         scenario("gel-25-constant", 0), tissue_motion=TrueMotion(waves=HEART)
     )
     run = insert_needle(chosen, seed=5)
-    first, second = Identifier(), Identifier()
+    first = Identifier()
+    second = Identifier()
     rows = np.column_stack((run.depth_m, run.speed_m_s, run.force_N))[
         13_000:26_000
     ].tolist()

@@ -34,7 +34,9 @@ def speed_given(kind, t_s, depth_m, speed_m_s, rng):
     if kind == "measured":
         return speed_m_s + 1.4e-4 * rng.standard_normal(len(t_s))
     # Two lags of 5 ms, differentiated: 10 ms late, and its noise is smooth.
-    found, first, second = np.zeros(len(t_s)), depth_m[0], depth_m[0]
+    found = np.zeros(len(t_s))
+    first = depth_m[0]
+    second = depth_m[0]
     for k in range(1, len(t_s)):
         dt_s = t_s[k] - t_s[k - 1]
         keep = math.exp(-200.0 * dt_s)
@@ -98,7 +100,8 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
 @pytest.mark.parametrize("step_m", [5e-5, 1.2e-4])
 def test_smooth_noise_of_a_coarse_encoder_is_learned_too(step_m):
     t_s, depth_m, speed_m_s = motion()
-    at_m, rate_m_s = np.zeros(len(t_s)), np.zeros(len(t_s))
+    at_m = np.zeros(len(t_s))
+    rate_m_s = np.zeros(len(t_s))
     for part, rng in zip(
         (0.5, 0.3, 0.2), np.random.default_rng(6).spawn(3), strict=True
     ):
@@ -117,7 +120,9 @@ def test_smooth_noise_of_a_coarse_encoder_is_learned_too(step_m):
 @pytest.mark.parametrize("lost_s", [0.0, 0.01, 0.3])
 @pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
 def test_a_swing_is_no_noise_though_samples_are_late_or_lost(rate_hz, lost_s):
-    rng, memory, least = np.random.default_rng(4), np.zeros(SAMPLE_MEMORY), []
+    rng = np.random.default_rng(4)
+    memory = np.zeros(SAMPLE_MEMORY)
+    least = []
     t_s = 0.0
     for k in range(int(14.0 * rate_hz)):
         dt_s = (lost_s if k % int(2.0 * rate_hz) == 0 else 0.0) + rng.uniform(
@@ -163,11 +168,13 @@ def test_nobody_need_measure_the_speed():
 
 
 def test_the_speed_of_the_law_is_quiet_in_a_slow_change_and_stops_with_the_needle():
-    rng, noise = np.random.default_rng(1), (2.5e-3, 0.05)
+    rng = np.random.default_rng(1)
+    noise = (2.5e-3, 0.05)
     speed = (3.0 + 0.5 * np.sin(0.002 * np.arange(1600.0))) * (np.arange(1600) < 1200)
     measured = speed + noise[1] * rng.standard_normal(1600)
     depth = 0.01 * np.cumsum(speed) + 1.6e-3 * rng.standard_normal(1600)
-    found, trend = np.zeros(1600), NO_TREND
+    found = np.zeros(1600)
+    trend = NO_TREND
     for k in range(1600):
         found[k], trend = follow_speed(trend, depth[k], measured[k], noise, 0.01)
     assert np.sqrt(np.mean((found - speed)[200:1199] ** 2)) < 0.2 * noise[1]

@@ -22,7 +22,8 @@ PACKAGES = ("residual", "identification", "needleforce")
 def test_what_is_compiled_uses_nothing_of_another_file():
     """What numba keeps is made anew when the function's own file changes; `dot`
     never does."""
-    found, count = {}, 0
+    found = {}
+    count = 0
     for path in (
         path for package in PACKAGES for path in (ROOT / package).rglob("*.py")
     ):
@@ -113,7 +114,9 @@ def test_every_compiled_function_is_compiled_once_before_the_first_sample():
 def chain_numbers(joint_rows, needle_rows):
     """What a sensor with both kinds of velocity and both identifiers make of made-up
     signals."""
-    rng, robot, found = np.random.default_rng(0), load_lwr(payload=NeedleTool()), []
+    rng = np.random.default_rng(0)
+    robot = load_lwr(payload=NeedleTool())
+    found = []
     times = 1e-3 * np.arange(joint_rows)[:, None]
     q = 0.3 + 0.05 * np.cos(times * np.arange(1, 8))
     dq = -0.05 * np.arange(1, 8) * np.sin(times * np.arange(1, 8))
@@ -151,6 +154,7 @@ def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
     }
     command = [sys.executable, "-c", f"{script}(1100, 900))"]
     subprocess.run(command, env=environment, check=True)
-    plain, compiled_ = np.load(tmp_path / "a.npy"), chain_numbers(1100, 900)
+    plain = np.load(tmp_path / "a.npy")
+    compiled_ = chain_numbers(1100, 900)
     assert np.isfinite(plain).all()
     np.testing.assert_allclose(compiled_, plain, rtol=1e-6, atol=1e-9)

@@ -135,7 +135,8 @@ def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
     spiked = places(
         save_figure(chart(curve(noise), limits=(-25, 25)), path), palette.BLUE
     )
-    upper, lower = spiked[:, 1].min(), spiked[:, 1].max()
+    upper = spiked[:, 1].min()
+    lower = spiked[:, 1].max()
     middle = np.median(spiked[:, 1])
     assert middle - upper > 3.0 * (lower - middle)
     holed = np.zeros(100_000)

@@ -59,10 +59,8 @@ def test_a_topic_is_read_by_the_definition_in_the_bag(tmp_path):
         "std_msgs/Header header\nfloat64[3] tau_j\ngeometry_msgs/Point tip\nint8 mode\n"
     )
     TYPES.register(get_types_from_msg(definition, "arm_msgs/msg/State"))
-    tip, torques = (
-        message("geometry_msgs/msg/Point", 4.0, 5.0, 6.0),
-        np.array([1.0, 2.0, 3.0]),
-    )
+    tip = message("geometry_msgs/msg/Point", 4.0, 5.0, 6.0)
+    torques = np.array([1.0, 2.0, 3.0])
     state = message("arm_msgs/msg/State", header(5, "base"), torques, tip, -7)
     table = read_table(
         write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3")

@@ -290,7 +290,8 @@ def test_the_short_form_means_the_same_specification(text, spec):
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
 def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
-    path, rng = tmp_path / f"log{suffix}", np.random.default_rng(0)
+    path = tmp_path / f"log{suffix}"
+    rng = np.random.default_rng(0)
     columns = {
         name: rng.normal(size=(50, 3)) for name in ("q_rad", "dq_rad_s", "tau_Nm")
     }

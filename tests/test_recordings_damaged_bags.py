@@ -239,7 +239,8 @@ def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
     path = tmp_path / "x.mcap"
     q_rad = np.random.default_rng(0).normal(size=(5000, 7))
     write_table(path, {"t_s": np.arange(5000) / 1000, "q_rad": q_rad})
-    whole, data = len(read_log(path)), bytearray(path.read_bytes())
+    whole = len(read_log(path))
+    data = bytearray(path.read_bytes())
     data[len(data) * 6 // 10] ^= 1
     path.write_bytes(data)
     log = read_log(path)

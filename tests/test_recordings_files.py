@@ -157,7 +157,8 @@ def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
 def test_a_compressed_file_reads_the_same_and_a_cut_one_up_to_the_cut(read):
     noise = np.random.default_rng(0).normal(size=40_000).tolist()
     text = "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise))
-    whole, packed = values(read(text)), gzip.compress(text.encode())
+    whole = values(read(text))
+    packed = gzip.compress(text.encode())
     assert values(read(packed, "log.csv.gz")) == whole
     # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
     parts = gzip.compress(text[:500].encode()) + gzip.compress(text[500:].encode())
@@ -209,7 +210,8 @@ def array_bytes(**arrays):
 
 
 def test_arrays_become_columns(read):
-    q_rad, contact = np.arange(6.0).reshape(3, 2), [True, False, True]
+    q_rad = np.arange(6.0).reshape(3, 2)
+    contact = [True, False, True]
     content = array_bytes(t_s=np.arange(3), q_rad=q_rad, rate_Hz=100, contact=contact)
     table = read(content, "log.npz")
     np.testing.assert_array_equal(table.columns["q_rad"], q_rad)

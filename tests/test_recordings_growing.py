@@ -55,12 +55,14 @@ def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
 
 def test_rows_come_while_the_recorder_still_writes(tmp_path):
     data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
-    path, go_on = tmp_path / "growing.mcap", threading.Event()
+    path = tmp_path / "growing.mcap"
+    go_on = threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
     patience = FollowOptions(follow=True, idle_s=LONGEST_S)
     tables = stream_tables(path, patience, ChannelRequest(**ASKED))
-    rows, before = 0, None
+    rows = 0
+    before = None
     for table in tables:
         rows += len(table.columns["t_s"])
         if rows > 1400 and before is None:
@@ -129,7 +131,8 @@ def late_topic(first):
 
 
 def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path):
-    path, reported = tmp_path / "growing.mcap", []
+    path = tmp_path / "growing.mcap"
+    reported = []
     data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
     patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
     assert_same(followed(path, patience), read_log(path, **ASKED))
@@ -171,7 +174,8 @@ def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
     data = without_chunks(
         write_bag(tmp_path / "bag", arm_and_force(800, force_ends=300))
     )
-    path, is_over = tmp_path / "growing.mcap", threading.Event()
+    path = tmp_path / "growing.mcap"
+    is_over = threading.Event()
     path.write_bytes(data[: -len(END)])
     patience = FollowOptions(follow=True, should_stop=is_over.is_set)
     tables = stream_tables(

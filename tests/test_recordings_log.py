@@ -34,7 +34,8 @@ T_S = np.arange(4) / 1000.0
 
 
 def test_log_stores_read_only_copies():
-    t_s, force_N = T_S.copy(), np.ones(4)
+    t_s = T_S.copy()
+    force_N = np.ones(4)
     log = Log(t_s=t_s, channels={"force_N": force_N})
     t_s[0] = force_N[0] = 99.0
     assert (log.t_s[0], log["force_N"][0]) == (0.0, 1.0)
@@ -198,7 +199,8 @@ def test_units_and_scales_multiply(chosen, scale):
     raw = np.array([1.0, 2.0, 4.0])
     expected = raw * channel.units[unit] * scale
     if name == "time":
-        scale, expected = abs(scale), np.abs(expected)
+        scale = abs(scale)
+        expected = np.abs(expected)
     mapping = mapped(**{name: ColumnSpec(columns="x", unit=unit, scale=scale)})
     if name == "time":
         values = log_of(mapping, ("force",), x=raw, force_N=ONES).t_s
@@ -209,7 +211,8 @@ def test_units_and_scales_multiply(chosen, scale):
     np.testing.assert_allclose(values, expected)
 
 
-CURRENT, WRENCH = np.arange(6.0).reshape(3, 2), np.arange(18.0).reshape(3, 6)
+CURRENT = np.arange(6.0).reshape(3, 2)
+WRENCH = np.arange(18.0).reshape(3, 6)
 
 
 @pytest.mark.parametrize(

@@ -87,7 +87,8 @@ def test_a_line_that_never_ends_is_refused():
 
 def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path):
     text = text_of(600).encode()
-    path, whole = tmp_path / "log.csv", tmp_path / "whole.csv"
+    path = tmp_path / "log.csv"
+    whole = tmp_path / "whole.csv"
     whole.write_bytes(text)
     cuts = [10, 5000, 17_777, 33_333, len(text)]
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
@@ -132,7 +133,8 @@ COLUMNS |= {
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
 @pytest.mark.parametrize("size", [3000, 1 << 20])
 def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
-    path, pipe = tmp_path / f"log.{suffix.removesuffix('.gz')}", tmp_path / "pipe"
+    path = tmp_path / f"log.{suffix.removesuffix('.gz')}"
+    pipe = tmp_path / "pipe"
     write_table(path, COLUMNS)
     data = (
         gzip.compress(path.read_bytes()) if suffix.endswith("gz") else path.read_bytes()
@@ -174,7 +176,8 @@ def test_a_pipe_without_a_recording_is_refused(tmp_path, monkeypatch, data, mess
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
 def test_a_table_goes_into_a_pipe_that_stays_one(tmp_path, suffix):
-    pipe, path = tmp_path / f"pipe.{suffix}", tmp_path / f"log.{suffix}"
+    pipe = tmp_path / f"pipe.{suffix}"
+    path = tmp_path / f"log.{suffix}"
     os.mkfifo(pipe)
     writer = threading.Thread(target=write_table, args=(pipe, COLUMNS))
     writer.start()

@@ -125,7 +125,8 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
 
 @pytest.mark.parametrize(("suffix", "most_held_back"), [("csv", 0), ("mcap", 1500)])
 def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix, most_held_back):
-    path, t_s = tmp_path / f"t.{suffix}", np.arange(6000) / 1000.0
+    path = tmp_path / f"t.{suffix}"
+    t_s = np.arange(6000) / 1000.0
     write_table(path, {"t_s": [1.0], "old": [1.0]})
     with suppress(ZeroDivisionError), open_table(path, is_live=True) as table:
         assert len(read_table(path)) == 1

@@ -76,7 +76,8 @@ def run():
     measured = {
         name: getattr(run, name) for name in ("t_s", "depth_m", "speed_m_s", "force_N")
     }
-    truth, signal = insertion_truth(run), NeedleSignal(source="ft", **measured)
+    truth = insertion_truth(run)
+    signal = NeedleSignal(source="ft", **measured)
     commanded_m_s = SHORT.motion.speed_m_s(truth.t_s)
     identified = [identify(signal, truth, method) for method in ("ours", "published")]
     identified.append(identify_as_run(signal, truth, commanded_m_s))

@@ -40,7 +40,8 @@ def rows(plant="clean", scenarios=GELS, seeds=(0,)):
     """Friction of gels: true 100, offline 110, online 104, more with the seed."""
     values = {"true": 100.0, "offline": 110.0, "online": 104.0}
     keys = ("scenario", "plant", "seed", "source", "method")
-    offsets, found = {"published": 0.0, "published-as-run": -2.0, "ours": 0.0}, []
+    offsets = {"published": 0.0, "published-as-run": -2.0, "ours": 0.0}
+    found = []
     for names in product(scenarios, [plant], seeds, ("ft", "virtual"), offsets):
         key = dict(zip(keys, names, strict=True))
         for kind, value in values.items():
@@ -96,7 +97,8 @@ def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
 
 
 def test_the_command_writes_page_drawings_and_numbers(tmp_path, capsys):
-    folder, written = tmp_path / "deep" / "report", tmp_path / "a.json"
+    folder = tmp_path / "deep" / "report"
+    written = tmp_path / "a.json"
     options = ["--plant", "needle", "--workers", "1", "--json", str(written)]
     assert main(["run", "gel-70-constant", *options, "--report", str(folder)]) == 0
     assert "index.html" in capsys.readouterr().out

@@ -98,7 +98,8 @@ def test_a_source_that_holds_its_values_is_frozen_after_far_longer(lwr):
 def test_one_torque_that_stays_the_same_is_reported_and_not_refused(lwr):
     sensor, rows = tared(lwr, more=1.5)
     feed(sensor, rows[:100])
-    alone, value = np.arange(7) == 1, rows[99][2]
+    alone = np.arange(7) == 1
+    value = rows[99][2]
     found = feed(
         sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]]
     )
@@ -122,7 +123,8 @@ def test_nothing_is_refused_for_ever(lwr):
 
 
 def test_signals_without_noise_may_repeat_themselves(lwr):
-    sensor, tau = VirtualForceSensor(lwr), swing(lwr, seconds=0.1)[-1][0]
+    sensor = VirtualForceSensor(lwr)
+    tau = swing(lwr, seconds=0.1)[-1][0]
     for status in (Status.NOT_TARED, Status.OK):
         found = [sensor.update(MIDDLE, np.zeros(7), tau, 1e-3) for _ in range(1500)]
         assert found[-1].status is status
@@ -183,6 +185,7 @@ def test_a_rest_of_any_length_makes_no_gate_wide(lwr):
     q, dq, tau = moving(lwr, 0.0)
     q = np.repeat(q[:1], 4000, axis=0)
     rng = np.random.default_rng(3)
-    dq, tau = 1e-3 * rng.normal(size=q.shape), tau[0] + 0.03 * rng.normal(size=q.shape)
+    dq = 1e-3 * rng.normal(size=q.shape)
+    tau = tau[0] + 0.03 * rng.normal(size=q.shape)
     q[3990, 4] += 1e-3
     assert spikes(feed(VirtualForceSensor(lwr), rows_of(q, dq, tau))) == [3990]

@@ -155,7 +155,8 @@ def test_no_valid_sample_of_a_fast_arm_a_hand_or_a_rupture_is_held_back(
 
 
 def test_a_step_of_a_coarse_encoder_at_rest_is_no_spike(lwr):
-    rng, step = np.random.default_rng(0), 3.5e-4
+    rng = np.random.default_rng(0)
+    step = 3.5e-4
     sensor, rows = tared(lwr, with_velocity=False)
     q, _, tau = rows[0]
     # Near the edge of a step, which noise passes now and then only.

@@ -40,7 +40,8 @@ def test_a_copy_goes_on_bit_for_bit(lwr, copied, with_velocity):
 
 def robot_of(joint, count):
     """An arm built straight in Pinocchio, whose unset limits are the largest float."""
-    model, link = pin.Model(), pin.Inertia(2.0, np.array([0.1, 0.0, 0.2]), np.eye(3))
+    model = pin.Model()
+    link = pin.Inertia(2.0, np.array([0.1, 0.0, 0.2]), np.eye(3))
     for i in range(count):
         place = pin.SE3(np.eye(3), np.array([0.0, 0.3, 0.1]))
         index = model.addJoint(i, joint, place, f"joint_{i}")
@@ -79,10 +80,8 @@ def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity
     assert last.status is Status.OK
     assert all(np.isfinite(value).all() for value in last[:8])
     if count == 1 and mode == "axial":
-        torque, lever_m = (
-            external_torque_of(robot, q[-1], force),
-            sensor.kinematics.axial_jacobian,
-        )
+        torque = external_torque_of(robot, q[-1], force)
+        lever_m = sensor.kinematics.axial_jacobian
         assert last.axial == pytest.approx(-torque[0] / lever_m[0], abs=0.3)
 
 
@@ -97,7 +96,8 @@ def test_an_effort_limit_that_is_none_counts_as_unknown(effort):
     sensor, expected = (VirtualForceSensor(with_limits(one)) for one in (effort, 0.0))
     _, q, dq, tau = swing(with_limits(effort), seconds=1.0, amplitude=0.03)
     rows = list(zip(q, dq, tau, strict=True))
-    ours, theirs = feed(sensor, rows)[-1], feed(expected, rows)[-1]
+    ours = feed(sensor, rows)[-1]
+    theirs = feed(expected, rows)[-1]
     assert ours.axial_std == theirs.axial_std < 100.0
 
 
@@ -135,7 +135,8 @@ STEPS = {
 
 @pytest.mark.parametrize("dt_s", STEPS.values(), ids=STEPS)
 def test_no_time_step_makes_an_update_raise(lwr, dt_s):
-    (sensor, rows), (twin, _) = tared(lwr), tared(lwr)
+    sensor, rows = tared(lwr)
+    twin, _ = tared(lwr)
     reported = sensor.update(*rows[0], dt_s)
     assert reported.status is Status.REJECTED
     assert "dt_s" in reported.message
@@ -267,7 +268,8 @@ def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
 
 
 def test_a_tare_without_data_says_what_was_rejected(lwr):
-    sensor, (q, dq, tau) = VirtualForceSensor(lwr), signals(lwr, 1.0)
+    sensor = VirtualForceSensor(lwr)
+    q, dq, tau = signals(lwr, 1.0)
     feed(sensor, zip(q, dq, tau * np.nan, strict=True))
     words = "1000 samples were rejected, the last one: tau is not finite at joints 1, 2"
     with pytest.raises(TareError, match=words):
@@ -311,7 +313,8 @@ def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
     config = replace(DEFAULT, torque_is_gravity_compensated=True)
     q, dq, tau = signals(lwr, 3.0)
     free = gravity_of(lwr, q)
-    sensor, twin = VirtualForceSensor(lwr, config), VirtualForceSensor(lwr)
+    sensor = VirtualForceSensor(lwr, config)
+    twin = VirtualForceSensor(lwr)
     for k in range(len(q)):
         if k == 2000:
             sensor.tare()

@@ -77,8 +77,10 @@ def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(
 @pytest.fixture(scope="module")
 def askew():
     """Sliding and turning joints along odd directions, a branch, and rotors."""
-    model, along = pin.Model(), np.array([0.6, 0.0, 0.8])
-    turning, sliding = pin.JointModelRevoluteUnaligned(along), pin.JointModelPY()
+    model = pin.Model()
+    along = np.array([0.6, 0.0, 0.8])
+    turning = pin.JointModelRevoluteUnaligned(along)
+    sliding = pin.JointModelPY()
     joints = [
         pin.JointModelRX(),
         sliding,
@@ -113,10 +115,12 @@ def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, requ
             [np.zeros(7), inertia @ dq[k], coriolis.T @ dq[k], gravity, tau[k]]
         )
 
-    expected, before = np.zeros(7), sample_rows(0)
+    expected = np.zeros(7)
+    before = sample_rows(0)
     observer.update(q[0], dq[0], tau[0], 0.0)
     for k in range(1, len(times)):
-        after, dt = sample_rows(k), times[k] - times[k - 1]
+        after = sample_rows(k)
+        dt = times[k] - times[k - 1]
         before[0] = expected
         expected = step(before, after, gain, dt, alignment)
         before = after
@@ -161,10 +165,8 @@ def test_modelled_friction_does_not_read_as_force(lwr):
     with_friction = np.array(
         [t + friction.torque(v) for t, v in zip(tau, dq, strict=True)]
     )
-    known, unknown = (
-        MomentumObserver(lwr, 50.0, friction=friction),
-        MomentumObserver(lwr, 50.0),
-    )
+    known = MomentumObserver(lwr, 50.0, friction=friction)
+    unknown = MomentumObserver(lwr, 50.0)
     rows = rows_of(q, dq, with_friction)
     worst_known, worst_unknown = (
         np.abs(feed(one, rows)).max() for one in (known, unknown)
@@ -174,7 +176,8 @@ def test_modelled_friction_does_not_read_as_force(lwr):
 
 def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_reset(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.1)
-    one, other = MomentumObserver(lwr, 50.0), MomentumObserver(lwr, 50.0)
+    one = MomentumObserver(lwr, 50.0)
+    other = MomentumObserver(lwr, 50.0)
     one.smooth_momentum(np.full(7, 1e-3), q[0])
     feed(one, rows_of(q, dq, tau)[:50])
     other.restore(copy(one.memory))
@@ -270,7 +273,8 @@ def test_velocity_noise_follows_its_formula():
 
 def test_matched_delay_keeps_motion_from_reading_as_force(lwr):
     _, q, _, tau = swing(lwr, seconds=2.0)
-    estimator, observer = VelocityEstimator(7, 100.0), MomentumObserver(lwr, 50.0)
+    estimator = VelocityEstimator(7, 100.0)
+    observer = MomentumObserver(lwr, 50.0)
     careless = MomentumObserver(lwr, 50.0)
     worst = worst_careless = 0.0
     for k in range(len(q)):

@@ -100,12 +100,11 @@ STEPS = [1e-3, np.float32(1e-3), np.longdouble(1e-3), Fraction(1, 1000)]
 @pytest.mark.parametrize("dt_s", STEPS, ids=[type(one).__name__ for one in STEPS])
 def test_a_time_step_may_be_any_real_number(lwr, dt_s):
     _, q, dq, tau = swing(lwr, seconds=0.02)
-    sensor, velocity = VirtualForceSensor(lwr), VelocityEstimator(7)
+    sensor = VirtualForceSensor(lwr)
+    velocity = VelocityEstimator(7)
     for one in zip(q, dq, tau, strict=True):
-        wrench, matched = (
-            sensor.update(*one, dt_s),
-            velocity.update(one[0], one[2], dt_s),
-        )
+        wrench = sensor.update(*one, dt_s)
+        matched = velocity.update(one[0], one[2], dt_s)
     assert sensor.rejected == 0
     assert sensor.elapsed_s == pytest.approx(1e-3)
     assert type(wrench.axial) is float
@@ -128,14 +127,14 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
 def test_arrays_of_any_layout_are_taken(has_velocity):
     robot = load_lwr()
     _, q, dq, tau = swing(robot, seconds=0.1)
-    plain, strange = (
-        VirtualForceSensor(robot, DEFAULT),
-        VirtualForceSensor(robot, DEFAULT),
-    )
+    plain = VirtualForceSensor(robot, DEFAULT)
+    strange = VirtualForceSensor(robot, DEFAULT)
     for one in zip(q, dq, tau, strict=True):
         gaps = [np.repeat(row, 2)[::2] for row in one]
         if not has_velocity:
-            one, gaps = (one[0], None, one[2]), (gaps[0], None, gaps[2])
-        wrench, same = plain.update(*one, 1e-3), strange.update(*gaps, 1e-3)
+            one = (one[0], None, one[2])
+            gaps = (gaps[0], None, gaps[2])
+        wrench = plain.update(*one, 1e-3)
+        same = strange.update(*gaps, 1e-3)
     assert wrench.axial == same.axial != 0.0
     np.testing.assert_array_equal(wrench.residual, same.residual)

@@ -103,7 +103,8 @@ BAD = {
 
 @pytest.mark.parametrize("reason", BAD)
 def test_bad_sample_is_reported_and_never_used(lwr, reason):
-    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    sensor = tared_sensor(lwr)
+    twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
     good = sensor.update(q[0], dq[0], tau[0], 1e-3)
     twin.update(q[0], dq[0], tau[0], 1e-3)
@@ -118,7 +119,8 @@ def test_bad_sample_is_reported_and_never_used(lwr, reason):
 
 
 def test_a_clock_that_goes_back_is_waited_for(lwr):
-    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    sensor = tared_sensor(lwr)
+    twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
     for one in (sensor, twin):
         one.update(q[0], dq[0], tau[0], 1e-3)
@@ -133,7 +135,8 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
 def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(
     lwr,
 ):
-    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    sensor = VirtualForceSensor(lwr)
+    twin = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
     for k in range(2995):
         touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
@@ -251,7 +254,8 @@ def test_settings_are_compared_by_what_they_do_and_in_all_digits(lwr):
 
 
 def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
-    (sensor, rows), (twin, _) = tared(lwr, more=0.2), tared(lwr, more=0.2)
+    sensor, rows = tared(lwr, more=0.2)
+    twin, _ = tared(lwr, more=0.2)
     state = sensor.snapshot()
     for damaged in (
         state._replace(offset=replace(state.offset, recorder=None)),

@@ -49,11 +49,9 @@ def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only
     lwr, mode
 ):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
-    size, good, bad = (
-        {"axial": 1, "point": 3, "full": 6}[mode],
-        np.zeros(7),
-        np.full(7, np.nan),
-    )
+    size = {"axial": 1, "point": 3, "full": 6}[mode]
+    good = np.zeros(7)
+    bad = np.full(7, np.nan)
     for blank in (
         sensor.update(bad, good, good, 1e-3),
         sensor.update(good, good, bad, 1e-3),
@@ -72,7 +70,8 @@ def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only
 
 @pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
 def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt_s):
-    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    sensor = tared_sensor(lwr)
+    twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     reported = sensor.update(q[0], dq[0], tau[0], dt_s)
     assert reported.status is Status.REJECTED
@@ -127,7 +126,8 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
 
 
 def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
-    sensor, twin = tared_sensor(lwr), tared_sensor(lwr)
+    sensor = tared_sensor(lwr)
+    twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
     reported = sensor.update_external_torque(q[0], None, np.zeros(7), 1e-9)
     assert reported.status is Status.REJECTED
@@ -147,12 +147,14 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_no_state_is_an_array_of_the_caller(lwr, with_velocity):
-    sensor, twin = VirtualForceSensor(lwr), VirtualForceSensor(lwr)
+    sensor = VirtualForceSensor(lwr)
+    twin = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.7, amplitude=0.03)
     dq = dq if with_velocity else [None] * len(q)
     for row in zip(q, dq, tau, strict=True):
         mine = [None if values is None else values.copy() for values in row]
-        ours, theirs = sensor.update(*mine, 1e-3), twin.update(*row, 1e-3)
+        ours = sensor.update(*mine, 1e-3)
+        theirs = twin.update(*row, 1e-3)
         velocity = sensor.velocity_rad_s.copy()
         for buffer in mine:
             if buffer is not None:
@@ -168,7 +170,8 @@ def run(robot, stamps_s, *, with_velocity=True):
     """Estimates of a sensor that is tared after two seconds."""
     q, dq, tau = signals(robot, 3.0)
     steps = np.diff(stamps_s, prepend=stamps_s[0] - 1e-3).tolist()
-    sensor, found = VirtualForceSensor(robot), []
+    sensor = VirtualForceSensor(robot)
+    found = []
     for k, dt_s in enumerate(steps):
         if k == 2000:
             sensor.tare()
@@ -219,7 +222,8 @@ def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
 
 
 def test_a_leap_while_recording_is_reported_and_what_was_before_it_forgotten(lwr):
-    rows, sensor = list(zip(*signals(lwr, 3.0), strict=True)), VirtualForceSensor(lwr)
+    rows = list(zip(*signals(lwr, 3.0), strict=True))
+    sensor = VirtualForceSensor(lwr)
     assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[
         -1
     ].warnings

@@ -18,9 +18,11 @@ from residual.tare_check import check_free_of_contact
 
 TOWARDS = np.array([0.0, 0.12, 0.01, 0.15, 0.0, 0.1, 0.0])
 LOOPS = 3
-FORWARD, STILL = np.zeros((8, 7)), np.zeros((8, 7))
+FORWARD = np.zeros((8, 7))
+STILL = np.zeros((8, 7))
 FORWARD[:LOOPS] = np.sign(TOWARDS)
-LATE, GROWING = np.arange(300) > 270, np.linspace(-2.0, 1.0, 300).clip(0.0)
+LATE = np.arange(300) > 270
+GROWING = np.linspace(-2.0, 1.0, 300).clip(0.0)
 AHEAD = (MIDDLE + 0.8 * TOWARDS, FORWARD, 20.0)
 """Posture, state of the loops and seconds since the tare, at which a fit is judged."""
 
@@ -139,7 +141,8 @@ def test_constant_kind_is_the_mean_residual(lwr):
     "push", [1.0 * LATE, -1.0 * LATE, np.full(300, 60.0), 0.5 * GROWING]
 )
 def test_contact_on_the_way_standing_or_growing_is_refused(lwr, basis, push):
-    wrench, stands = WrenchEstimator(lwr), push[0] > 0.0
+    wrench = WrenchEstimator(lwr)
+    stands = push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
     check_free_of_contact(FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False)
     lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
@@ -181,7 +184,8 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     ratio = (160.0,) * 4 + (100.0,) * 3
     basis = BiasModel(lwr, "model", BiasPrior(gear_ratio=ratio))
     theta = np.zeros(len(basis.std))
-    theta[basis.groups["sine"]], theta[basis.groups["cosine"]] = 0.02, -0.01
+    theta[basis.groups["sine"]] = 0.02
+    theta[basis.groups["cosine"]] = -0.01
     _, blocks = stroke(lwr, basis, truth=theta)
     ahead = MIDDLE + 0.5 * TOWARDS
     angle = 2 * np.array(ratio) * ahead
@@ -193,7 +197,8 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
 
 
 def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
-    half_width, trend = np.array([[0.01]]), np.zeros((1, 1))
+    half_width = np.array([[0.01]])
+    trend = np.zeros((1, 1))
     for _ in range(10):
         trend = play_operator(trend, np.array([0.002]), half_width)
     assert trend[0, 0] == 1.0
@@ -278,7 +283,8 @@ class Arm:
 @pytest.mark.parametrize(("factor", "most_N"), [(1.0, 0.05), (3.0, 0.1)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, seed):
-    arm, estimator = Arm(lwr, seed, factor), BiasEstimator(lwr, DEFAULT)
+    arm = Arm(lwr, seed, factor)
+    estimator = BiasEstimator(lwr, DEFAULT)
     arm.feed(estimator, 0.0, 13.0)
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
     error, std = arm.feed(estimator, 13.0, 21.0, record=False)
@@ -289,7 +295,8 @@ def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, s
 @pytest.mark.parametrize("since_s", [5.0, 11.0])
 @pytest.mark.parametrize("seed", [2, 3])
 def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
-    arm, estimator = Arm(lwr, seed), BiasEstimator(lwr, DEFAULT)
+    arm = Arm(lwr, seed)
+    estimator = BiasEstimator(lwr, DEFAULT)
     arm.feed(
         estimator, 0.0, 13.0, lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3)
     )
@@ -298,7 +305,8 @@ def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
 
 
 def test_a_short_tare_says_what_it_does_not_know(lwr):
-    arm, estimator = Arm(lwr, 5), BiasEstimator(lwr, DEFAULT)
+    arm = Arm(lwr, 5)
+    estimator = BiasEstimator(lwr, DEFAULT)
     arm.feed(estimator, 0.0, 1.0)
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
     _, at_rest = arm.feed(estimator, 0.9, 1.0, record=False)

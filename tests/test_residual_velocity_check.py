@@ -22,7 +22,9 @@ from residual.consistency_checks import first_match, velocity_fault, velocity_ma
 
 RATIOS = np.array([0.03, -0.8, 0.07, 1.05, 0.25, 1.8, 0.2])
 """Way of every joint in a straight stroke, in times of the stroke's."""
-STROKE_RAD, STROKE_S, REST_S = 0.12, 4.0, 0.5
+STROKE_RAD = 0.12
+STROKE_S = 4.0
+REST_S = 0.5
 RATE_HZ = 1000.0
 
 
@@ -48,8 +50,11 @@ def shaking():
 
 def reports(times, q, dq):
     """What is reported at every check, with its time, and the last match."""
-    q, dq = np.ascontiguousarray(q), np.ascontiguousarray(dq)
-    match, last, found = first_match(q[0], dq[0]), 0, []
+    q = np.ascontiguousarray(q)
+    dq = np.ascontiguousarray(dq)
+    match = first_match(q[0], dq[0])
+    last = 0
+    found = []
     for k in range(1, len(times)):
         if times[k] - times[last] > 0.02 - 1e-9:
             match = velocity_match_step(match, q[k], dq[k], times[k] - times[last])
@@ -78,8 +83,10 @@ def differenced(q, resolution):
 
 
 def vibrating(q, dq, hertz, amplitude):
-    omega, times = 2.0 * np.pi * hertz, np.arange(len(q)) / RATE_HZ
-    wave, rate = np.sin(omega * times + 0.5), omega * np.cos(omega * times + 0.5)
+    omega = 2.0 * np.pi * hertz
+    times = np.arange(len(q)) / RATE_HZ
+    wave = np.sin(omega * times + 0.5)
+    rate = omega * np.cos(omega * times + 0.5)
     return q + amplitude * wave[:, None], dq + amplitude * rate[:, None]
 
 
@@ -185,7 +192,8 @@ def test_wrong_velocities_are_reported_within_seconds_and_stay_reported_at_rest(
     first_s = next(time_s for time_s, text in found if text)
     assert REST_S < first_s < REST_S + SECONDS.get(kind, 2.5)
     assert re.search(words, found[-1][1]), found[-1][1]
-    q_end, still = bend(q, dq)[0][-1], np.zeros(7)
+    q_end = bend(q, dq)[0][-1]
+    still = np.zeros(7)
     for _ in range(3000):
         match = velocity_match_step(match, q_end, still, 0.02)
     assert velocity_fault(match) == found[-1][1]

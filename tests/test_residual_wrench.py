@@ -121,7 +121,8 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
 
 
 def test_results_are_read_only_and_the_covariance_is_copied(lwr):
-    covariance, estimator = np.eye(7) * 0.01, WrenchEstimator(lwr)
+    covariance = np.eye(7) * 0.01
+    estimator = WrenchEstimator(lwr)
     estimator.set_torque_covariance(covariance)
     before = estimator.estimate(MIDDLE, np.zeros(7))
     covariance *= 100.0
@@ -148,7 +149,8 @@ def test_length_of_the_insertion_axis_does_not_matter(lwr):
 
 
 def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
-    rows, rng = jacobian_of(lwr, MIDDLE)[:3], np.random.default_rng(0)
+    rows = jacobian_of(lwr, MIDDLE)[:3]
+    rng = np.random.default_rng(0)
     stds = rng.uniform(1e-3, 1e-2, 7)
     usual = np.diag(stds**2)
     found = [
@@ -162,13 +164,12 @@ def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
 
 @pytest.mark.parametrize("mode", MODES)
 def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode):
-    estimator, found = estimator_of(lwr, mode=mode), []
+    estimator = estimator_of(lwr, mode=mode)
+    found = []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
     estimator.weigh(MIDDLE)
-    memory, torques = (
-        np.zeros((3, estimator.size)),
-        np.random.default_rng(0).normal(size=(4000, 7)),
-    )
+    memory = np.zeros((3, estimator.size))
+    torques = np.random.default_rng(0).normal(size=(4000, 7))
     torques *= 0.02
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
     for k, torque in enumerate(torques):
@@ -184,10 +185,14 @@ def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode)
 
 
 def test_deviation_knows_what_a_lag_hides_of_a_force_that_swings(lwr):
-    estimator, lag, errors = estimator_of(lwr), 40, []  # ticks of 1 ms
+    # ticks of 1 ms
+    estimator = estimator_of(lwr)
+    lag = 40
+    errors = []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
     estimator.weigh(MIDDLE)
-    memory, felt_N = np.zeros((3, estimator.size)), 0.0
+    memory = np.zeros((3, estimator.size))
+    felt_N = 0.0
     unit = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
     for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):  # of a heart
         felt_N += (true_N - felt_N) / (1.0 + lag)
@@ -202,7 +207,9 @@ def test_a_copy_of_the_tool_sees_its_own_joints():
     one = ToolKinematics(
         load_lwr(), insertion_axis=(0.1, 0.2, 1.0), offset_m=(0.01, 0.0, 0.02)
     )
-    other, axis, dq = deepcopy(one), np.array((0.6, 0.0, 0.8)), np.ones(7)
+    other = deepcopy(one)
+    axis = np.array((0.6, 0.0, 0.8))
+    dq = np.ones(7)
     other.update(np.full(7, 0.6))
     one.update(np.full(7, 0.3))
     for each in (one, other):

@@ -190,14 +190,13 @@ def test_a_row_holds_the_estimate_and_its_plan():
     )
     rupture = SimpleNamespace(layer=1, depth_m=0.03)
     found = SimpleNamespace(rupture=None, retracted=rupture, tip_force_N=0.5, layer=2)
-    found.tip_force_std_N, found.shaft_friction_N = None, 0.1
+    found.tip_force_std_N = None
+    found.shaft_friction_N = 0.1
     now = SimpleNamespace(
         time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan
     )
-    now.wrench, now.status = (
-        SimpleNamespace(axial=1.0, axial_std=0.1),
-        SimpleNamespace(value="ok"),
-    )
+    now.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
+    now.status = SimpleNamespace(value="ok")
     made = dict(zip(FIELDS, view_row(now, HOME), strict=False))
     assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
     assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
@@ -241,7 +240,8 @@ def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
     found = SimpleNamespace(
         rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None
     )
-    found.shaft_friction_N, found.layer = 0.1, 1
+    found.shaft_friction_N = 0.1
+    found.layer = 1
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")
         for k in range(2000):
@@ -363,7 +363,9 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     from needleforce.recordings import write_table
     from needleforce.recordings.table import Labels
 
-    model, order, table = load_lwr(), [3, 1, 0, 2, 6, 5, 4], signal_table(short_run())
+    model = load_lwr()
+    order = [3, 1, 0, 2, 6, 5, 4]
+    table = signal_table(short_run())
     signals = {
         name: table[name][:1001] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
     }

@@ -55,7 +55,8 @@ def test_the_chain_finds_force_depth_and_layer(whole):
 
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocity):
-    last, sent = TARE + 4000, RUN.signals
+    last = TARE + 4000
+    sent = RUN.signals
     found = whole[1]
     if not with_velocity:
         found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
@@ -77,11 +78,9 @@ def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocit
 
 
 def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
-    session, lost, estimate = (
-        InsertionSession(RUN.robot),
-        range(TARE + 100, TARE + 500),
-        None,
-    )
+    session = InsertionSession(RUN.robot)
+    lost = range(TARE + 100, TARE + 500)
+    estimate = None
     for k, (q, dq, tau, dt_s) in samples(RUN):
         if k == TARE:
             assert not session.tared
@@ -127,7 +126,9 @@ def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
 
 
 def test_the_robots_own_external_torque_gives_force_and_speed():
-    sent, truth, last = RUN.signals, RUN.truth, TARE + 5000
+    sent = RUN.signals
+    truth = RUN.truth
+    last = TARE + 5000
     noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
     torque = truth.external_torque_Nm + 0.3 + noise
     for with_velocity in (True, False):
@@ -206,7 +207,8 @@ def test_a_force_that_the_identifier_rejects_was_not_used():
     config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
     session = InsertionSession(RUN.robot, identifier_config=config)
     insert(session, TARE)
-    kinematics, found = ToolKinematics(RUN.robot), []
+    kinematics = ToolKinematics(RUN.robot)
+    found = []
     for k, (q, dq, tau, dt_s) in enumerate(resumed_after(TARE, 400)[1]):
         kinematics.update(q)
         push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
@@ -225,7 +227,8 @@ def test_a_force_that_the_identifier_rejects_was_not_used():
 def pushed(rows, force_in_base_N, first, count, joint=None):
     """Samples, so many of them with a force on the tip, or on a joint, beside the
     tissue's."""
-    kinematics, data = ToolKinematics(RUN.robot), RUN.robot.create_data()
+    kinematics = ToolKinematics(RUN.robot)
+    data = RUN.robot.create_data()
     for k, (q, dq, tau, dt_s) in enumerate(rows):
         if first <= k < first + count:
             kinematics.update(q)

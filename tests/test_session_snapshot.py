@@ -55,7 +55,8 @@ ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 
 def run_through(session, last, folder, *, with_velocity):
     """Estimates of a run, and the ticks after which a snapshot was written, by tick."""
-    found, files = [], {}
+    found = []
+    files = {}
     # While the noise is learnt, while free motion is recorded, in air, in the gel, in
     # its rupture.
     cuts = {200, TARE - 50, TARE + 500, TARE + 6000}
@@ -79,10 +80,8 @@ def run_through(session, last, folder, *, with_velocity):
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     run = short_run()
-    session, last = (
-        InsertionSession(run.robot, identifier_config=CONFIGS[config]),
-        TARE + 17_500,
-    )
+    session = InsertionSession(run.robot, identifier_config=CONFIGS[config])
+    last = TARE + 17_500
     found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
     assert ("rupture" in files) or config == "published"
     feed = list(samples(run, with_velocity=with_velocity))
@@ -106,7 +105,8 @@ def test_a_sensor_alone_is_stored_too(tmp_path):
 
 def test_external_torque_resumes_too(tmp_path):
     run = short_run()
-    session, other = InsertionSession(run.robot), InsertionSession(run.robot)
+    session = InsertionSession(run.robot)
+    other = InsertionSession(run.robot)
     torques = np.random.default_rng(0).normal(size=(1500, 7))
     for k, (q, torque) in enumerate(
         zip(run.signals.q_rad[:1500], torques, strict=True)
@@ -163,7 +163,8 @@ def test_a_snapshot_edited_in_memory_is_refused(fields):
 
 def test_a_shallow_copy_shares_nothing():
     session, rows = resumed_after(IN_TISSUE, 300)
-    twin, before = copy.copy(session), session.snapshot()
+    twin = copy.copy(session)
+    before = session.snapshot()
     found = [twin.update(*row) for row in rows]
     assert same(session.snapshot(), before)
     assert all(

@@ -71,10 +71,8 @@ def test_joints_of_several_numbers_or_none_of_their_own_are_refused_unless_locke
     odd = joint("odd", "a", "b", kind=kind)
     message = f"'odd' is of type '{kind}'.*revolute"
     if kind == "mimic":
-        odd, message = (
-            joint("odd", "a", "b", extra='<mimic joint="j1"/>'),
-            "'odd' mimics 'j1'",
-        )
+        odd = joint("odd", "a", "b", extra='<mimic joint="j1"/>')
+        message = "'odd' mimics 'j1'"
     path = urdf_file(*TWO_LINKS[:3], odd)
     with pytest.raises(UnsupportedJointError, match=message):
         load_urdf(path)
@@ -234,7 +232,8 @@ def test_a_chain_that_would_crash_the_reader_is_refused(urdf_file, monkeypatch):
 
 
 def test_what_is_no_file_of_text_is_refused(tmp_path):
-    binary, pipe = tmp_path / "binary.urdf", tmp_path / "pipe.urdf"
+    binary = tmp_path / "binary.urdf"
+    pipe = tmp_path / "pipe.urdf"
     binary.write_bytes(b"\xff\xfe\x00\x80")
     os.mkfifo(pipe)
     for path in (tmp_path / "none.urdf", tmp_path, pipe, "a\0b.urdf"):

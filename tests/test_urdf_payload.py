@@ -85,10 +85,8 @@ def test_a_point_mass_a_thin_rod_and_nothing_are_bodies_and_no_motion_deforms_th
 
 def test_arrays_are_read_only_copies():
     com = np.array([0.0, 0.0, 0.1])
-    payload, tool = (
-        Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3)),
-        NeedleTool(),
-    )
+    payload = Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3))
+    tool = NeedleTool()
     com[2] = 9.0
     assert payload.com_m[2] == 0.1
     for array in (payload.com_m, payload.inertia_kg_m2, tool.tip_in_flange_m):

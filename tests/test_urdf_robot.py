@@ -82,7 +82,8 @@ def drawing():
 @pytest.mark.parametrize("q", NOMINAL)
 def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
     flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
-    data, angles = arm.create_data(), np.array(q, dtype=float)
+    data = arm.create_data()
+    angles = np.array(q, dtype=float)
     assert pose_of(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
     gravity = pin.computeGeneralizedGravity(arm.model, data, angles)
     assert gravity == pytest.approx(gravity_Nm, abs=1e-3)
@@ -108,7 +109,8 @@ def test_yourdfpy_finds_the_description_valid_and_the_arm_as_high_as_it_is(drawi
 def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspace(
     arm, drawing
 ):
-    rng, data = np.random.default_rng(5), arm.create_data()
+    rng = np.random.default_rng(5)
+    data = arm.create_data()
     for k in range(200):
         q = rng.uniform(arm.position_lower_rad, arm.position_upper_rad)
         assert np.linalg.eigvalsh(pin.crba(arm.model, data, q))[0] > 1e-5
@@ -143,7 +145,9 @@ def example(name, **options):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
-    bare, robot, tool = example(name), example(name, payload=NeedleTool()), NeedleTool()
+    bare = example(name)
+    robot = example(name, payload=NeedleTool())
+    tool = NeedleTool()
     assert robot.nv in (6, 7)
     assert (
         np.linalg.eigvalsh(
@@ -152,7 +156,8 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
         > 0
     )
     assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
-    flange, rest = pose_of(bare, np.zeros(bare.nv)), np.zeros(bare.nv)
+    flange = pose_of(bare, np.zeros(bare.nv))
+    rest = np.zeros(bare.nv)
     tip, sensor = (
         flange.actInv(pose_of(robot, rest, n)) for n in ("needle_tip", "ft_sensor")
     )
@@ -164,7 +169,8 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
 
 
 def test_panda_has_its_hand_on_unless_it_is_left_out():
-    full, bare = example("panda"), example("panda", without=["panda_hand"])
+    full = example("panda")
+    bare = example("panda", without=["panda_hand"])
     assert (
         full.joint_names
         == bare.joint_names

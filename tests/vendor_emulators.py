@@ -19,7 +19,8 @@ import numpy as np
 from needleforce.devices.emulators import Window, is_within
 from needleforce.devices.proxy import LOOPBACK, Array
 
-FRANKA_PORT, FRANKA_VERSION = 1337, 5
+FRANKA_PORT = 1337
+FRANKA_VERSION = 5
 FRANKA_HEADER = struct.Struct("<3I")  # command, number of the command, bytes in all
 FRANKA_DOUBLES = 284
 FRANKA_AT = {"tau_Nm": 126, "q_rad": 147, "dq_rad_s": 161, "external_Nm": 208}
@@ -31,14 +32,12 @@ RTDE_TYPES = {
     "timestamp": "DOUBLE",
     **dict.fromkeys(("actual_q", "actual_qd", "actual_current"), "VECTOR6D"),
 }
-VERSION, CONTROLLER, OUTPUTS, START, PAUSE, DATA = (
-    b"V"[0],
-    b"v"[0],
-    b"O"[0],
-    b"S"[0],
-    b"P"[0],
-    b"U"[0],
-)
+VERSION = b"V"[0]
+CONTROLLER = b"v"[0]
+OUTPUTS = b"O"[0]
+START = b"S"[0]
+PAUSE = b"P"[0]
+DATA = b"U"[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +65,9 @@ def _stream(
 ) -> int:
     """Call for each row in real time until it ends, or the other goes; how many were
     sent."""
-    begin_s, number, sent = time.monotonic(), 0, 0
+    begin_s = time.monotonic()
+    number = 0
+    sent = 0
     while not (number % 50 == 0 and ends()):
         t_s = number / settings.rate_hz
         time.sleep(max(begin_s + t_s - time.monotonic(), 0.0))

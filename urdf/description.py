@@ -82,11 +82,9 @@ def check_description(
     parse).
     """
     for joint in root.findall("joint"):
-        name, kind, mimic = (
-            joint.get("name", ""),
-            joint.get("type"),
-            joint.find("mimic"),
-        )
+        name = joint.get("name", "")
+        kind = joint.get("type")
+        mimic = joint.find("mimic")
         if name not in locked and kind not in _ONE_NUMBER_JOINTS:
             raise UnsupportedJointError(
                 f"{source}: joint {name!r} is of type {kind!r}, expected one of "
@@ -101,10 +99,8 @@ def check_description(
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is not None:
-            owner, origin = (
-                f"{source}: link {link.get('name')!r}",
-                inertial.find("origin"),
-            )
+            owner = f"{source}: link {link.get('name')!r}"
+            origin = inertial.find("origin")
             # Only parsed: a body is physical wherever it is, in any axes.
             for key in (
                 () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)

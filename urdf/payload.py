@@ -272,7 +272,8 @@ def _cylinder(
     mass_kg: float, start_m: float, end_m: float, diameter_m: float
 ) -> Payload:
     """Return a homogeneous cylinder on the z axis between two heights."""
-    length, radius = end_m - start_m, 0.5 * diameter_m
+    length = end_m - start_m
+    radius = 0.5 * diameter_m
     across = mass_kg * (3.0 * radius**2 + length**2) / 12.0
     return Payload(
         mass_kg=mass_kg,

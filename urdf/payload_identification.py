@@ -111,9 +111,11 @@ def identify_payload_static(
     covariance[unknown, :] = covariance[:, unknown] = 0.0
     covariance[unknown, unknown] = np.inf
     parameters = scaled * _UNITS
-    mass_kg, com_m = 0.0, np.zeros(3)
+    mass_kg = 0.0
+    com_m = np.zeros(3)
     if parameters[0] >= _NO_MASS_KG:
-        mass_kg, com_m = parameters[0], parameters[1:] / parameters[0]
+        mass_kg = parameters[0]
+        com_m = parameters[1:] / parameters[0]
     return PayloadEstimate(
         payload=Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3))),
         parameters=read_only(parameters),
@@ -127,7 +129,8 @@ def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]
     """Return Y in flange axes and `_UNITS`, shape (n, nv, 4), and the unexplained
     torque.
     """
-    model, still = robot.bare_model, np.zeros(robot.nv)
+    model = robot.bare_model
+    still = np.zeros(robot.nv)
     data = model.createData()
     flange = model.frames[robot.frame_id(robot.flange_frame)]
     first = 10 * (flange.parentJoint - 1)

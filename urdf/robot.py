@@ -24,7 +24,9 @@ STANDARD_GRAVITY_M_S2 = (
     -9.80665,
 )  # straight down along the base's z axis, m/s^2
 
-SENSOR_FRAME, TIP_FRAME, TOOL_FRAME = "ft_sensor", "needle_tip", "tool"
+SENSOR_FRAME = "ft_sensor"
+TIP_FRAME = "needle_tip"
+TOOL_FRAME = "tool"
 """Frames that a needle tool adds (the first two) and a tool placement."""
 
 
@@ -204,14 +206,16 @@ def assemble_robot(
         placement = rigid_motion(tool_placement, "tool_placement")
         _add_frame(model, TOOL_FRAME, flange_frame, placement, "tool_placement")
         flange_frame = TOOL_FRAME
-    tool_frame, body = flange_frame, payload
+    tool_frame = flange_frame
+    body = payload
     if isinstance(body, NeedleTool):
         heights = {SENSOR_FRAME: body.sensor_height_m} if body.has_sensor else {}
         heights[TIP_FRAME] = body.tip_in_flange_m[2]
         for name, height_m in heights.items():
             along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
-        tool_frame, body = TIP_FRAME, body.payload
+        tool_frame = TIP_FRAME
+        body = body.payload
     robot = Robot(
         bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body
     )

@@ -63,7 +63,8 @@ def read_bovine(
         )
     lifts = np.flatnonzero(np.diff(table[:, 0]) < -PEN_UP_m)
     stroke = table[: lifts[0] + 1] if len(lifts) else table
-    depth, force = np.maximum.accumulate(stroke[:, 0]), stroke[:, 1]
+    depth = np.maximum.accumulate(stroke[:, 0])
+    force = stroke[:, 1]
     depth_m = np.arange(int(depth[-1] / SPEED_m_s * RATE_hz)) / RATE_hz * SPEED_m_s
     force_N = np.interp(depth_m, depth, force)
     if rng is not None:

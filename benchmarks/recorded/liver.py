@@ -345,8 +345,10 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
     for index in range(len(NUMBERS)):
         progress(index / len(NUMBERS))
         whole = read_liver(data, index)
-        inside, before = whole.insertion, whole.before_withdrawal
-        depth, force = whole.depth_m[inside], whole.force_N[inside]
+        inside = whole.insertion
+        before = whole.before_withdrawal
+        depth = whole.depth_m[inside]
+        force = whole.force_N[inside]
         course = whole.t_s[before], whole.depth_m[before], whole.force_N[before]
         reference = liver_reference(whole, depth, force)
         guess = tuple(

@@ -68,7 +68,8 @@ def read_panda(data: Path) -> Panda:
     t_s, q, dq, tau = read_arrays(folder / "free_motion.npz", names)
     table = read_table(folder / "model.json")
     try:
-        robot, numbers = _robot(table), table["friction"]
+        robot = _robot(table)
+        numbers = table["friction"]
         keys = ("A_Nm", "alpha_s_rad", "s_rad_s")
         amplitude, slope, shift = (np.array(numbers[key]) for key in keys)
     except KeyError as error:
@@ -143,7 +144,9 @@ def identification_values(
     with that of the same method on the force itself, which an F/T sensor would read.
     """
     felt = truth.t_s >= truth.zeroed_s
-    t_s, depth, force = truth.t_s[felt], truth.depth_m[felt], truth.axial_N[felt]
+    t_s = truth.t_s[felt]
+    depth = truth.depth_m[felt]
+    force = truth.axial_N[felt]
     reference = liver_reference(insertion, depth, force)
     found: list[Measurement] = []
     for method in IDENTIFIERS:
@@ -181,12 +184,14 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
     force as an F/T sensor would have read it. Only the depth is the recorded needle's:
     the Panda moves otherwise.
     """
-    panda, insertion = read_panda(job.recordings), read_liver(job.recordings, job.seed)
+    panda = read_panda(job.recordings)
+    insertion = read_liver(job.recordings, job.seed)
     truth = _truth(panda, insertion)
     along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
     loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
     signals = replace(panda.signals, tau_Nm=loaded)
-    readings, forces_N = [], {}
+    readings = []
+    forces_N = {}
     for k, (method, config) in enumerate(METHODS.items()):
         part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
         real = replace(config, friction=panda.friction)

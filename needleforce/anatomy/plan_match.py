@@ -20,11 +20,14 @@ from needleforce.anatomy.volume import UNLABELLED, Layer, words
 
 GRID_m = 0.1e-3
 REACH = 5.0  # Of the grid, in standard deviations of the offset
-MISSED, SOFT_MISSED, ENTRY_MISSED = 0.2, 0.6, 0.8
+MISSED = 0.2
+SOFT_MISSED = 0.6
+ENTRY_MISSED = 0.8
 """Probability that a boundary ruptures unnoticed; where fat ends, which holds little
 force; of the surface, which ruptures only where a membrane covers it, and then late."""
 FALSE_PER_m = 0.5  # False alarms per metre of travel
-LATE, CAPSULE_LATE = 0.25, 0.8
+LATE = 0.25
+CAPSULE_LATE = 0.8
 """Probability that a boundary is a membrane, which ruptures late; where an organ's
 name says so."""
 SKIN = frozenset(("body", "skin", "lean", "fat"))
@@ -33,7 +36,9 @@ is air."""
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
 """Words in the names of organs in a capsule (liver: Okamura 2004, doi
 10.1109/TBME.2004.831542)."""
-LATE_m, LATE_STD_m = 5e-3, 2.5e-3  # By so much
+# By so much
+LATE_m = 5e-3
+LATE_STD_m = 2.5e-3
 RUPTURE_STD_m = 0.1e-3
 """Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the
 virtual sensor."""
@@ -49,7 +54,8 @@ ALARM_m = 0.5e-3
 0.15 to 0.9 mm."""
 MOST_m = 1.0  # Depth of a boundary; beyond it the unit is not the metre
 BACK_m = 1e-3  # A tip so far above the deepest point is being withdrawn
-OUTSIDE, FALSE_ALARM = "outside", "a false alarm"
+OUTSIDE = "outside"
+FALSE_ALARM = "a false alarm"
 """Where the tip is before the first boundary; what a rupture is that belongs to
 none."""
 NOTHING = Layer("", *[np.nan] * 4, is_obstacle=False)  # Behind the last boundary
@@ -121,14 +127,14 @@ class PlanMatch:
                 f"boundaries at {depths_m.tolist()} m, deviations {bound_std_m.tolist()}: expected "
                 f"depths that grow, in metres and below {MOST_m:g}, and no negative deviation"
             )
-        self._offset_std_m, tissue = float(offset_std_m), self.layers[self._first :]
-        self._bound_m, bound_std_m = bound_m[self._first :], bound_std_m[self._first :]
+        self._offset_std_m = float(offset_std_m)
+        tissue = self.layers[self._first :]
+        self._bound_m = bound_m[self._first :]
+        bound_std_m = bound_std_m[self._first :]
         self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
         missed, late = _chances([layer.name.lower() for layer in tissue])
-        self._missed, self._kind = (
-            missed[:, None],
-            np.array([1.0 - late, late])[:, :, None],
-        )
+        self._kind = np.array([1.0 - late, late])[:, :, None]
+        self._missed = missed[:, None]
         half = round(REACH * offset_std_m / GRID_m)
         self._offset_m = GRID_m * np.arange(-half, half + 1)
         at_once_m = self._bound_m[:, None] + self._offset_m
@@ -174,10 +180,8 @@ class PlanMatch:
             raise PlanError(
                 f"{given}, entry at {entry_depth_m!r} m: expected finite depths"
             )
-        ruptures, first = (
-            [float(one_m) - entry_depth_m for one_m in ruptures_m],
-            self._first,
-        )
+        ruptures = [float(one_m) - entry_depth_m for one_m in ruptures_m]
+        first = self._first
         depth = float(depth_m) - entry_depth_m
         names = [OUTSIDE] * first + [one.name for one in self.layers[first:]]
         deepest = (
@@ -186,11 +190,10 @@ class PlanMatch:
         expected = self._expected(
             None if contact_m is None else contact_m - entry_depth_m
         )
-        ahead, (weight, false) = (
-            self._ahead(expected, deepest),
-            self._after(expected, ruptures),
-        )
-        joint, is_back = _joint(ahead, weight), depth < deepest - BACK_m
+        ahead = self._ahead(expected, deepest)
+        weight, false = self._after(expected, ruptures)
+        joint = _joint(ahead, weight)
+        is_back = depth < deepest - BACK_m
         by_layer = self._withdrawn(joint, depth) if is_back else joint.sum(axis=1)
         layer = int(np.argmax(by_layer)) + first - 1
         # The median: where two assignments compete, their mean is what neither says.
@@ -231,7 +234,8 @@ class PlanMatch:
             raise PlanError(
                 f"{given}: expected finite depths, and a level between 0 and 1"
             )
-        expected, beyond = self._expected(contact_m), 0.5 - 0.5 * level
+        expected = self._expected(contact_m)
+        beyond = 0.5 - 0.5 * level
         joint = _joint(
             self._ahead(expected, depth_m), self._after(expected, ruptures_m)[0]
         )
@@ -260,7 +264,8 @@ class PlanMatch:
         weight, rupture_m, std_m = self._untouched
         if contact_m is None:
             return self._untouched
-        off_m, std = contact_m - self._bound_m[0], self._contact_std_m
+        off_m = contact_m - self._bound_m[0]
+        std = self._contact_std_m
         together = (
             np.exp(-0.5 * ((off_m - self._offset_m) / std) ** 2)
             / std
@@ -271,9 +276,11 @@ class PlanMatch:
         weight = weight * (TOGETHER * together + (1.0 - TOGETHER) * alone)
         # A membrane on it, where there is one, is pushed in from there, wherever it was
         # planned.
-        rupture_m, std_m = rupture_m.copy(), std_m.copy()
+        rupture_m = rupture_m.copy()
+        std_m = std_m.copy()
         met_m, met_std_m = _at_once_and_late(contact_m, CONTACT_STD_m)
-        rupture_m[:, 0], std_m[:, 0] = met_m[:, None], met_std_m
+        rupture_m[:, 0] = met_m[:, None]
+        std_m[:, 0] = met_std_m
         return _Expected(weight / weight.sum(), rupture_m, std_m)
 
     def _after(
@@ -283,11 +290,13 @@ class PlanMatch:
         false alarm.
         """
         weight, rupture_m, std_m = expected
-        false, last_m = weight, -np.inf
+        false = weight
+        last_m = -np.inf
         for depth_m in ruptures_m:
             if not np.isfinite(depth_m) or depth_m < last_m - 1e-3:
                 raise PlanError(f"rupture at {depth_m!r} m after one at {last_m:.4f} m")
-            last_m, false = max(last_m, depth_m), FALSE_PER_m * weight
+            last_m = max(last_m, depth_m)
+            false = FALSE_PER_m * weight
             here = -0.5 * ((depth_m - rupture_m) / std_m) ** 2
             density = (self._kind * np.exp(here) / (np.sqrt(2.0 * np.pi) * std_m)).sum(
                 axis=0
@@ -295,7 +304,8 @@ class PlanMatch:
             came = _arriving(weight, self._missed)[:-1] * (1.0 - self._missed) * density
             weight = false + np.vstack((np.zeros_like(came[:1]), came))
             total = weight.sum()
-            weight, false = weight / total, false / total
+            weight = weight / total
+            false = false / total
         return weight, false
 
     def _ahead(self, expected: "_Expected", depth_m: float) -> tuple[Array, Array]:
@@ -337,13 +347,15 @@ def _chances(names: list[str]) -> tuple[Array, Array]:
     """Of each boundary how likely it ruptures unnoticed, and how likely it ruptures
     late.
     """
-    missed, late = np.full(len(names), MISSED), np.full(len(names), LATE)
+    missed = np.full(len(names), MISSED)
+    late = np.full(len(names), LATE)
     for k, name in enumerate(names):
         if name not in names[:k] and CAPSULES & words(name):
             late[k] = CAPSULE_LATE
         elif k and "fat" in words(names[k - 1]):
             missed[k] = SOFT_MISSED
-    missed[0], late[0] = ENTRY_MISSED, 1.0
+    missed[0] = ENTRY_MISSED
+    late[0] = 1.0
     return missed, late
 
 

@@ -147,10 +147,8 @@ def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
         try:
             # Slicer up to 4.10 says neither: each component is a segment.
             place, label = (k, 1) if layers == count else (0, k + 1)
-            volume, value = (
-                int(fields.get("Layer", place)),
-                int(fields.get("LabelValue", label)),
-            )
+            volume = int(fields.get("Layer", place))
+            value = int(fields.get("LabelValue", label))
             colour = tuple(float(part) for part in fields.get("Color", "").split())
             if len(colour) not in (0, 3) or not all(
                 0.0 <= part <= 1.0 for part in colour
@@ -235,7 +233,8 @@ def _require_sound_nifti(
                 if plain.peek(2)[:2] == b"\x1f\x8b"
                 else plain
             )
-            start, found = file.read(128), file.seek(0, os.SEEK_END)
+            start = file.read(128)
+            found = file.seek(0, os.SEEK_END)
         if found < needed:
             raise EOFError(f"{found} bytes of {needed:.0f}")
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
@@ -272,7 +271,8 @@ def _require_placed_nrrd(path: Path) -> None:
         key.lower(): text
         for key, text in re.findall(r"(?m)^([^:\n]+): (.*?)\r?$", start)
     }
-    space, units = fields.get("space", "none"), fields.get("space units", "")
+    space = fields.get("space", "none")
+    units = fields.get("space units", "")
     if space.lower() not in NRRD_SPACES.split():
         why = f"its space is {space!r}: expected left-posterior-superior, or RAS or LAS"
     elif "space directions" not in fields:
@@ -329,7 +329,8 @@ def _slice_header(name: str) -> list[float]:
     """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
     import SimpleITK
 
-    reader, found = SimpleITK.ImageFileReader(), []
+    reader = SimpleITK.ImageFileReader()
+    found = []
     reader.SetFileName(name)
     reader.ReadImageInformation()
     for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):

@@ -33,7 +33,9 @@ LEAST_WIDTH_m = 5e-3
 collinear."""
 FALSE_REFUSAL = 1e-6  # Probability that good landmarks do not fit
 TOUCH_STD_m = 0.5e-3
-SURFACE_STD_m, SURFACE_EDGES, SURFACE_REACH_m = 0.24e-3, 5.0, 3.7e-3
+SURFACE_STD_m = 0.24e-3
+SURFACE_EDGES = 5.0
+SURFACE_REACH_m = 3.7e-3
 """Least error of a flat segmented surface, its growth towards edges, 1 + 5 (1 -
 flatness), and the reach of its correlation exp(-(distance / reach)^2 / 2): measured on
 liver, kidneys, gallbladder, bladder, femur and two muscles against what segmenting them
@@ -48,7 +50,8 @@ LARGEST = (
 )
 MOST_OUTLIERS = 0.35
 TUKEY = 4.685
-ROUNDS, LAST_STEP_m = 60, 1e-7
+ROUNDS = 60
+LAST_STEP_m = 1e-7
 WIDE_ROUNDS = (
     12  # So long the touches' own distances say which of them slipped, then their noise
 )
@@ -142,7 +145,8 @@ def _widths_m(points_m: Array) -> Array:
 
 def _rigid_fit(model: Array, robot: Array) -> tuple[Array, Array, float]:
     """Rotation and shift with the least squares, and their sum."""
-    one, two = model.mean(axis=0), robot.mean(axis=0)
+    one = model.mean(axis=0)
+    two = robot.mean(axis=0)
     found = Rotation.align_vectors(robot - two, model - one)
     turn = found[0]
     return turn.as_matrix(), two - turn.apply(one), float(found[1]) ** 2
@@ -175,7 +179,8 @@ def fit_landmarks(
     require_deviation("std_m", std_m, RegistrationError)
     model, robot = _checked_landmarks(model_m, robot_m)
     rotation, translation, squares = _rigid_fit(model, robot)
-    degrees, residual_m = 3 * len(model) - 6, float(np.sqrt(squares / len(model)))
+    degrees = 3 * len(model) - 6
+    residual_m = float(np.sqrt(squares / len(model)))
     if not _fits(model, robot, std_m):
         explained = _explanations(model, robot)
         causes = [why for why, one, two in explained if _fits(one, two, std_m)]
@@ -329,10 +334,8 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
         raise RegistrationError(
             f"too few touches: {len(touches)}; touch {LEAST_TOUCHES} or more"
         )
-    size_m, extent_m = (
-        float(np.linalg.norm(np.ptp(touches, axis=0))),
-        float(surface.mesh.scale),
-    )
+    size_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
+    extent_m = float(surface.mesh.scale)
     if max(size_m, extent_m, size_m / extent_m) > LARGEST:
         raise RegistrationError(
             f"the touches spread over {size_m:.3g} m, the surface over {extent_m:.3g} m: "
@@ -352,11 +355,13 @@ def _fitted(surface: Surface, points: Array, noise_m: float) -> _Fit:
     while True:
         places, normals = surface.nearest(points)
         apart = points - places
-        distances, far = (apart * normals).sum(axis=1), np.linalg.norm(apart, axis=1)
+        distances = (apart * normals).sum(axis=1)
+        far = np.linalg.norm(apart, axis=1)
         # While far away everything counts; then what lies further than the rest does
         # not; last what lies further than noise: many that slipped together would widen
         # their own scale.
-        middle_m, scale = float(np.median(far)), noise_m
+        middle_m = float(np.median(far))
+        scale = noise_m
         if count < WIDE_ROUNDS:
             scale = max(1.4826 * middle_m, scale)
         else:
@@ -423,10 +428,9 @@ def _registration(
     """The fit from model to robot, with a covariance of touches and correlated
     surface errors.
     """
-    weights, kept = (
-        found.weights,
-        found.weights > 0.0,
-    )  # the others, which slipped, gain nothing
+    # the others, which slipped, gain nothing
+    weights = found.weights
+    kept = found.weights > 0.0
     degrees = max(float(kept.sum()) - 6.0, 1.0)
     observed = np.average(found.distances**2, weights=weights) * kept.sum() / degrees
     edges = 1.0 + SURFACE_EDGES * (1.0 - found.flatness)

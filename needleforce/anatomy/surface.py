@@ -24,7 +24,8 @@ TOLERANCE_VOXELS = 0.1
 """Simplification moves the surface at most so far: a triangle stays where fewer
 would show."""
 VOLUME_ROUNDS = 50  # At most; an organ needs two or three, a single voxel more
-PIECES, FINEST = 20_000, 250.0
+PIECES = 20_000
+FINEST = 250.0
 """The nearest triangle is found by pieces with edges as long as those of so many
 squares on the surface, but no shorter than this part of its extent."""
 
@@ -123,10 +124,12 @@ class Surface:
         """Means of the normals so far around places (n, 3) on it; as long as 1 where
         it is flat.
         """
-        (tree, kept), (_, every, area) = self._middles, self._faces
+        tree, kept = self._middles
+        _, every, area = self._faces
         means = normals.copy()
         for k, near in enumerate(tree.query_ball_point(places_m, reach_m)):
-            around, areas = every[kept[near]], area[kept[near]]
+            around = every[kept[near]]
+            areas = area[kept[near]]
             areas = areas * (
                 around @ normals[k] > 0.0
             )  # not the other side of a thin part
@@ -157,7 +160,8 @@ def closed_surface(
     from trimesh import Trimesh
     from trimesh.smoothing import filter_taubin
 
-    voxels, padded = np.count_nonzero(mask), np.pad(mask, 1)
+    voxels = np.count_nonzero(mask)
+    padded = np.pad(mask, 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     mesh = Trimesh(vertices, triangles, process=False)
     of_cubes = mesh.volume

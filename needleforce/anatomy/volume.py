@@ -24,7 +24,8 @@ from scipy import ndimage
 from needleforce.anatomy.errors import Array, VolumeError, require_deviation
 from needleforce.anatomy.surface import Surface, closed_surface
 
-BODY_HU, FAT_HU = -300.0, -30.0
+BODY_HU = -300.0
+FAT_HU = -30.0
 """Between air and fat, and between fat and lean tissue, in Hounsfield units."""
 OBSTACLES = "bone rib ribs costal cartilage cartilages vertebra vertebrae sacrum hip femur sternum"
 OBSTACLES += " scapula clavicula clavicle humerus pelvis skull bones spine vertebral coccyx ribcage"
@@ -52,7 +53,9 @@ _COLOURS = {
 """By words in names; red, green, blue of 3D Slicer's table of generic anatomy."""
 
 UNLABELLED = "unlabelled"  # Name of what no structure covers
-WIDTH_VOXELS, REACH_VOXELS, STEP_VOXELS = 1.2, 3, 0.5
+WIDTH_VOXELS = 1.2
+REACH_VOXELS = 3
+STEP_VOXELS = 0.5
 """Of the kernel: standard deviation and reach; and the distance of points on the
 path."""
 MOST_OUTSIDE_m = 1.0  # The first point; beyond it the unit is not the metre
@@ -269,7 +272,8 @@ class Labels:
         )
         found = {}
         for name in wanted:
-            item, mask = self[name], self.mask(name)
+            item = self[name]
+            mask = self.mask(name)
             corner_m = self.grid.points_m([part.start for part in item.box])
             found[name] = closed_surface(
                 name, mask, corner_m, self.grid.axes_m, item.colour
@@ -300,7 +304,8 @@ class Labels:
         """
         if boundary_std_m != 0.0:
             require_deviation("boundary_std_m", boundary_std_m, VolumeError)
-        entry, target = np.asarray(entry_m, float), np.asarray(target_m, float)
+        entry = np.asarray(entry_m, float)
+        target = np.asarray(target_m, float)
         if (
             entry.shape != (3,)
             or target.shape != (3,)
@@ -317,23 +322,20 @@ class Labels:
                 f"the entry {entry.tolist()} lies {beyond_m.max():.3g} m outside the volume: "
                 "expected metres, not millimetres"
             )
-        length_m, steps = (
-            float(np.linalg.norm(target - entry)),
-            np.linalg.norm(last - first),
-        )
+        length_m = float(np.linalg.norm(target - entry))
+        steps = np.linalg.norm(last - first)
         if steps == 0.0:
             raise VolumeError(f"entry and target are the same point {entry.tolist()}")
         at = np.linspace(0.0, 1.0, int(np.ceil(steps / STEP_VOXELS)) + 1)
         votes, kinds = _votes(self, first + at[:, None] * (last - first))
         winners = votes.argmax(axis=1)
         (i,) = np.nonzero(np.diff(winners))
-        left, right = winners[i], winners[i + 1]
+        left = winners[i]
+        right = winners[i + 1]
         # The winner leads before a boundary and trails behind it.
         lead_m = np.diff(at)[i] * length_m
-        lead, trail = (
-            votes[i, left] - votes[i, right],
-            votes[i + 1, right] - votes[i + 1, left],
-        )
+        lead = votes[i, left] - votes[i, right]
+        trail = votes[i + 1, right] - votes[i + 1, left]
         fall = np.maximum(lead + trail, 1e-9)
         cuts_m = at[i] * length_m + lead_m * lead / fall
         cuts = first + (cuts_m / length_m)[:, None] * (last - first)
@@ -414,7 +416,8 @@ def _votes(labels: Labels, indices: Array) -> tuple[Array, list[tuple[str, bool]
         table[list(values)] = list(values.values())
         np.maximum(found, table[np.clip(volume[places], 0, len(table) - 1)], out=found)
     found *= _outer(np.logical_and, inside)  # outside the volume is no structure
-    count, size = len(indices), 1 + len(ranked)
+    count = len(indices)
+    size = 1 + len(ranked)
     found += size * np.arange(count)[:, None, None, None]
     votes = np.bincount(found.ravel(), weights.ravel(), count * size)
     kinds = [(UNLABELLED, False), *((item.name, item.is_obstacle) for item in ranked)]

@@ -112,7 +112,8 @@ def _teleop(progress: Progress) -> Shown:
 
 
 def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
-    t_s, step = made.rows("t_s"), 20
+    t_s = made.rows("t_s")
+    step = 20
     depth_mm = 1e3 * (made.rows("depth_m") - made.depth_m[0])
 
     def curve(name: str, label: str, style: LineStyle, scale: float = 1.0) -> Curve:
@@ -162,7 +163,9 @@ def _teleop_charts(made: Teleinsertion) -> tuple[tuple[str, Chart, str], ...]:
     )
 
 
-CIRCLE_M, CIRCLE_S, ENTRY_M = 40e-3 / 2, 8.0, 80e-3
+CIRCLE_M = 40e-3 / 2
+CIRCLE_S = 8.0
+ENTRY_M = 80e-3
 
 
 def _rcm(progress: Progress) -> Shown:
@@ -171,7 +174,8 @@ def _rcm(progress: Progress) -> Shown:
     arm = SimulatedArm(contacts=[trocar], duration_s=CIRCLE_S + 0.5)
     controller = Controller(arm.robot, Limits(arm.robot))
     controller.tool.update(arm.home_rad)
-    start_m, axis = controller.tool.tip_m.copy(), controller.tool.axis.copy()
+    start_m = controller.tool.tip_m.copy()
+    axis = controller.tool.axis.copy()
     tip = control.TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=20.0)
     stack = [control.RemoteCentre(start_m - ENTRY_M * axis), tip, Posture(arm.home_rad)]
     rows = []
@@ -183,7 +187,8 @@ def _rcm(progress: Progress) -> Shown:
         offset = CIRCLE_M * (1.0 - math.cos(angle)), CIRCLE_M * math.sin(angle), 0.0
         rate = 2.0 * math.pi / CIRCLE_S * (1.0 - math.cos(2.0 * math.pi * part))
         along = np.array((math.sin(angle), math.cos(angle), 0.0))
-        tip.goal_m, tip.rate = start_m + offset, CIRCLE_M * rate * along
+        tip.goal_m = start_m + offset
+        tip.rate = CIRCLE_M * rate * along
         arm.send(controller.update(sample, stack).dq_rad_s)
         entry_m = arm.distance_to_axis_m(trocar.point_m)
         rows.append((arm.time_s, entry_m, math.dist(arm.truth.tip_m, tip.goal_m)))
@@ -222,7 +227,9 @@ def _autonomous(progress: Progress) -> Shown:
     )
     controller = Controller(arm.robot, Limits(arm.robot))
     controller.tool.update(arm.home_rad)
-    line, posture, rows = Fixture.here(controller.tool, 20.0), Posture(arm.home_rad), []
+    line = Fixture.here(controller.tool, 20.0)
+    posture = Posture(arm.home_rad)
+    rows = []
     inserted_s = stopped_s = math.inf
     for sample in arm:
         manager.heartbeat()
@@ -272,7 +279,10 @@ def _stop_chart(rows: np.ndarray, ruptures: list[Rupture], begin_s: float) -> Ch
     )
 
 
-PUSH_S, PUSH_END_S, GUIDED_S, PUSH_N = 5.0, 7.0, 10.0, 2.0
+PUSH_S = 5.0
+PUSH_END_S = 7.0
+GUIDED_S = 10.0
+PUSH_N = 2.0
 
 
 def _guidance(progress: Progress) -> Shown:
@@ -294,11 +304,9 @@ def _guidance(progress: Progress) -> Shown:
     sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
     controller = Controller(arm.robot, Limits(arm.robot))
     controller.tool.update(arm.home_rad)
-    guidance, shaft, rows = (
-        control.Guidance(arm.robot),
-        Fixture.here(controller.tool, 20.0),
-        [],
-    )
+    guidance = control.Guidance(arm.robot)
+    shaft = Fixture.here(controller.tool, 20.0)
+    rows = []
     for sample in arm:
         wrench = sensor.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s

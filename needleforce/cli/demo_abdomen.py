@@ -42,11 +42,15 @@ Progress = Callable[[float], None]
 
 VOXEL_m = 2e-3  # Of the analytic torso's scan
 SHIFT_STD_m = 3e-3  # How far organs lie from where the CT saw them, along the needle
-TOUCHES, TOUCH_STD_m = 100, 0.5e-3
+TOUCHES = 100
+TOUCH_STD_m = 0.5e-3
 LANDMARKS = 5
-SPEED_m_s, STANDOFF_m, BEYOND_m = 4e-3, 15e-3, 12e-3
+SPEED_m_s = 4e-3
+STANDOFF_m = 15e-3
+BEYOND_m = 12e-3
 FRONT = np.array([0.0, -1.0, 0.0])
-STEEPEST_deg, DRAWS = 35.0, 1000
+STEEPEST_deg = 35.0
+DRAWS = 1000
 LENGTHS_m = (0.05, 0.1)
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
 """What a needle may cross on its way into an organ: neither lung nor bowel nor large
@@ -109,7 +113,8 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
         torso = analytic_torso(rng)
         skin = torso["fat"]
         half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4
-        shape, corner_m = tuple((2 * half + 1).tolist()), skin.centre_m - VOXEL_m * half
+        shape = tuple((2 * half + 1).tolist())
+        corner_m = skin.centre_m - VOXEL_m * half
         grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
         structures = [
             Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)
@@ -142,7 +147,8 @@ def plan_path(
     and of `LENGTHS_m`; of as many tissues the shortest. `CommandError` if there is none
     from the front.
     """
-    organ_mask, corner = labels.mask(organ), [part.start for part in labels[organ].box]
+    organ_mask = labels.mask(organ)
+    corner = [part.start for part in labels[organ].box]
     core = ndimage.binary_erosion(organ_mask, iterations=3)
     places = labels.grid.points_m(
         np.argwhere(core if core.any() else organ_mask) + corner
@@ -302,12 +308,19 @@ def _followed(
     """The session over the run's signals, its ruptures matched with the plan: the
     other fields.
     """
-    signals, true, session = run.signals, run.truth, InsertionSession(run.robot)
+    signals = run.signals
+    true = run.truth
+    session = InsertionSession(run.robot)
     velocity = (
         signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
     )
-    rows, states, last_s, stop = [], [], signals.t_s[0], None
-    entry_m, start_m, axis = 0.0, np.zeros(3), np.zeros(3)
+    rows = []
+    states = []
+    last_s = signals.t_s[0]
+    stop = None
+    entry_m = 0.0
+    start_m = np.zeros(3)
+    axis = np.zeros(3)
     for k, (t_s, q, dq, tau) in enumerate(
         zip(signals.t_s, signals.q_rad, velocity, signals.tau_Nm, strict=True)
     ):

@@ -35,7 +35,8 @@ def run(options: DemoOptions) -> int:
     """Do it, print a table, and write a page or its first picture; return the exit
     code.
     """
-    folder, picture = options.report, options.figure
+    folder = options.report
+    picture = options.figure
     if folder is not None or picture is not None:
         require_matplotlib("demo")
     for name, package in NEEDED.items():
@@ -99,10 +100,8 @@ def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
     )
     ways = []
     for each in (made.rough, made.fine):
-        error, std = (
-            np.linalg.norm(each.to_robot(made.target_m) - true),
-            each.tre_m(made.target_m),
-        )
+        error = np.linalg.norm(each.to_robot(made.target_m) - true)
+        std = each.tre_m(made.target_m)
         ways.append(f"{1e3 * error:.1f} mm at the target, {1e3 * std:.1f} stated")
     if made.fine is made.rough:
         ways[1] = "refused: the skin slides or spins on itself"
@@ -154,10 +153,8 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     outline = [
         withStroke(linewidth=3.0, foreground="0.15")
     ]  # legible on any structure's colour
-    along, across = (
-        np.arange(-0.03, made.length_m + 0.06, 5e-4),
-        np.arange(-0.09, 0.09, 5e-4),
-    )
+    along = np.arange(-0.03, made.length_m + 0.06, 5e-4)
+    across = np.arange(-0.09, 0.09, 5e-4)
     colors, names = _section(made, along, across)
     figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
     extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
@@ -207,7 +204,9 @@ def _section(
     valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
     at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
     ordered = sorted(made.labels.structures, key=lambda item: -item.voxels)
-    owner, colors, names = np.full(valid.shape, -1), np.zeros((*valid.shape, 3)), []
+    owner = np.full(valid.shape, -1)
+    colors = np.zeros((*valid.shape, 3))
+    names = []
     for k, structure in enumerate(ordered):
         owner[
             valid & (made.labels.volumes[structure.volume][at] == structure.value)

@@ -28,10 +28,15 @@ from needleforce.control import (
 from needleforce.control.teleoperation import Shown
 from residual import DEFAULT, SensorConfig
 
-TARE_STROKE_M, GAP_M, TARE_SPEED_M_S = 60e-3, 5e-3, 20e-3
+TARE_STROKE_M = 60e-3
+GAP_M = 5e-3
+TARE_SPEED_M_S = 20e-3
 STANDOFF_M = TARE_STROKE_M + GAP_M
-HAND_STROKE_M, BACK_S = 0.15, 1.0
-JITTER_s, TICK_s, SETTLE_S = 5e-3, 1e-3, 1.5
+HAND_STROKE_M = 0.15
+BACK_S = 1.0
+JITTER_s = 5e-3
+TICK_s = 1e-3
+SETTLE_S = 1.5
 
 
 class HandPlan(NamedTuple):
@@ -113,7 +118,8 @@ class _Approach:
     """Tares over a free stroke; speed until it is done."""
 
     def __init__(self, session: InsertionSession) -> None:
-        self._session, self._rest_s = session, 0.0
+        self._session = session
+        self._rest_s = 0.0
 
     def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float:
         """Speed along the needle until the session is tared."""
@@ -140,20 +146,23 @@ def teleoperate(
     """Tare over a stroke, then let a hand drive the needle; the arm starts
     `STANDOFF_M` above.
     """
-    session, control = (
-        InsertionSession(arm.robot, sensor),
-        Controller(arm.robot, Limits(arm.robot)),
-    )
+    session = InsertionSession(arm.robot, sensor)
+    control = Controller(arm.robot, Limits(arm.robot))
     control.tool.update(arm.home_rad)
-    shaft, posture = Fixture.here(control.tool), Posture(arm.home_rad)
+    shaft = Fixture.here(control.tool)
+    posture = Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
-    jitter_s, lag_s = min(JITTER_s, delay_s), 1.0 / sensor.slowest_gain_per_s
+    jitter_s = min(JITTER_s, delay_s)
+    lag_s = 1.0 / sensor.slowest_gain_per_s
     lines = DelayLine(delay_s, jitter_s, rng), DelayLine(delay_s, jitter_s, rng)
     tele = Teleoperation(
         motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=lines
     )
     master = HapticMaster(operator(lambda t: (0.0, 0.0, hand.at(t)[0])))
-    approach, found, wanted_m, end_s = _Approach(session), Teleinsertion(), 0.0, np.inf
+    approach = _Approach(session)
+    found = Teleinsertion()
+    wanted_m = 0.0
+    end_s = np.inf
     for sample in arm:
         estimate = session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
@@ -163,7 +172,8 @@ def teleoperate(
         )
         if session.tared and speed_m_s is None:
             end_s = min(end_s, arm.time_s + hand.duration_s + SETTLE_S)
-            master.clutch, before_m = hand.at(master.time_s)[1], master.position_m[2]
+            master.clutch = hand.at(master.time_s)[1]
+            before_m = master.position_m[2]
             move = tele.update(master.read(), estimate, sample.dt_s)
             wanted_m += hand.scale * (master.position_m[2] - before_m) * master.clutch
             master.render(move.force_N)
@@ -192,12 +202,17 @@ class RuptureFelt(NamedTuple):
     delay_s: float  # until the alarm; nan without one
 
 
-BEFORE_TICKS, AFTER_TICKS, MEAN_TICKS, LATEST_ALARM_s = 100, 250, 20, 0.6
+BEFORE_TICKS = 100
+AFTER_TICKS = 250
+MEAN_TICKS = 20
+LATEST_ALARM_s = 0.6
 
 
 def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
     """How each rupture inside the tissue was shown."""
-    felt, t_s, alarms = [], run.rows("t_s"), run.rows("alarms_s")
+    felt = []
+    t_s = run.rows("t_s")
+    alarms = run.rows("alarms_s")
     for rupture in run.ruptures:
         start = int(np.searchsorted(t_s, rupture.onset_s))
         if rupture.layer == 0 or not BEFORE_TICKS < start < len(t_s) - 1:

@@ -45,7 +45,8 @@ def run(
     """
     robot = robots.robot_from_options(robot_options, columns.mapping)
     known = logs.mapping_from_options(columns)
-    torque, joints = "tau_ext" if sensor.external_torque else "tau", robot.joint_names
+    torque = "tau_ext" if sensor.external_torque else "tau"
+    joints = robot.joint_names
     if columns.print_config:
         payload = robots.payload_lines(
             robots.payload_from_options(robot_options, columns.mapping)
@@ -99,11 +100,9 @@ def estimate_forces(
     tracked = ["axial_N", "axial_std_N", "force_status", "after_gap"]
     tracked += ["force_N", "std"] if config.mode != "axial" else []
     tracked += ["torque_Nm"] if config.mode == "full" else []
-    result, overview, forces = (
-        ForceResult(log.name, replay),
-        logs.RowOverview(tracked),
-        [],
-    )
+    result = ForceResult(log.name, replay)
+    overview = logs.RowOverview(tracked)
+    forces = []
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     with logs.open_output(output, log, Labels(frame=frame)) as table:
@@ -156,7 +155,8 @@ class ForceResult:
     """The outcome of a whole log, of bounded size however long the log."""
 
     def __init__(self, log: str, replay: Replay) -> None:
-        self.log, self.replay = log, replay
+        self.log = log
+        self.replay = replay
         self.rows: Rows = {}  # for a figure
         self.layers: IdentificationResult | None = (
             None  # what the forces show, if asked for
@@ -179,12 +179,11 @@ class ForceResult:
             )
         for status, (low_N, high_N, total_N) in self._axial_N.items():
             chosen = has_status(rows, status)
-            axial_N, std_N = rows["axial_N"][chosen], rows["axial_std_N"][chosen]
+            axial_N = rows["axial_N"][chosen]
+            std_N = rows["axial_std_N"][chosen]
             self.counts[status] += len(axial_N)
-            low_N, high_N = (
-                np.min(axial_N, initial=low_N),
-                np.max(axial_N, initial=high_N),
-            )
+            low_N = np.min(axial_N, initial=low_N)
+            high_N = np.max(axial_N, initial=high_N)
             self._axial_N[status] = (low_N, high_N, total_N + float(std_N.sum()))
 
     def text(self) -> str:
@@ -196,9 +195,11 @@ class ForceResult:
         """Yield label and text of every line: what was used, what was done, what
         came out.
         """
-        replay, payload = self.replay, self.replay.robot.payload
+        replay = self.replay
+        payload = self.replay.robot.payload
         mass_kg = payload.mass_kg if payload is not None else 0.0
-        name, joints = replay.robot.model.name, replay.robot.nv
+        name = replay.robot.model.name
+        joints = replay.robot.nv
         yield "robot", f"{name}, {joints} joints, payload {mass_kg:.3g} kg"
         yield "sensor", replay.description
         span = f"{self.counts.total()} in {replay.duration_s:.4g} s"
@@ -209,7 +210,8 @@ class ForceResult:
         ]
         yield "samples", f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
         yield "rejected", rejections(replay.rejected) or "none"
-        gaps, limit = replay.gaps, f"longer than {replay.config.max_gap_s:g} s"
+        gaps = replay.gaps
+        limit = f"longer than {replay.config.max_gap_s:g} s"
         text = f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after each"
         if 2 * self.counts[Status.INITIALIZING] > self.counts.total():
             text += (
@@ -260,7 +262,9 @@ class ForceResult:
 
     def chart(self, over: cli.Over = "time") -> Chart:
         """Return every estimated component with its band of two standard deviations."""
-        rows, config, tare = self.rows, self.replay.config, self.replay.tare
+        rows = self.rows
+        config = self.replay.config
+        tare = self.replay.tare
         start_s, x_label = logs.time_axis(rows["t_s"])
         x = rows["t_s"] - start_s
         axial = ("axial force", palette.OURS, rows["axial_N"], rows["axial_std_N"])
@@ -280,7 +284,8 @@ class ForceResult:
             "instants": (plots.Instants("rejected", palette.REJECTED, rejected),),
         }
         if over == "depth":
-            x, marks = 1e3 * rows["travel_m"], {}
+            x = 1e3 * rows["travel_m"]
+            marks = {}
             x_label = "travel of the tool along the needle [mm]"
         return Chart(
             title=f"Force on the needle\n{self.log}: {self.replay.description}",
@@ -306,12 +311,14 @@ class ForceResult:
                     "alt": f"Estimated forces of {self.log} over {over}",
                     "caption": caption,
                 }
-                chart, place = self.chart(over), folder / f"forces-over-{over}.svg"
+                chart = self.chart(over)
+                place = folder / f"forces-over-{over}.svg"
                 figures += (
                     plots.save_page_figure(chart, place, is_alone=True, **words),
                 )
         made = f"Made by `needleforce force`: {self.replay.description}."
-        caption, lines = "What was used, done and found", tuple(self.summary())
+        caption = "What was used, done and found"
+        lines = tuple(self.summary())
         summary = plots.PageTable(caption=caption, head=("", ""), rows=lines)
         settings = plots.settings_table(
             self.replay.config, "As in a file for --config, SI units"
@@ -354,14 +361,17 @@ def panel_of(
     chart: the line alone shows more.
     """
     kept = ~has_status(rows, Status.REJECTED)
-    x, tared = x[kept], has_status(rows, Status.OK)[kept]
+    x = x[kept]
+    tared = has_status(rows, Status.OK)[kept]
     curves: list[Curve] = []
     for name, style, values, std in components:
         y = np.where(rows["after_gap"], np.nan, values)[kept]
         if not tared.all():
-            grey, what = palette.UNTARED, "not tared"
+            grey = palette.UNTARED
+            what = "not tared"
             if not tared.any():
-                grey, what = replace(grey, color=style.color), f"{name}, not tared"
+                grey = replace(grey, color=style.color)
+                what = f"{name}, not tared"
             curves.append(
                 Curve(style=grey, x=x, y=np.where(tared, np.nan, y), label=what)
             )

@@ -97,8 +97,11 @@ class Taring:
     def __init__(
         self, replay: "Replay", options: SensorOptions, first_s: float
     ) -> None:
-        self._sensor, self._options, self._first_s = replay.sensor, options, first_s
-        self._rejected, self._rejected_before = replay.rejected, Counter[str]()
+        self._sensor = replay.sensor
+        self._options = options
+        self._first_s = first_s
+        self._rejected_before = Counter[str]()
+        self._rejected = replay.rejected
         self._window: TareWindow | None = None
         if options.tare is not None:
             window = tare_window(options.tare, first_s)
@@ -115,7 +118,8 @@ class Taring:
             return
         if self._must_start and t_s >= window.start_s:
             self._sensor.start_tare_recording()
-            self._must_start, self._rejected_before = False, self._rejected.copy()
+            self._rejected_before = self._rejected.copy()
+            self._must_start = False
         if t_s > window.end_s:
             self._tare(window)
 
@@ -155,7 +159,8 @@ class Taring:
         is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
         if is_inside and window.start_s < window.end_s:
             return
-        first, last = f"{self._first_s:.12g} s", f"{last_s:.12g} s"
+        first = f"{self._first_s:.12g} s"
+        last = f"{last_s:.12g} s"
         log = (
             f"starts at {first}"
             if math.isinf(last_s)
@@ -210,7 +215,8 @@ def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
 
 def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
     """Refuse a log of other joints; it has the same number in every channel."""
-    columns, names = q_rad.shape[1], robot.joint_names
+    columns = q_rad.shape[1]
+    names = robot.joint_names
     if columns != len(names):
         raise CommandError(
             f"the log has {columns} columns per joint signal, the robot has {len(names)} "
@@ -226,13 +232,12 @@ class Replay:
         self, robot: Robot, config: SensorConfig, options: SensorOptions
     ) -> None:
         self.sensor = VirtualForceSensor(robot, config)
-        self.robot, self.config, self.is_external = (
-            robot,
-            config,
-            options.external_torque,
-        )
+        self.robot = robot
+        self.config = config
+        self.is_external = options.external_torque
         self.frame = config.frame if config.frame is not None else robot.tool_frame
-        self._options, self._has_velocity = options, False
+        self._options = options
+        self._has_velocity = False
         self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
         self._start_m: NDArray[np.float64] | None = None
         self._axis = self._tool.axis_in_base
@@ -240,16 +245,17 @@ class Replay:
         self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
         # Of the clock of the first rows, which runs on when the log's clock is set
         # back.
-        self._first_s, self._latest_s, self._shift_s = 0.0, -math.inf, 0.0
+        self._first_s = 0.0
+        self._latest_s = -math.inf
+        self._shift_s = 0.0
         self.rejected: Counter[str] = Counter()  # reasons
         self.velocity_fault = ""  # the last message about velocities that are no rates
         self.question = (
             ""  # the last one about signals that may be missing or in degrees
         )
-        self.gaps, self.longest_gap_s = (
-            0,
-            0.0,
-        )  # in time, after which the filters restarted
+        # in time, after which the filters restarted
+        self.gaps = 0
+        self.longest_gap_s = 0.0
 
     @property
     def description(self) -> str:
@@ -266,19 +272,25 @@ class Replay:
 
     def run(self, chunk: LogChunk) -> Rows:
         """Return the estimates of further rows, at least one."""
-        q_rad, dq_rad_s = chunk.channels["q_rad"], chunk.channels.get("dq_rad_s")
+        q_rad = chunk.channels["q_rad"]
+        dq_rad_s = chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        self._has_velocity, t_s = dq_rad_s is not None, chunk.t_s.tolist()
+        t_s = chunk.t_s.tolist()
+        self._has_velocity = dq_rad_s is not None
         if self._taring is None:
             require_joints(
                 q_rad, self.robot, ", or choose columns with --q, --tau and so on"
             )
             self._first_s = t_s[0]
             self._taring = Taring(self, self._options, t_s[0])
-        sensor, taring, estimates, elapsed_s = self.sensor, self._taring, [], []
+        sensor = self.sensor
+        taring = self._taring
+        estimates = []
+        elapsed_s = []
         update = sensor.update_external_torque if self.is_external else sensor.update
         for k, (stamp_s, dt_s) in enumerate(zip(t_s, chunk.dt_s.tolist(), strict=True)):
-            now_s, advances = self._running_s(stamp_s, dt_s), dt_s > 0.0
+            now_s = self._running_s(stamp_s, dt_s)
+            advances = dt_s > 0.0
             if advances:
                 taring.before(now_s)
             # The sensor reads no time step of the first sample.

@@ -45,7 +45,8 @@ def run(
     line.
     """
     known = logs.mapping_from_options(columns)
-    force, optional = known.channels.get("force"), OPTIONAL
+    force = known.channels.get("force")
+    optional = OPTIONAL
     if force is not None and "axial" not in force.patterns[0].lower():
         # What `needleforce force` states of the axial force holds for no other.
         optional = tuple(
@@ -76,7 +77,8 @@ def usable_force(chunk: LogChunk, left_out: Counter[str]) -> NDArray[np.float64]
 
     The others are those that `needleforce.InsertionSession` gives to its identifier.
     """
-    channels, nothing = chunk.channels, np.zeros(len(chunk.t_s))
+    channels = chunk.channels
+    nothing = np.zeros(len(chunk.t_s))
     is_marked = channels.get("force_status", nothing) != FORCE_STATUS.index("ok")
     warnings = np.nan_to_num(channels.get("force_warnings", nothing)).astype(np.int64)
     is_worthless = (warnings & sum(WORTHLESS.values())) != 0
@@ -94,21 +96,18 @@ def identify_layers(
     """Run the identifier over a log and write its estimates into a table, if there
     is one.
     """
-    stream, left_out = ReplayStream(METHODS[options.method]), Counter[str]()
+    stream = ReplayStream(METHODS[options.method])
+    left_out = Counter[str]()
     drawn = (*(force for force, _, _ in _FORCES), *_PARAMETERS, "identified_layer")
     overview = logs.RowOverview(drawn)
     for chunk in chunks:
-        t_s, depth_m, force_N = (
-            chunk.t_s,
-            chunk.channels["depth_m"],
-            chunk.channels["force_N"],
-        )
+        t_s = chunk.t_s
+        depth_m = chunk.channels["depth_m"]
+        force_N = chunk.channels["force_N"]
         if not options.ignore_status:
             force_N = usable_force(chunk, left_out)
-        speed_m_s, std_N = (
-            chunk.channels.get("speed_m_s"),
-            chunk.channels.get("force_std_N"),
-        )
+        speed_m_s = chunk.channels.get("speed_m_s")
+        std_N = chunk.channels.get("force_std_N")
         estimates = stream.run(t_s, chunk.dt_s, depth_m, force_N, speed_m_s, std_N)
         columns = estimate_table(t_s, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
@@ -118,7 +117,8 @@ def identify_layers(
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in (+left_out).items()
     )
-    warnings, layers = (*counted, *map(_with_option, stream.hints)), stream.layers
+    warnings = (*counted, *map(_with_option, stream.hints))
+    layers = stream.layers
     for warning in warnings:
         say(f"warning: {warning}")
     return IdentificationResult(
@@ -210,7 +210,8 @@ class IdentificationResult:
         rows |= {name: self.rows[name] for name in ("t_s", "depth_m", "force_N")}
         x = rows["t_s"] - start_s
         if over == "depth":
-            x, x_label = 1e3 * rows["depth_m"], "depth [mm]"
+            x = 1e3 * rows["depth_m"]
+            x_label = "depth [mm]"
         forces = [
             Curve(style=style, x=x, y=rows[n], label=text) for n, text, style in _FORCES
         ]
@@ -282,7 +283,8 @@ HEADER = (
 
 def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
     """Return the line of a layer, its times on the log's clock."""
-    rupture, unsure = layer.rupture, "" if layer.friction_identified else "?"
+    rupture = layer.rupture
+    unsure = "" if layer.friction_identified else "?"
     stiffness = _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
     return (
         str(layer.layer),

@@ -39,7 +39,8 @@ from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
-PANEL_s, LINE_s = 0.1, 1.0
+PANEL_s = 0.1
+LINE_s = 1.0
 """Between two pictures on a terminal, and two lines elsewhere."""
 ROBOTS = {
     "fri": "lwr",
@@ -156,7 +157,9 @@ class _Watch:
     """What a session knows, as a panel on a terminal or a line a second elsewhere."""
 
     def __init__(self, arm: Any, reference: ReferenceForce | None) -> None:
-        self._arm, self._reference, self._next_s = arm, reference, 0.0
+        self._arm = arm
+        self._reference = reference
+        self._next_s = 0.0
         self._events: list[str] = []
 
     def show(self, now: SessionEstimate, live: Any) -> None:
@@ -174,7 +177,8 @@ class _Watch:
             live.update("\n".join(lines))
 
     def _lines(self, now: SessionEstimate) -> list[str]:
-        wrench, found = now.wrench, now.identification
+        wrench = now.wrench
+        found = now.identification
         depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {found.layer}"
         beside = (
             "" if self._reference is None else f" ({_reference_words(self._reference)})"
@@ -193,7 +197,8 @@ class _Watch:
 
 def _events(now: SessionEstimate) -> Iterator[str]:
     """What this tick has brought, in words."""
-    found, plan = now.identification, now.plan
+    found = now.identification
+    plan = now.plan
     if (rupture := found.rupture) is not None:
         chance = f"{100.0 * rupture.probability:.0f} %"
         text = f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
@@ -256,11 +261,9 @@ def watch_arm(
     arm_name: str, options: LiveOptions, watched: WatchOptions, robot: RobotOptions
 ) -> int:
     """Watch force and layers of an arm; return the exit code."""
-    tare, kind, address = (
-        SessionTare(watched.tare),
-        arm_name.partition(":")[0],
-        watched.reference,
-    )
+    tare = SessionTare(watched.tare)
+    kind = arm_name.partition(":")[0]
+    address = watched.reference
     plan = None if watched.plan is None else read_plan(watched.plan)
     with (
         arm_named(arm_name, robot, options.motor_constants) as (arm, model),

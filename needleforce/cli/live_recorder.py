@@ -48,14 +48,13 @@ class Recorder:
 
     def __init__(self, path: Path, joint_names: tuple[str, ...]) -> None:
         check_writable(path)
-        self.rows, self.time_s = 0, 0.0
+        self.rows = 0
+        self.time_s = 0.0
         self._chunk: list[tuple[float, ArmSample]] = []
         self._fields: list[str] = []
         context = multiprocessing.get_context("spawn")
-        self._queue, (self._pipe, self._other) = (
-            context.Queue(),
-            context.Pipe(duplex=False),
-        )
+        self._queue = context.Queue()
+        self._pipe, self._other = context.Pipe(duplex=False)
         given = (self._queue, self._other, path, joint_names)
         self._process = context.Process(target=_write, args=given)
 
@@ -133,7 +132,8 @@ def _write(
 ) -> None:
     """The process: into the pipe goes None when all is written, or what was wrong."""
     leave_real_time()
-    parent, wrong = multiprocessing.parent_process(), None
+    parent = multiprocessing.parent_process()
+    wrong = None
     try:
         with open_table(
             path, is_live=True, labels=lambda: Labels(joint_names=joint_names)

@@ -118,7 +118,8 @@ def run(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
     model = robot_from_options(robot, options.mapping)
     plan = None if options.anatomy is None else read_plan(options.anatomy)
     rows = replayed(recording, model, options, plan)
-    scene, shapes = EMPTY if plan is None else plan.scene, description(robot)
+    scene = EMPTY if plan is None else plan.scene
+    shapes = description(robot)
     with redirect_stdout(sys.stderr):  # viser's banner is no result
         viewer = Viewer(
             model, scene, urdf_path=shapes, host=options.host, port=options.port
@@ -152,17 +153,19 @@ def replayed(
     """Rows of the session over a recording of joint signals; says what is wrong with
     it.
     """
-    tare, session, rows = SessionTare(options.tare), InsertionSession(model), []
-    rejected, mapping = (
-        Counter[str](),
-        load_mapping(options.mapping) if options.mapping else None,
-    )
-    joints, known = model.joint_names, (recording, mapping)
+    tare = SessionTare(options.tare)
+    session = InsertionSession(model)
+    rows = []
+    rejected = Counter[str]()
+    mapping = load_mapping(options.mapping) if options.mapping else None
+    joints = model.joint_names
+    known = (recording, mapping)
     log = read_log(*known, required=["q", "tau"], optional=["dq"], joints=joints)
     require_joints(log["q_rad"], model)
     if plan is not None:
         session.follow(plan.match, plan.entry_in_base_m)
-    q, tau = log["q_rad"], log["tau_Nm"]
+    q = log["q_rad"]
+    tau = log["tau_Nm"]
     dq = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q)
     steps = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1])
     with progress_bar("estimating") as progress:
@@ -219,7 +222,8 @@ def _require_places(plan: _PlanFile) -> None:
 def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
     """Surfaces, and the layers between entry and target, of the labels in a folder."""
     files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    turn, shift = np.array(plan.rotation), np.array(plan.translation_m)
+    turn = np.array(plan.rotation)
+    shift = np.array(plan.translation_m)
     if (
         not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
         or np.linalg.det(turn) < 0.0
@@ -252,7 +256,9 @@ def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
 
 def _given(plan: _PlanFile) -> list[Layer]:
     """The layers that stand in the file itself."""
-    found, depth_m, std_m = [], plan.start_m, 0.0
+    found = []
+    depth_m = plan.start_m
+    std_m = 0.0
     for one in plan.layers:
         if not one.exit_m > depth_m:
             raise ValueError(
@@ -261,5 +267,6 @@ def _given(plan: _PlanFile) -> list[Layer]:
         found.append(
             Layer(one.name, depth_m, one.exit_m, std_m, one.exit_std_m, one.is_obstacle)
         )
-        depth_m, std_m = one.exit_m, one.exit_std_m
+        depth_m = one.exit_m
+        std_m = one.exit_std_m
     return found

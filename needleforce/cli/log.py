@@ -41,7 +41,8 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
         for name, channel in CHANNELS.items()
         if (text := getattr(columns, name, None)) is not None
     }
-    channels, rate_hz = {**base.channels, **given}, columns.rate
+    channels = {**base.channels, **given}
+    rate_hz = columns.rate
     if "time" not in given:
         if rate_hz is not None:
             channels.pop("time", None)
@@ -57,7 +58,8 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
             "a report needs a file, not a pipe; or give --report DIR to force"
         )
     table = next(recordings.stream_tables(source, FollowOptions()))
-    mapping, asked = mapping_from_options(columns), tuple(channels)
+    mapping = mapping_from_options(columns)
+    asked = tuple(channels)
     try:
         return ChannelRequest(mapping, asked).columns(table) is not None
     except recordings.ColumnError:
@@ -83,7 +85,9 @@ class LogSession:
             raise CommandError(
                 f"--idle {output.idle:g}: expected a number of seconds > 0"
             )
-        self._source, self._output, self._request = source, output, request
+        self._source = source
+        self._output = output
+        self._request = request
         is_piped = source == STANDARD_STREAM
         self.name = "standard input" if is_piped else Path(source).name
         # Rows come as they are recorded, and results must not wait for the end.
@@ -191,13 +195,15 @@ def run_log(
 
 
 def _window(output: Output) -> tuple[float, float]:
-    start, end = output.start, output.end
+    start = output.start
+    end = output.end
     return -math.inf if start is None else start, math.inf if end is None else end
 
 
 def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
     """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
-    (start, end), (low, high) = _window(output), chart.x_limits or (-math.inf, math.inf)
+    start, end = _window(output)
+    low, high = chart.x_limits or (-math.inf, math.inf)
     if (low, high) == (-math.inf, math.inf) or (output.start, output.end) == (
         None,
         None,
@@ -291,7 +297,8 @@ class RowOverview:
     """
 
     def __init__(self, tracked: Sequence[str], most_rows: int = MOST_ROWS) -> None:
-        self._tracked, self._most_rows = tuple(tracked), most_rows
+        self._tracked = tuple(tracked)
+        self._most_rows = most_rows
         self._parts: list[dict[str, np.ndarray]] = []
         self._seen = self._kept = 0
 
@@ -303,7 +310,8 @@ class RowOverview:
         self._parts.append(
             {_NUMBER: np.arange(self._seen, self._seen + rows), **columns}
         )
-        self._seen, self._kept = self._seen + rows, self._kept + rows
+        self._seen = self._seen + rows
+        self._kept = self._kept + rows
         if self._kept > 10 * self._most_rows:
             self._parts = [self.columns()]
             self._kept = len(self._parts[0][_NUMBER])

@@ -144,9 +144,11 @@ def payload_from_options(
     of mass; a point mass without it) in flange axes, or a table ``[needle]`` with
     fields of `urdf.NeedleTool`.
     """
-    value, where = options.payload, "--payload"
+    value = options.payload
+    where = "--payload"
     if value is None and mapping is not None:
-        value, where = load_mapping(mapping).payload, f"{mapping}: [payload]"
+        value = load_mapping(mapping).payload
+        where = f"{mapping}: [payload]"
     if value is None:
         value = (
             "needle"

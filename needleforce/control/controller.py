@@ -42,7 +42,11 @@ from urdf import Robot
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by
 as much."""
-LOWEST, HIGHEST, SPEED, ACCELERATION = 0, 1, 2, 3  # Rows of `Limits.table`
+# Rows of `Limits.table`
+LOWEST = 0
+HIGHEST = 1
+SPEED = 2
+ACCELERATION = 3
 
 _REGULAR = 1e-6  # Where less than that of a row is new, it counts as dependent on those above it
 _AT_LIMIT_rad_s = 1e-6
@@ -136,9 +140,13 @@ def joint_bounds(
     has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
     Limits are a `Limits.table`, bounds of shape (2, n), and nan where a position is.
     """
-    speed, rate = limits[SPEED], limits[ACCELERATION]
+    speed = limits[SPEED]
+    rate = limits[ACCELERATION]
     change = rate * step_s - SLACK_rad_s
-    square, way, low, high = change * change, 2.0 * rate, last - change, last + change
+    square = change * change
+    way = 2.0 * rate
+    low = last - change
+    high = last + change
     most = np.sqrt(square + way * np.maximum(limits[HIGHEST] - q, 0.0)) - change
     least = change - np.sqrt(square + way * np.maximum(q - limits[LOWEST], 0.0))
     bounds[0] = np.minimum(np.maximum(np.maximum(least, -speed), low), high)
@@ -168,8 +176,10 @@ class Stack:
             task.size
             for task in (tasks[:-1] if isinstance(last, JointVelocity) else tasks)
         ]
-        self.rows, self.rates = np.zeros((sum(sizes), joints)), np.zeros(sum(sizes))
-        self.wish, self.bounds = np.zeros(joints), np.zeros((2, joints))
+        self.rows = np.zeros((sum(sizes), joints))
+        self.rates = np.zeros(sum(sizes))
+        self.wish = np.zeros(joints)
+        self.bounds = np.zeros((2, joints))
         ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
         self.levels = [
             (self.rows[first:end], self.rates[first:end]) for first, end in ends
@@ -199,7 +209,8 @@ def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
         if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
             return False
         velocity += step
-    (lower, upper), found = bounds.tolist(), velocity.tolist()
+    lower, upper = bounds.tolist()
+    found = velocity.tolist()
     return all(map(lt, lower, found)) and all(map(lt, found, upper))
 
 
@@ -254,7 +265,8 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
         raise SettingError("positions or goals are not finite")
     lower, upper = stack.bounds
     # From where no lower task has a say, so that it cannot matter to a higher one.
-    velocity, free = np.minimum(np.maximum(0.0, lower), upper), np.eye(velocity.size)
+    velocity = np.minimum(np.maximum(0.0, lower), upper)
+    free = np.eye(velocity.size)
     for rows, rates in [*stack.levels, (free, stack.wish)]:
         if free.size:
             length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), 1e-9)
@@ -287,14 +299,17 @@ def blocking(
     near a singular posture none is held for a motion that is rounding (Harris, Math.
     Programming 1973).
     """
-    part, joint, most = 1.0, -1, 0.0
+    part = 1.0
+    joint = -1
+    most = 0.0
     ends = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
     for k in range(step.size):
         if is_held[k] == 0.0 and step[k] != 0.0:
             part = min(part, max(ends[k] / step[k] + _BEYOND_rad_s / abs(step[k]), 0.0))
     for k in range(step.size if part < 1.0 else 0):
         if is_held[k] == 0.0 and abs(step[k]) > most and ends[k] / step[k] <= part:
-            joint, most = k, abs(step[k])
+            joint = k
+            most = abs(step[k])
     return (max(ends[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
 
 
@@ -311,7 +326,8 @@ def serve_level(
     after many changes, so that no circle can form; with none the level is served. Rows
     are of length one, N is orthonormal, the levels above are content with the start.
     """
-    velocity, is_held = start.copy(), np.zeros(start.size)
+    velocity = start.copy()
+    is_held = np.zeros(start.size)
     seen = rows @ free
     for change in range(_MOST_CHANGES):
         held = free[is_held != 0.0]
@@ -377,13 +393,13 @@ class Controller:
         if (joints := limits.table.shape[1]) != robot.nv:
             raise SettingError(f"limits of {joints} joints, the robot has {robot.nv}")
         self.tool = ToolState(robot)
-        self._limits, self._joints, self._solve = limits.table, joints, solve
+        self._limits = limits.table
+        self._joints = joints
+        self._solve = solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
-        self._tasks, self._numbers, self._step_s = (
-            list[Task](),
-            Stack((), robot.nv),
-            1e-3,
-        )
+        self._tasks = list[Task]()
+        self._numbers = Stack((), robot.nv)
+        self._step_s = 1e-3
         self.reset()
 
     def reset(self, dq_rad_s: Array | None = None) -> None:
@@ -409,7 +425,8 @@ class Controller:
             stack: Tasks, the most important first; with none the arm brakes and rests.
         """
         try:
-            q, dt_s = np.ascontiguousarray(sample.q_rad, np.float64), float(sample.dt_s)
+            q = np.ascontiguousarray(sample.q_rad, np.float64)
+            dt_s = float(sample.dt_s)
             if q.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._skip(f"{q.size} positions, dt_s = {dt_s:g}")
             if not math.isfinite(q.dot(q)):
@@ -424,7 +441,8 @@ class Controller:
                 key = (has_wish, *[task.size for task in stack])
                 if key not in self._stacks:
                     self._stacks[key] = Stack(stack, self._joints)
-                self._numbers, self._tasks = self._stacks[key], list(stack)
+                self._tasks = list(stack)
+                self._numbers = self._stacks[key]
             numbers = self._numbers
             numbers.fill(stack, self.tool)
             joint_bounds(self._limits, q, self.last_rad_s, self._step_s, numbers.bounds)

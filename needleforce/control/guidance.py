@@ -33,14 +33,15 @@ from residual.fault_detection import UNKNOWN_EFFORT_NM
 from residual.input_validation import MOST_PLAUSIBLE, as_float, known_limits
 from urdf import Robot
 
-LAG_s, LEAST, SIGMAS = 0.02, 1.6e-3, 4.0
+LAG_s = 0.02
+LEAST = 1.6e-3
+SIGMAS = 4.0
 """T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean,
 0.4 h on FRI."""
-LEFT, OPEN_s, CLOSE_s = (
-    0.15,
-    0.05,
-    0.5,
-)  # z while a hand is felt, times in which it falls, returns
+# z while a hand is felt, times in which it falls, returns
+LEFT = 0.15
+OPEN_s = 0.05
+CLOSE_s = 0.5
 LWR_DAMPING_Nms = (
     3.2,
     3.2,
@@ -50,10 +51,14 @@ LWR_DAMPING_Nms = (
     0.24,
     0.1,
 )  # D per rad: 10 to 25 Ns/m at the hub
-STEADY_s, STEADY = 0.12, 0.9
+STEADY_s = 0.12
+STEADY = 0.9
 """Time of the means, and q_0: a hand that begins to lead stays above it, if not by
 much."""
-RISE_per_s, FADE_per_s, FIRST, MOST = 30.0, 4.0, 3.0, 50.0
+RISE_per_s = 30.0
+FADE_per_s = 4.0
+FIRST = 3.0
+MOST = 50.0
 """a, b, c when a hand is first felt, and c_max. With c = 1 at first a hand of 5000 N/m
 swings an arm by 30 mm where torques come late; with c_max = 20 the arm runs away from
 it."""
@@ -64,7 +69,8 @@ the next one."""
 GROWTH_s = 20.0
 """Time over which sigma may grow by e: torques drift slowly since the tare, hands
 come at once."""
-REST_rad_s, LONGEST_s = 1e-6, 0.1
+REST_rad_s = 1e-6
+LONGEST_s = 0.1
 """What counts as rest, and the most time that a step stands for: a longer one is a
 pause."""
 
@@ -101,8 +107,12 @@ class Guidance:
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
         self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
-        self._power_W, self._seen, self._heavy, self._zone = 0.0, 0.0, FIRST, 1.0
-        self._sigma_Nm, self._rejected_s = np.full(self._damping.shape, np.inf), 0.0
+        self._power_W = 0.0
+        self._seen = 0.0
+        self._heavy = FIRST
+        self._zone = 1.0
+        self._sigma_Nm = np.full(self._damping.shape, np.inf)
+        self._rejected_s = 0.0
 
     def update(
         self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
@@ -136,7 +146,8 @@ class Guidance:
         beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
         kept = math.exp(-dt_s / LAG_s)
         if is_valid and np.abs(beyond).max() < MOST_PLAUSIBLE:
-            self._beyond_Nm, self._rejected_s = beyond, 0.0
+            self._beyond_Nm = beyond
+            self._rejected_s = 0.0
         else:
             self._rejected_s += dt_s
             self._beyond_Nm = self._beyond_Nm * (
@@ -161,6 +172,8 @@ class Guidance:
             )
             self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
         else:  # nothing is felt, so the next motion is another one
-            self._mean, self._power_W, self._seen = np.zeros_like(self._wish), 0.0, 0.0
+            self._mean = np.zeros_like(self._wish)
+            self._power_W = 0.0
+            self._seen = 0.0
             self._heavy = max(self._heavy, FIRST)
         return JointVelocity(self._wish / self._heavy)

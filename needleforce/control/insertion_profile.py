@@ -23,29 +23,31 @@ _TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
 _BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
 _HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows in 0.1 s
 _NEAR_M = 2e-5  # So near to its end a motion has arrived
-_SMOOTH_S, _PEAK_S = (
-    3e-3,
-    0.1,
-)  # Time constants: of the force, and of the memory of its last peak
-_BLOCK_S, _RUPTURE_S, _PAST_S, _FIRST_S = 0.2, 0.3, 5.0, 1.0
+# Time constants: of the force, and of the memory of its last peak
+_SMOOTH_S = 3e-3
+_PEAK_S = 0.1
+_BLOCK_S = 0.2
+_RUPTURE_S = 0.3
+_PAST_S = 5.0
+_FIRST_S = 1.0
 """Ordinary is the largest fall of the last seconds, without those newer than a block
 and of counted ruptures. A heartbeat is, once the needle has been in tissue for a
 second."""
-_LARGE, _FIRST_LARGE, _LARGE_N, _BEYOND, _LEAST_N, _LASTS_S = (
-    0.03,
-    0.15,
-    0.08,
-    2.0,
-    0.03,
-    1.5e-3,
-)
+_LARGE = 0.03
+_FIRST_LARGE = 0.15
+_LARGE_N = 0.08
+_BEYOND = 2.0
+_LEAST_N = 0.03
+_LASTS_S = 1.5e-3
 """A fall by so much of the force, more in that second, in newtons, and so many times
 the ordinary one is a rupture, if it lasts longer than a jerk of the arm; and the least
 fall of an alarm."""
 _MOST_RISE_N_per_s = (
     15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
 )
-_GAP_S, _GAP_STEPS, _FADE_S = 2.5e-3, 2.5, 0.05
+_GAP_S = 2.5e-3
+_GAP_STEPS = 2.5
+_FADE_S = 0.05
 """A step so long, and so many usual ones, is a gap: an arm stops and starts, the
 force is off."""
 _APART_M = 3e-3  # Two ruptures less far apart are one
@@ -87,7 +89,8 @@ def depth_of(
     """
     if not np.linalg.norm(axis) > 0.0:
         raise SettingError(f"axis is {axis!r}, expected a direction of three numbers")
-    way, axis = np.subtract(target_m, tip_m), axis / np.linalg.norm(axis)
+    way = np.subtract(target_m, tip_m)
+    axis = axis / np.linalg.norm(axis)
     depth_m = float(axis @ way)
     miss_m = float(np.linalg.norm(way - depth_m * axis))
     if not (depth_m > 0.0 and miss_m <= tolerance_m):
@@ -109,7 +112,8 @@ class RuptureCount:
     """
 
     def __init__(self) -> None:
-        self.count, self._last_m = 0, -math.inf
+        self.count = 0
+        self._last_m = -math.inf
         self._force_N = self._peak_N = self._inside_s = self._block_s = (
             self._fallen_s
         ) = 0.0
@@ -141,7 +145,8 @@ class RuptureCount:
         ):  # what falls then is that rupture, or the start
             self._peak_N = self._force_N
         rise_N = min(max(self._force_N - self._peak_N, 0.0), _MOST_RISE_N_per_s * dt_s)
-        self._peak_N, alarm = self._peak_N + rise_N, found.rupture
+        self._peak_N = self._peak_N + rise_N
+        alarm = found.rupture
         self._block_s += dt_s
         seen_N = self._peak_N - self._force_N
         self._newest_N = max(
@@ -169,13 +174,12 @@ class RuptureCount:
             or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M
         ):
             return False
-        self.count, self._last_m = self.count + 1, depth_m
-        self._block_s, self._newest_N, self._newer_N, self._inside_s = (
-            -_RUPTURE_S,
-            0.0,
-            0.0,
-            0.0,
-        )
+        self.count = self.count + 1
+        self._last_m = depth_m
+        self._block_s = -_RUPTURE_S
+        self._newest_N = 0.0
+        self._newer_N = 0.0
+        self._inside_s = 0.0
         return True
 
 
@@ -196,17 +200,17 @@ class InsertionProfile:
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
-        self._plan, self._ruptures = plan, RuptureCount()
+        self._ruptures = RuptureCount()
+        self._plan = plan
         self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]
         self._from_m = self._last_s = self._asked_m = self._steady_s = self._step_s = (
             0.0
         )
         self._held_m: float | None = None  # where an insertion has ended
-        self._state, self._last, self._is_slack = (
-            "",
-            Step(0.0),
-            False,
-        )  # of the last call
+        # of the last call
+        self._last = Step(0.0)
+        self._state = ""
+        self._is_slack = False
 
     def update(
         self,
@@ -221,7 +225,8 @@ class InsertionProfile:
             identification: Of another force sensor; by default that of the session.
             axial_N: Axial force of that sensor.
         """
-        dt_s, self._last_s = now.time_s - self._last_s, now.time_s
+        dt_s = now.time_s - self._last_s
+        self._last_s = now.time_s
         found = identification or now.estimate.identification
         force_N = now.estimate.wrench.axial_unsmoothed if axial_N is None else axial_N
         is_going = (
@@ -229,7 +234,8 @@ class InsertionProfile:
         )  # which goes on from an insertion
         if is_going and now.state_s < dt_s + 1e-6:  # entered since the last call
             self._from_m = self._asked_m = now.estimate.depth_m
-        before, state = self._state, now.state.value
+        before = self._state
+        state = now.state.value
         # Strike out what has begun; a program that does not go on as planned ends.
         has_begun = bool(self._program) and state.startswith(self._program[0])
         is_arrival = state == "idle" and self._last.event == "arrived"
@@ -239,14 +245,16 @@ class InsertionProfile:
             self._program = []
         elif has_begun:
             self._program = self._program[1:]
-        self._state, self._last = state, self._step(now, dt_s, found, force_N)
+        self._last = self._step(now, dt_s, found, force_N)
+        self._state = state
         self._asked_m += dt_s * self._last.speed_m_s
         return self._last
 
     def _step(
         self, now: Situation, dt_s: float, found: Estimate, axial_N: float
     ) -> Step:
-        plan, depth_m = self._plan, now.estimate.depth_m
+        plan = self._plan
+        depth_m = now.estimate.depth_m
         match now.state.value:
             case "idle" if self._program:
                 return Step(0.0, self._program[0])
@@ -268,7 +276,8 @@ class InsertionProfile:
     def _insert(
         self, found: Estimate, axial_N: float, depth_m: float, dt_s: float
     ) -> Step:
-        self._held_m, self._is_slack = depth_m, False
+        self._held_m = depth_m
+        self._is_slack = False
         self._steady_s = (self._steady_s + dt_s) * (
             self._last.speed_m_s == self._plan.speed_m_s
         )
@@ -302,15 +311,14 @@ class InsertionProfile:
         """Speed on a way that is left, to its end and no further."""
         if abs(left_m) < _NEAR_M:
             return Step(0.0, "arrived")
-        most, way_m = self._plan.acceleration_m_s2, abs(left_m)
+        most = self._plan.acceleration_m_s2
+        way_m = abs(left_m)
         wish = min(
             self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m
         )
         wish = math.copysign(wish, left_m)
-        low, high = (
-            self._last.speed_m_s - most * dt_s,
-            self._last.speed_m_s + most * dt_s,
-        )
+        low = self._last.speed_m_s - most * dt_s
+        high = self._last.speed_m_s + most * dt_s
         return Step(min(max(wish, low), high))
 
     def _stroke(self, now: Situation, legs_m: tuple[float, ...]) -> Step:
@@ -319,7 +327,8 @@ class InsertionProfile:
         index = int(now.state_s / seconds)
         if index >= len(legs_m):
             return Step(0.0, "arrived")
-        s, length_m = now.state_s / seconds - index, legs_m[index]
+        s = now.state_s / seconds - index
+        length_m = legs_m[index]
         way_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
         rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / seconds
         off_m = self._from_m + way_m - now.estimate.depth_m

@@ -187,7 +187,8 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
             is no MCAP, or damaged.
         OSError: The file cannot be read.
     """
-    data, events = Path(path).read_bytes(), list[LoggedEvent]()
+    data = Path(path).read_bytes()
+    events = list[LoggedEvent]()
     lines = data.splitlines()
     if Path(path).suffix == ".mcap":
         mcap = _mcap("reader")
@@ -218,7 +219,8 @@ def replay(events: Iterable[LoggedEvent]) -> list[State]:
     """States after each event, from the events and the facts they met; a session
     begins idle.
     """
-    state, states = State.IDLE, []
+    state = State.IDLE
+    states = []
     for event in events:
         before = State.IDLE if event.seq == 0 else state
         state, _ = transition(before, event.event, event.data["facts"])
@@ -301,11 +303,17 @@ class Manager:
         if log is not None:
             Path(log).open("ab").close()
         self.session = session
-        self._limits, self._log, self._written = limits, log, 0
+        self._limits = limits
+        self._log = log
+        self._written = 0
         self._monitors = Monitors(session, limits or SafetyLimits(axial_N=1.0))
         self.events: list[LoggedEvent] = []
-        self._state, self._entered_s, self._reason = State.IDLE, 0.0, ""
-        self._time_s, self._step_s, self._beat_s = 0.0, 1e-3, -_HEARTBEAT_S
+        self._state = State.IDLE
+        self._entered_s = 0.0
+        self._reason = ""
+        self._time_s = 0.0
+        self._step_s = 1e-3
+        self._beat_s = -_HEARTBEAT_S
         self._depth_m = self._entry_m = math.inf  # nobody knows where the needle is
         self._zero = self._lost_zero = self._entered_zero = session.zero
 
@@ -331,10 +339,8 @@ class Manager:
             and self.session.zero is not self._entered_zero
             and self._state in _PLACED
         ):
-            event, reason = (
-                "limit",
-                "depth counts from elsewhere: begin_insertion() only at idle",
-            )
+            event = "limit"
+            reason = "depth counts from elsewhere: begin_insertion() only at idle"
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and "heartbeat" not in self._facts():
@@ -348,10 +354,8 @@ class Manager:
         """
         if estimate.status is Status.REJECTED:
             return  # it repeats the last depth, or none
-        is_first, is_inside = (
-            self._depth_m == math.inf,
-            estimate.identification.layer > 0,
-        )
+        is_first = self._depth_m == math.inf
+        is_inside = estimate.identification.layer > 0
         is_new = is_first or self.session.zero is not self._zero
         if (
             is_new and not is_first
@@ -360,7 +364,8 @@ class Manager:
             self._entry_m = (
                 math.inf if "outside" in self._facts() else self._entry_m + moved_m
             )
-        self._zero, self._depth_m = self.session.zero, estimate.depth_m
+        self._zero = self.session.zero
+        self._depth_m = estimate.depth_m
         if is_inside and math.isinf(self._entry_m):
             self._lost_zero = self._zero
             if self._entry_m > 0.0:
@@ -395,9 +400,11 @@ class Manager:
         return refused
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
-        facts, before = self._facts(), self._state
+        facts = self._facts()
+        before = self._state
         after, refused = transition(before, event, facts)
-        seq, data = len(self.events), {**data, "facts": facts}
+        seq = len(self.events)
+        data = {**data, "facts": facts}
         row = LoggedEvent(seq, self._time_s, before, event, after, refused, data)
         try:
             _ENCODER.encode(row)
@@ -406,10 +413,8 @@ class Manager:
                 f"data of {event} cannot be written as JSON: {error}"
             ) from error
         self.events.append(row)
-        self._state, self._reason = (
-            after,
-            refused or str(data.get("reason", "")) or self._reason,
-        )
+        self._reason = refused or str(data.get("reason", "")) or self._reason
+        self._state = after
         if after is not before:
             self._entered_s = self._time_s
             self._entered_zero = (

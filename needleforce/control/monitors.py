@@ -72,20 +72,22 @@ _UNUSABLE = (
     | SensorWarning.MODEL_MISMATCH
     | SensorWarning.TARE_EXPIRED
 )
-_IN_AIR, _AT_TISSUE = (
-    ("guidance", "approach", "tare"),
-    ("teleop", "insertion", "dwell", "withdraw"),
-)
+_IN_AIR = ("guidance", "approach", "tare")
+_AT_TISSUE = ("teleop", "insertion", "dwell", "withdraw")
 _DRIVEN = (
     "teleop",
     "insertion",
 )  # Without the force a needle can be held, and must come out
 _RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
-_TRACKING_S, _FOLLOWS_S, _LEAST_PATH_RAD = 1.0, 0.03, 2e-3
+_TRACKING_S = 1.0
+_FOLLOWS_S = 0.03
+_LEAST_PATH_RAD = 2e-3
 """Memory of commanded and made motion, time by which an arm may follow, least motion
 compared."""
 _CLEAR_S = 0.1  # A fault must be gone for so long before a reset
-_GAP_S, _GAP_STEPS, _FADE_LAGS = 5e-3, 3.0, 3.0
+_GAP_S = 5e-3
+_GAP_STEPS = 3.0
+_FADE_LAGS = 3.0
 """A step so long, and so many usual ones, is a gap: an arm that nobody commanded has
 stopped and started in it, and what torques nobody saw did to the force fades within so
 many of its lags."""
@@ -101,16 +103,17 @@ class Monitors:
     """
 
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
-        self._session, self._limits = session, limits
-        self._bad_s, self._device_s, self._clear_s, self._step_s = (
-            0.0,
-            math.inf,
-            math.inf,
-            math.inf,
-        )
+        self._session = session
+        self._limits = limits
+        self._bad_s = 0.0
+        self._device_s = math.inf
+        self._clear_s = math.inf
+        self._step_s = math.inf
         self._position: Array | None = None
         self._lateral_N = 0.0  # of the session, across the needle
-        self.has_device, self.is_healthy, self.missed_s = False, True, 0.0
+        self.has_device = False
+        self.is_healthy = True
+        self.missed_s = 0.0
         self.enter("idle")
 
     def enter(self, state: str) -> None:
@@ -122,7 +125,9 @@ class Monitors:
         self._made_rad = self._asked_rad = np.zeros(1)
         self._axial_N: float | None = None  # a tare makes the force jump
         self._entry_axial_N: float | None = None
-        self._side_Ns, self._fading_s, self._entry_lateral_N = 0.0, 0.0, self._lateral_N
+        self._side_Ns = 0.0
+        self._fading_s = 0.0
+        self._entry_lateral_N = self._lateral_N
 
     def update(
         self,
@@ -136,7 +141,8 @@ class Monitors:
 
         The step [s] is that of the sample, or the one before where the clock was set.
         """
-        since_s, lag_s = as_float(getattr(sample, "dt_s", None)), self._session.lag_s
+        since_s = as_float(getattr(sample, "dt_s", None))
+        lag_s = self._session.lag_s
         self._lateral_N = estimate.wrench.lateral
         self._device_s = 0.0 if beside.has_device else self._device_s + step_s
         self.has_device = self._device_s <= self._limits.device_s
@@ -175,7 +181,8 @@ class Monitors:
     def _signals(
         self, estimate: "SessionEstimate", axial_N: float, step_s: float
     ) -> str:
-        is_bad, has_force = estimate.status is Status.REJECTED, math.isfinite(axial_N)
+        is_bad = estimate.status is Status.REJECTED
+        has_force = math.isfinite(axial_N)
         self._bad_s = max(
             self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0
         )
@@ -204,14 +211,13 @@ class Monitors:
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
         if command is None:  # the arm may go where others lead it
-            self._position, self._path_rad = None, 0.0
+            self._position = None
+            self._path_rad = 0.0
             self._made_rad = self._asked_rad = np.zeros(1)
         if command is None or estimate.status is Status.REJECTED:
             return ""
-        position, kept = (
-            np.array(sample.q_rad, dtype=np.float64),
-            math.exp(-step_s / _TRACKING_S),
-        )
+        position = np.array(sample.q_rad, dtype=np.float64)
+        kept = math.exp(-step_s / _TRACKING_S)
         try:
             command = vector(command, len(position), "command")
         except SettingError:
@@ -222,7 +228,8 @@ class Monitors:
         self._asked_rad = asked = kept * (self._asked_rad + step_s * command)
         speed_rad_s = math.sqrt(float(command.dot(command)))
         self._path_rad = kept * (self._path_rad + step_s * speed_rad_s)
-        off, late_rad = asked - self._made_rad, _FOLLOWS_S * speed_rad_s
+        off = asked - self._made_rad
+        late_rad = _FOLLOWS_S * speed_rad_s
         behind_rad = float(off.dot(asked)) / max(
             math.sqrt(float(asked.dot(asked))), 1e-9
         )
@@ -237,7 +244,9 @@ class Monitors:
     def _forces(
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
     ) -> str:
-        limits, wrench, state = self._limits, estimate.wrench, self._state
+        limits = self._limits
+        wrench = estimate.wrench
+        state = self._state
         if state in _IN_AIR:
             if self._entry_axial_N is None:
                 self._entry_axial_N = wrench.axial
@@ -252,7 +261,8 @@ class Monitors:
             return ""
         if estimate.warnings & _UNUSABLE and state in _DRIVEN:
             return wrench.message
-        inwards_N, outwards_N = max(axial_N, ahead_N), -min(axial_N, ahead_N)
+        inwards_N = max(axial_N, ahead_N)
+        outwards_N = -min(axial_N, ahead_N)
         both_N = max(inwards_N, outwards_N)
         most_N = {"withdraw": outwards_N, "teleop": both_N}.get(state, inwards_N)
         if most_N > limits.axial_N:
@@ -261,7 +271,8 @@ class Monitors:
 
     def _side_force(self, step_s: float, lag_s: float) -> str:
         """A force across the needle that lasts, and is not what a gap has left."""
-        state, lateral_N = self._state, self._lateral_N
+        state = self._state
+        lateral_N = self._lateral_N
         # A needle that was stopped by a side force must still come out.
         most_N = self._limits.lateral_N + (
             self._entry_lateral_N if state == "withdraw" else 0.0

@@ -18,9 +18,11 @@ it has put in.
 
 import math
 
-HANDLE_kg, MOST_DAMPING_Ns_m = 0.25, 150.0
+HANDLE_kg = 0.25
+MOST_DAMPING_Ns_m = 150.0
 """Mass of the device's handle as a hand feels it, and largest damping shown at it."""
-HAND_J, HAND_W = 1e-3, 2e-3
+HAND_J = 1e-3
+HAND_W = 2e-3
 """What the hand may get early: one that yields to a spring need not wait for the
 news of it."""
 FORCE_LAG_s = 0.015  # Of the virtual sensor's force, see `InsertionSession.lag_s`
@@ -38,7 +40,8 @@ class Port:
     """
 
     def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
-        self._allowance_J, self._allowance_W = allowance_J, allowance_W
+        self._allowance_J = allowance_J
+        self._allowance_W = allowance_W
         self._allowed_J = allowance_J
         self.in_J = self.out_J = 0.0
 
@@ -125,14 +128,16 @@ class HandPort(Port):
         )
         most_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
         force_N = math.copysign(min(abs(force_N), most_N), force_N)
-        self._damping_N, missing_J = 0.0, -min(owed_J, self.net_J)
+        missing_J = -min(owed_J, self.net_J)
+        self._damping_N = 0.0
         if missing_J > 0.0:
             # More than m / Δt, held over an interval, would turn the handle round.
             most_Ns_m = min(MOST_DAMPING_Ns_m, HANDLE_kg / ahead_s)
             most_J = most_Ns_m * speed_m_s * speed_m_s * ahead_s
             damping_N = passive_part(most_J, missing_J) * most_Ns_m * speed_m_s
             self._damping_N = min(max(damping_N, -most_N - force_N), most_N - force_N)
-        self._force_N, self._position_m = force_N + self._damping_N, position_m
+        self._force_N = force_N + self._damping_N
+        self._position_m = position_m
         return self._force_N
 
     def release(self, travel_m: float) -> None:

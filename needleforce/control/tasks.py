@@ -48,13 +48,16 @@ class ToolState:
     """
 
     def __init__(self, robot: Robot) -> None:
-        self._model, self._data = robot.model, robot.create_data()
+        self._data = robot.create_data()
+        self._model = robot.model
         self._frame_id = robot.tool_frame_id
         self.update(pin.neutral(robot.model))
 
     def update(self, q_rad: Array) -> None:
         """Move to a configuration, shape (n,)."""
-        model, data, frame = self._model, self._data, self._frame_id
+        model = self._model
+        data = self._data
+        frame = self._frame_id
         jacobian = pin.computeFrameJacobian(model, data, q_rad, frame, _BASE_AXES)
         self.jacobian: Array = jacobian.reshape(
             6, -1
@@ -118,16 +121,12 @@ class TipTask:
     """
 
     def __init__(self, selection: Array, gain_per_s: float) -> None:
-        self.size, self.selection, self.gain_per_s = (
-            len(selection),
-            selection,
-            _gain(gain_per_s),
-        )
-        self.goal_m, self.rotation, self.rate = (
-            np.zeros(3),
-            np.eye(3),
-            np.zeros(self.size),
-        )
+        self.size = len(selection)
+        self.selection = selection
+        self.gain_per_s = _gain(gain_per_s)
+        self.goal_m = np.zeros(3)
+        self.rotation = np.eye(3)
+        self.rate = np.zeros(self.size)
         self._turns = bool(selection[:, 3:].any())
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
@@ -153,7 +152,8 @@ def _tip_task(
     rates[:] = rate
     if gain_per_s != 0.0:
         error = np.zeros(6)
-        error[:3], error[3:] = place - pose[:3, 3], turn
+        error[:3] = place - pose[:3, 3]
+        error[3:] = turn
         rates += gain_per_s * np.dot(selection, error)
 
 
@@ -182,7 +182,8 @@ class Fixture(TipTask):
         super().__init__(
             np.delete(along, 2, axis=0), gain_per_s
         )  # all but the place on the line
-        self.goal_m, self.rotation = vector(origin_m, 3, "origin_m"), axes
+        self.goal_m = vector(origin_m, 3, "origin_m")
+        self.rotation = axes
 
     @classmethod
     def here(cls, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> "Fixture":
@@ -228,14 +229,14 @@ class DecoupledMotion(TipTask):
         gain_per_s: K of both.
     """
 
-    MOST_LAG_m, MOST_LAG_rad = (
-        5e-3,
-        0.05,
-    )  # A wish waits for an arm that limits hold so far back
+    # A wish waits for an arm that limits hold so far back
+    MOST_LAG_m = 5e-3
+    MOST_LAG_rad = 0.05
 
     def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
         super().__init__(np.eye(6), gain_per_s)
-        self.goal_m, self.rotation = tool.tip_m, tool.rotation
+        self.goal_m = tool.tip_m
+        self.rotation = tool.rotation
 
     def move(
         self,
@@ -278,7 +279,8 @@ class RemoteCentre:
     size = 2
 
     def __init__(self, point_m: ArrayLike, gain_per_s: float = GAIN_PER_S) -> None:
-        self.point_m, self.gain_per_s = vector(point_m, 3, "point_m"), _gain(gain_per_s)
+        self.point_m = vector(point_m, 3, "point_m")
+        self.gain_per_s = _gain(gain_per_s)
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
@@ -296,7 +298,8 @@ def _remote_centre(
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    arm, across = point - pose[:3, 3], np.ascontiguousarray(pose[:3, :2].T)
+    arm = point - pose[:3, 3]
+    across = np.ascontiguousarray(pose[:3, :2].T)
     swing = np.dot(_CROSS, arm).reshape(3, 3)  # w x arm, as a matrix on w
     np.dot(across, jacobian[:3] + np.dot(swing, jacobian[3:]), rows)
     rates[:] = gain_per_s * np.dot(across, arm)
@@ -312,7 +315,8 @@ class AxialSpeed:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        rows[0], rates[0] = tool.pose[:3, 2] @ tool.jacobian[:3], self.speed_m_s
+        rows[0] = tool.pose[:3, 2] @ tool.jacobian[:3]
+        rates[0] = self.speed_m_s
 
 
 class JointVelocity:
@@ -328,7 +332,8 @@ class JointVelocity:
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """See `Task.write`."""
-        rates[:], rows[:] = self.velocity(tool.q_rad), np.eye(self.size)
+        rates[:] = self.velocity(tool.q_rad)
+        rows[:] = np.eye(self.size)
 
 
 class Posture(JointVelocity):

@@ -44,24 +44,35 @@ _SPEED_LAG_S = (
 # usual T is made up for), and so does unknown friction, both the more the less its
 # motion is scaled down; and it springs forward at a rupture. So what is not steady is
 # damped: at least so much, and per scale.
-_LEAST_DAMPING_Ns_m, _DAMPING_Ns_m, _STEADY_S, _USUAL_LAG_S = 15.0, 50.0, 0.3, 0.015
+_LEAST_DAMPING_Ns_m = 15.0
+_DAMPING_Ns_m = 50.0
+_STEADY_S = 0.3
+_USUAL_LAG_S = 0.015
 # Where both oscillate all the same, by 3 Hz or more, damping grows up to the port's: of
 # means over so long, twice the square of the mean is no swing, nor is what is slow.
-_SWING_S, _STEADIER, _CALM_m_s = 0.12, 2.0, 3e-3
+_SWING_S = 0.12
+_STEADIER = 2.0
+_CALM_m_s = 3e-3
 _FADE_S = 0.05  # a force that is not known any more fades
 # Noise that is shown moves a light hand by millimetres per second, friction follows,
 # and what comes back has the opposite sign: neither the loop nor the identification
 # stands that. So the shown force is smooth, but never further from the known one, until
 # a rupture shows at once for a while. With travel it grows by the stiffness identified,
 # at most so much: a force that grows is not late.
-_SMOOTH_S, _FURTHEST_N, _STIFFEST_N_per_m = 0.2, 0.3, 1000.0
-_RUPTURE_S, _AT_ONCE_S = 0.3, 0.014
+_SMOOTH_S = 0.2
+_FURTHEST_N = 0.3
+_STIFFEST_N_per_m = 1000.0
+_RUPTURE_S = 0.3
+_AT_ONCE_S = 0.014
 _COUPLING_S = (
     0.2  # so softly the force comes and goes with the clutch: no step throws the hand
 )
-_OWED_J, _OWED_W = 10e-3, 2e-3  # by the hand to the needle, see `NeedlePort`
+# by the hand to the needle, see `NeedlePort`
+_OWED_J = 10e-3
+_OWED_W = 2e-3
 _SILENCE_S = 0.1  # without news from the device for so long, the needle stands
-_HELD_S, _GAP_MEMORY_S = 0.02, 1.0
+_HELD_S = 0.02
+_GAP_MEMORY_S = 1.0
 """Between two samples of the device its force stays; without one for so long it ends.
 For so long a gap between two of them may come again."""
 _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
@@ -133,7 +144,8 @@ class DeviceSide:
     """
 
     def __init__(self, motion_scale: float, force_lag_s: float = _USUAL_LAG_S) -> None:
-        self._scale, late_s = motion_scale, max(force_lag_s - _USUAL_LAG_S, 0.0)
+        late_s = max(force_lag_s - _USUAL_LAG_S, 0.0)
+        self._scale = motion_scale
         damping_Ns_m = _DAMPING_Ns_m + _STIFFEST_N_per_m * late_s
         self._damping_Ns_m = max(_LEAST_DAMPING_Ns_m, damping_Ns_m * motion_scale)
         self.port = HandPort()
@@ -154,7 +166,9 @@ class DeviceSide:
         the handle is.
         """
         self.port.release(travel_m)
-        self.position_m, self.force_N, self._since_s = None, 0.0, _HELD_S
+        self.position_m = None
+        self.force_N = 0.0
+        self._since_s = _HELD_S
         self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
 
     def update(
@@ -175,12 +189,11 @@ class DeviceSide:
                 if self.position_m is not None:  # the same packet again is no news
                     self.release(self._rate_m_s * self._since_s)
             return self._packet
-        before_m, (position_m, rate_m_s, is_coupled) = self.position_m, handle
-        dt_s, self._since_s, self.position_m = (
-            min(self._since_s, _HELD_S),
-            0.0,
-            position_m,
-        )
+        before_m = self.position_m
+        position_m, rate_m_s, is_coupled = handle
+        dt_s = min(self._since_s, _HELD_S)
+        self._since_s = 0.0
+        self.position_m = position_m
         self._coupled += (is_coupled - self._coupled) * dt_s / (_COUPLING_S + dt_s)
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / _GAP_MEMORY_S))
         # A handle that moves changes its place; one that only says so repeats an old
@@ -194,7 +207,8 @@ class DeviceSide:
         known_N, incoming_J = news or (0.0, 0.0)
         swing_m_s = self._rate_m_s - self._steady_m_s
         damping_N = self._damping_for(swing_m_s, dt_s) * swing_m_s
-        wanted_N, times_s = known_N * self._coupled + damping_N, (dt_s, self._gap_s)
+        wanted_N = known_N * self._coupled + damping_N
+        times_s = (dt_s, self._gap_s)
         self.force_N = self.port.update(
             wanted_N, position_m, speed_m_s, incoming_J, times_s
         )
@@ -216,7 +230,8 @@ class DeviceSide:
         # The mean square of a hand that springs forward is that of its mean, of a swing
         # it is more.
         swing = max(self._square - _STEADIER * self._swing_m_s**2, 0.0)
-        share, least = swing / (self._square + _CALM_m_s**2), self._damping_Ns_m
+        share = swing / (self._square + _CALM_m_s**2)
+        least = self._damping_Ns_m
         # A light device that is read seldom would be thrown back by more.
         most = max(min(MOST_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), least)
         return least + share * (most - least)
@@ -233,7 +248,8 @@ class NeedleSide:
         self, motion_scale: float, force_scale: float, speed_limit_m_s: float
     ) -> None:
         self._scale = scale = force_scale / motion_scale
-        self._force_scale, self._limit_m_s = force_scale, speed_limit_m_s
+        self._force_scale = force_scale
+        self._limit_m_s = speed_limit_m_s
         self.port = NeedlePort(_OWED_J / scale, _OWED_W / scale)
         self.start_m: float | None = (
             None  # depth without travel of the hand, until a reset
@@ -333,7 +349,8 @@ class Teleoperation:
         if lines is not None and not all(hasattr(line, "exchange") for line in lines):
             raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
-        self._axis, self._lines = direction / np.linalg.norm(direction), lines
+        self._axis = direction / np.linalg.norm(direction)
+        self._lines = lines
         self.device = DeviceSide(motion_scale, force_lag_s)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
@@ -363,13 +380,12 @@ class Teleoperation:
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:
             return TeleopCommand(0.0, -self.device.force_N * self._axis)
-        faded_N, is_ok = (
-            _FADE_S / (_FADE_S + dt_s) * self.shown_N,
-            estimate.status is Status.OK,
-        )
+        faded_N = _FADE_S / (_FADE_S + dt_s) * self.shown_N
+        is_ok = estimate.status is Status.OK
         self.shown_N = self._smoothed(estimate, dt_s) if is_ok else faded_N
         sent = self.device.update(_along(self._axis, sample), self._from_needle, dt_s)
-        lines, travel = self._lines, (estimate.depth_m, estimate.speed_m_s)
+        lines = self._lines
+        travel = (estimate.depth_m, estimate.speed_m_s)
         arrived = sent if lines is None else lines[0].exchange(sent, dt_s)
         speed_m_s, answer = self.needle.update(arrived, self.shown_N, *travel, dt_s)
         self._from_needle = answer if lines is None else lines[1].exchange(answer, dt_s)

@@ -54,7 +54,8 @@ class _Wire(DatagramLink):
 
     def __init__(self, faults: Faults, peer: tuple[str, int] | None = None) -> None:
         super().__init__(LOOPBACK, 0)
-        self._faults, self.peer = faults, peer
+        self._faults = faults
+        self.peer = peer
         self._rng = np.random.default_rng(faults.seed)
         self._late: dict[
             int, bytes
@@ -73,7 +74,8 @@ class _Wire(DatagramLink):
 
     def put(self, data: bytes, t_s: float) -> bool:
         """Send a packet, or break it; whether it went out whole and now."""
-        faults, draw = self._faults, self._rng.random(5)
+        faults = self._faults
+        draw = self._rng.random(5)
         self._number += 1
         if self._number in self._late:
             self._send(self._late.pop(self._number))
@@ -186,26 +188,27 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
         take_real_time()
     wire = _Wire(settings.faults, (LOOPBACK, settings.port))
     packet = np.zeros((), fri.MEASUREMENT)
-    packet["size"], packet["kind"] = fri.MEASUREMENT.itemsize, fri.MEASUREMENT_KIND
-    packet["period_s"], packet["commanded_rad"] = settings.period_s, settings.q_rad[0]
+    packet["size"] = fri.MEASUREMENT.itemsize
+    packet["kind"] = fri.MEASUREMENT_KIND
+    packet["period_s"] = settings.period_s
+    packet["commanded_rad"] = settings.q_rad[0]
     pipe.send({"port": wire.address[1]})
-    counts, due_s = {"cycles": 0, "same_cycle": 0}, time.monotonic()
+    counts = {"cycles": 0, "same_cycle": 0}
+    due_s = time.monotonic()
     while counts["cycles"] != settings.cycles and not (
         counts["cycles"] % 100 == 0 and pipe.poll()
     ):
-        number, t_s = counts["cycles"], counts["cycles"] * settings.period_s
-        row, is_bad = (
-            number % len(settings.q_rad),
-            is_within(settings.faults.bad_quality, t_s),
-        )
+        number = counts["cycles"]
+        t_s = counts["cycles"] * settings.period_s
+        row = number % len(settings.q_rad)
+        is_bad = is_within(settings.faults.bad_quality, t_s)
         is_commanded = t_s >= settings.command_from_s and not is_bad
-        packet["count"], packet["stamp_s"] = number % fri.COUNTS, t_s
+        packet["count"] = number % fri.COUNTS
+        packet["stamp_s"] = t_s
         packet["state"] = fri.State.COMMAND if is_commanded else fri.State.MONITOR
         packet["quality"] = fri.Quality.BAD if is_bad else fri.Quality.PERFECT
-        packet["position_rad"], packet["torque_Nm"] = (
-            settings.q_rad[row],
-            settings.tau_Nm[row],
-        )
+        packet["position_rad"] = settings.q_rad[row]
+        packet["torque_Nm"] = settings.tau_Nm[row]
         due_s += settings.period_s
         patience_s = settings.patience_s if wire.put(packet.tobytes(), t_s) else 0.0
         while found := next(wire.received(due_s + patience_s), None):
@@ -215,7 +218,8 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
             if answer["reflected"] == packet["count"]:
                 counts["same_cycle"] += 1
                 if patience_s:  # the cycles after a long one are not hurried
-                    due_s, patience_s = max(due_s, time.monotonic()), 0.0
+                    due_s = max(due_s, time.monotonic())
+                    patience_s = 0.0
                 if is_commanded:
                     packet["commanded_rad"] = answer["position_rad"]
         counts["cycles"] += 1
@@ -244,7 +248,9 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
     wire = _Wire(settings.faults)
     pipe.send({"port": wire.address[1], "page": _serve_scale(*settings.scale)})
     rows = np.round(settings.wrench * np.repeat(settings.scale, 3)).astype(">i4")
-    zero, number, size = np.zeros(6, dtype=">i4"), 0, 1
+    zero = np.zeros(6, dtype=">i4")
+    number = 0
+    size = 1
     begin_s = time.monotonic()
     while not pipe.poll():
         due = (time.monotonic() - begin_s) * settings.rate_hz
@@ -267,10 +273,8 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
             elif command == rdt.STOP:
                 wire.peer = None
             elif wire.peer is None:
-                wire.peer, size = (
-                    sender,
-                    settings.records if command == rdt.BUFFERED else 1,
-                )
+                wire.peer = sender
+                size = settings.records if command == rdt.BUFFERED else 1
                 begin_s = time.monotonic() - number / settings.rate_hz
     return {"records": number, "sent": wire.sent}
 

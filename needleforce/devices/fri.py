@@ -20,7 +20,9 @@ from needleforce.devices.proxy import (
     DeviceSettingError,
 )
 
-PORT, JOINTS, COUNTS = 49938, 7, 1 << 16
+PORT = 49938
+JOINTS = 7
+COUNTS = 1 << 16
 _HEADER = {
     "count": ("<u2", 0),
     "reflected": ("<u2", 2),
@@ -56,9 +58,11 @@ _MEASURED = {
     "torque_Nm": (("<f4", JOINTS), 444),  # behind the gears
     "external_Nm": (("<f4", JOINTS), 472),
 }
-MEASUREMENT, MEASUREMENT_KIND = _packet(916, _MEASURED), 0x2006
+MEASUREMENT = _packet(916, _MEASURED)
+MEASUREMENT_KIND = 0x2006
 COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)})
-COMMAND_KIND, POSITION_FLAG = 0x1005, 0x1
+COMMAND_KIND = 0x1005
+POSITION_FLAG = 0x1
 SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
 LONGEST_COUNTED_s = 1.0
 """Of a longer gap the counter may have gone round or begun anew: our own clock says
@@ -150,32 +154,39 @@ class FriArm(DatagramLink):
             what = f"0 < wait_s <= give_up_s, and wait_s of at most {MOST_WAIT_s:g} s"
             raise DeviceSettingError(f"{wait_s=}, {give_up_s=}: expected {what}")
         super().__init__(host, port, peer=peer)
-        self.robot, self.joints = robot, JOINTS
-        self.state, self.quality = State.OFF, Quality.UNACCEPTABLE
-        self._wait_s, self._give_up_s = wait_s, give_up_s
+        self.robot = robot
+        self.joints = JOINTS
+        self.state = State.OFF
+        self.quality = Quality.UNACCEPTABLE
+        self._wait_s = wait_s
+        self._give_up_s = give_up_s
         self._last: np.void | None = None
         self._arrival_s = self._after_s = (
             monotonic()
         )  # Of the last: read then, sent later than
         self._answer = np.zeros((), COMMAND)
-        self._answer["size"], self._answer["kind"] = COMMAND.itemsize, COMMAND_KIND
+        self._answer["size"] = COMMAND.itemsize
+        self._answer["kind"] = COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
         self._target_rad = self._velocity_rad_s = np.zeros(JOINTS)
         self._silent = SILENT_CYCLES
 
     def __iter__(self) -> Iterator[ArmSample]:
         """Samples as they come, each answered already."""
-        heard_s, is_silent = monotonic(), False
+        heard_s = monotonic()
+        is_silent = False
         while self._is_open and monotonic() - heard_s < self._give_up_s:
             data = self._receive(self._wait_s)
             if data is None:
                 self.report.outages += not is_silent
-                is_silent, self.state = True, State.OFF
+                is_silent = True
+                self.state = State.OFF
                 self.peer = None  # after an outage it may come back on another port
                 continue
             for sample in self._answered(data):
                 yield sample
-                heard_s, is_silent = monotonic(), False
+                heard_s = monotonic()
+                is_silent = False
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Joint velocity for the coming cycles [rad/s], shape (7,).
@@ -187,7 +198,8 @@ class FriArm(DatagramLink):
         is_usable = velocity.shape == (JOINTS,) and bool(np.isfinite(velocity).all())
         if not (is_usable and self._takes_commands()):
             return False
-        self._velocity_rad_s, self._silent = velocity, 0
+        self._velocity_rad_s = velocity
+        self._silent = 0
         return True
 
     def _takes_commands(self) -> bool:
@@ -196,13 +208,15 @@ class FriArm(DatagramLink):
 
     def _answered(self, data: bytes) -> Iterator[ArmSample]:
         """A sample whose measurement is newer than the last, once that is answered."""
-        found, now_s = read_measurement(data), monotonic()
+        found = read_measurement(data)
+        now_s = monotonic()
         if found is None:
             self.report.malformed += 1
             return
         # Both this and the last may have waited to be read: no more time is between
         # them.
-        cycles, most_s = 1, now_s - self._after_s + LATEST_s
+        cycles = 1
+        most_s = now_s - self._after_s + LATEST_s
         # The period as it was meant: 1 ms is not a number of 32 bits.
         period_s = round(float(found["period_s"]), 6)
         if self._last is not None:
@@ -214,9 +228,12 @@ class FriArm(DatagramLink):
                 return
             if not is_counted or cycles * period_s > most_s:
                 cycles = max(round((now_s - self._arrival_s) / period_s), 1)
-        self.peer, self._arrival_s, self._after_s = self.sender, now_s, self._empty_s
+        self.peer = self.sender
+        self._arrival_s = now_s
+        self._after_s = self._empty_s
         self._send_answer(found)
-        dt_s, is_moved = cycles * period_s, self._takes_commands()
+        dt_s = cycles * period_s
+        is_moved = self._takes_commands()
         self.report.use(cycles, dt_s)
         signals = "position_rad", "torque_Nm", "external_Nm"
         q, tau, external = (found[name].astype(float) for name in signals)
@@ -227,7 +244,8 @@ class FriArm(DatagramLink):
     def _send_answer(self, found: np.void) -> None:
         was_commanded = self._takes_commands()
         self._last = found
-        self.state, self.quality = State(found["state"]), Quality(found["quality"])
+        self.state = State(found["state"])
+        self.quality = Quality(found["quality"])
         if not (was_commanded and self._takes_commands()):
             self._target_rad = found["commanded_rad"].astype(float) + found["added_rad"]
             self._silent = SILENT_CYCLES
@@ -238,5 +256,6 @@ class FriArm(DatagramLink):
             )
         answer = self._answer
         answer["count"] = (int(answer["count"]) + 1) % COUNTS
-        answer["reflected"], answer["position_rad"] = found["count"], self._target_rad
+        answer["reflected"] = found["count"]
+        answer["position_rad"] = self._target_rad
         self._send(answer.tobytes())

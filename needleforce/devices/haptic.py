@@ -56,14 +56,17 @@ class HaplyMaster(Link):
             raise LinkError(
                 f"{what}; is it running, is a device plugged in?"
             ) from error
-        self._most_N, self._force_N, self._device = most_force_N, np.zeros(3), ""
+        self._force_N = np.zeros(3)
+        self._most_N = most_force_N
+        self._device = ""
         self._begin_s = self._last_s = self._asked_s = time.monotonic()
 
     def read(self) -> MasterSample | None:
         """The newest state, or None: nothing has come, or the device is gone; see
         `report`.
         """
-        found, now_s = None, time.monotonic()
+        found = None
+        now_s = time.monotonic()
         with suppress(TimeoutError, self._gone):
             while True:
                 text = self._socket.recv(timeout=0)
@@ -143,7 +146,8 @@ def emulate_haply(
     hand = Operator(
         wish_m=lambda t_s: wish_m[min(round(t_s / period_s), len(wish_m) - 1)]
     )
-    master, counts = HapticMaster(hand), {"cycles": 0}
+    master = HapticMaster(hand)
+    counts = {"cycles": 0}
 
     def session(link: ServerConnection) -> None:
         due_s = time.monotonic()
@@ -152,7 +156,8 @@ def emulate_haply(
                 sample = master.read()
                 counts["cycles"] += 1
                 if sample is not None:
-                    at, to = sample.position_m.tolist(), sample.velocity_m_s.tolist()
+                    at = sample.position_m.tolist()
+                    to = sample.velocity_m_s.tolist()
                     values = {"cursor_position": at, "cursor_velocity": to}
                     state = {
                         k: dict(zip(AXES, v, strict=True)) for k, v in values.items()

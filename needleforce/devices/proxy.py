@@ -142,7 +142,8 @@ class Link:
     """
 
     def __init__(self) -> None:
-        self.report, self._is_open = LinkReport(), True
+        self.report = LinkReport()
+        self._is_open = True
 
     def end(self) -> None:
         """Let the samples end, at the latest with the present wait; a signal handler
@@ -247,14 +248,16 @@ class DatagramLink(Link):
         """The next datagram that may be the peer's; None when none came in time (0:
         now).
         """
-        deadline_s, is_empty = monotonic() + timeout_s, False
+        deadline_s = monotonic() + timeout_s
+        is_empty = False
         while True:
             asked_s = monotonic()
             self._socket.settimeout(max(deadline_s - asked_s, 0.0) if is_empty else 0.0)
             try:
                 data, sender = self._socket.recvfrom(MOST_DATAGRAM)
             except (TimeoutError, BlockingIOError):
-                self._empty_s, is_empty = asked_s, True
+                self._empty_s = asked_s
+                is_empty = True
                 if asked_s >= deadline_s:
                     return None
                 continue

@@ -24,9 +24,13 @@ from needleforce.devices.proxy import (
     resolved,
 )
 
-PORT, REQUEST_MARK = 49152, 0x1234
+PORT = 49152
+REQUEST_MARK = 0x1234
 REQUEST = struct.Struct(">HHI")
-STOP, STREAM, BUFFERED, SOFTWARE_BIAS = 0, 2, 3, 0x42
+STOP = 0
+STREAM = 2
+BUFFERED = 3
+SOFTWARE_BIAS = 0x42
 RECORD = np.dtype(
     [("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)]
 )
@@ -127,14 +131,16 @@ class NetFT(DatagramLink):
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
         super().__init__(local, 0, peer=host, room=ROOM)
         self.status = 0
-        self._sensor, self._mode = (host, port), BUFFERED if buffered else STREAM
+        self._sensor = (host, port)
+        self._mode = BUFFERED if buffered else STREAM
         self._divisor = np.repeat(self.scale, 3)
         self._last: int | None = None
         self._odd = self._odd_row = (
             0  # Last count out of sequence, and how many in a row
         )
         self._arrival_s = monotonic()
-        self._zero, self._newest = np.zeros(6), np.zeros(6)
+        self._zero = np.zeros(6)
+        self._newest = np.zeros(6)
         self._request(self._mode)
 
     def read(self) -> Array | None:
@@ -185,7 +191,8 @@ class NetFT(DatagramLink):
 
     def _ask_again(self) -> None:
         self.report.outages += 1
-        self._last, self._arrival_s = None, monotonic()
+        self._arrival_s = monotonic()
+        self._last = None
         self._request(self._mode)
 
     def _request(self, command: int) -> None:
@@ -193,7 +200,8 @@ class NetFT(DatagramLink):
 
     def _records(self, data: bytes) -> Iterator[Array]:
         """Valid wrenches of a datagram, oldest first."""
-        report, now_s = self.report, monotonic()
+        report = self.report
+        now_s = monotonic()
         if not data or len(data) % RECORD.itemsize:
             report.malformed += 1
             return
@@ -202,18 +210,15 @@ class NetFT(DatagramLink):
             report.longest_gap_s = max(report.longest_gap_s, now_s - self._arrival_s)
         self._arrival_s = now_s
         for record in np.frombuffer(data, RECORD):
-            count, status, last = (
-                int(record["count"]),
-                int(record["status"]),
-                self._last,
-            )
-            is_faulty, ahead = (
-                status & FAULT_BITS,
-                1 if last is None else (count - last) % COUNTS,
-            )
+            count = int(record["count"])
+            status = int(record["status"])
+            last = self._last
+            is_faulty = status & FAULT_BITS
+            ahead = 1 if last is None else (count - last) % COUNTS
             if not 0 < ahead <= MOST_AHEAD:
                 follows = 0 < (count - self._odd) % COUNTS <= MOST_AHEAD
-                self._odd, self._odd_row = count, self._odd_row + 1 if follows else 0
+                self._odd = count
+                self._odd_row = self._odd_row + 1 if follows else 0
                 report.stale += 1
                 if self._odd_row >= RENUMBERED:
                     self._last = None
@@ -221,7 +226,8 @@ class NetFT(DatagramLink):
             report.malformed += bool(is_faulty)
             self.status = status
             if last is not None or not is_faulty:  # a faulty first one may be garbage
-                self._last, self._odd_row = count, 0
+                self._last = count
+                self._odd_row = 0
                 report.missed += ahead - 1
             if not is_faulty:
                 report.used += 1

@@ -23,7 +23,9 @@ from needleforce.devices.proxy import (
 )
 
 POLLS = 0.2  # Of a period, between two looks for a newer sample
-UR_JOINTS, FRANKA_JOINTS, FRANKA_PERIOD_s = 6, 7, 1e-3
+UR_JOINTS = 6
+FRANKA_JOINTS = 7
+FRANKA_PERIOD_s = 1e-3
 UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
 
 
@@ -32,8 +34,10 @@ class _VendorArm(ReadOnlyArm):
 
     def __init__(self, joints: int, period_s: float, robot: Any) -> None:
         super().__init__()
-        self.robot, self.joints = robot, joints
-        self._period_s, self._last_s = period_s, -np.inf
+        self.robot = robot
+        self.joints = joints
+        self._period_s = period_s
+        self._last_s = -np.inf
 
     def _checked(
         self, time_s: float, q: Array, *others: Array | None
@@ -41,7 +45,8 @@ class _VendorArm(ReadOnlyArm):
         """Position, velocity, torque, external torque as a sample, if they are valid
         and new.
         """
-        report, gap_s = self.report, time_s - self._last_s
+        report = self.report
+        gap_s = time_s - self._last_s
         given = [each for each in (q, *others) if each is not None]
         if not all(np.isfinite(x).all() and len(x) == self.joints for x in given):
             report.malformed += 1

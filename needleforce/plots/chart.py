@@ -118,7 +118,8 @@ class Instants(NamedTuple):
     places: tuple[float, ...]
 
 
-WIDTH_IN, WIDE_IN = 4.4, 8.4
+WIDTH_IN = 4.4
+WIDE_IN = 8.4
 """Beside another chart (its letters can be read at the width of a phone), and alone
 on a page."""
 
@@ -157,10 +158,9 @@ class Chart:
         return replace(self, panels=panels, x_limits=(first, last))
 
 
-MOST_OF, MOST_OF_BAND = (
-    99.8,
-    95.0,
-)  # per cent of a curve, and of its band's edges, that show
+# per cent of a curve, and of its band's edges, that show
+MOST_OF = 99.8
+MOST_OF_BAND = 95.0
 MARGIN = 0.06
 
 
@@ -177,7 +177,8 @@ def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
             band = np.nan_to_num(2.0 * curve.std[seen], posinf=0.0)
             edges += [np.percentile(y - band, 100.0 - MOST_OF_BAND)]
             edges += [np.percentile(y + band, MOST_OF_BAND)]
-    low, high = float(min(edges)), float(max(edges))
+    low = float(min(edges))
+    high = float(max(edges))
     margin = MARGIN * (high - low) or 1.0
     return low - margin, high + margin
 
@@ -189,7 +190,8 @@ def _inside(x: Array, x_limits: Span | None) -> NDArray[np.bool_]:
 
 STYLE = Path(__file__).with_name("chart.mplstyle")
 """Must hold while a chart is drawn and while it is saved."""
-BAND_OPACITY, AREA_POINTS = 0.2, 1000
+BAND_OPACITY = 0.2
+AREA_POINTS = 1000
 LETTERS = 54  # of a title's line at the usual width
 LEGEND_ROW_IN = 0.17
 CUT_PLACES = 40  # marks of cut curves along an edge at most
@@ -267,9 +269,12 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
 
 
 def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
-    x, y, style = curve.x, curve.y, curve.style
+    x = curve.x
+    y = curve.y
+    style = curve.style
     if curve.std is not None:
-        low, high = y - 2.0 * curve.std, y + 2.0 * curve.std
+        low = y - 2.0 * curve.std
+        high = y + 2.0 * curve.std
         # matplotlib thins lines, not areas. All NaN stay, so that no gap is bridged.
         seen = np.flatnonzero(_inside(x, x_limits))
         some = np.union1d(
@@ -300,15 +305,15 @@ def _mark_what_is_cut(
     x_limits: Span | None,
 ) -> None:
     """Triangles where curves leave the panel, and beside the farthest its value."""
-    farthest, shape = (
-        (edge, 0.0, ""),
-        {"marker": "^" if side > 0 else "v", "markersize": 3.5},
-    )
+    farthest = (edge, 0.0, "")
+    shape = {"marker": "^" if side > 0 else "v", "markersize": 3.5}
     for curve in curves:
         beyond = (side * curve.y > side * edge) & _inside(curve.x, x_limits)
         if not beyond.any():
             continue
-        x, y, color = curve.x[beyond], curve.y[beyond], curve.style.color
+        x = curve.x[beyond]
+        y = curve.y[beyond]
+        color = curve.style.color
         step = np.ptp(x_limits or curve.x[np.isfinite(curve.x)]) / CUT_PLACES or 1.0
         marked = step * np.unique(np.round(x / step))
         edges = np.full(len(marked), edge)
@@ -394,7 +399,8 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
     require_matplotlib("a figure", path)
     from matplotlib import rc_context
 
-    suffix, content = Path(path).suffix.lower(), BytesIO()
+    suffix = Path(path).suffix.lower()
+    content = BytesIO()
     with rc_context(fname=STYLE), warnings.catch_warnings():
         # A file name in a script that the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", "Glyph .* missing from")

@@ -132,7 +132,8 @@ def settings_table(settings: Any, caption: str) -> PageTable:
 
 def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
     for item in fields(settings):
-        value, name = getattr(settings, item.name), f"{prefix}{item.name}"
+        value = getattr(settings, item.name)
+        name = f"{prefix}{item.name}"
         if is_dataclass(value):
             yield from _rows(value, f"{name}.")
             continue

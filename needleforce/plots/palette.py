@@ -18,8 +18,13 @@ STIFFNESS = "stiffness K\n[N/m]"
 FRICTION = "friction B\n[Ns/m²]"
 CUMULATIVE_FRICTION = "cumulative\nfriction [Ns/m]"
 
-BLACK, GREY, GREEN, ORANGE = "#000000", "#7f7f7f", "#009e73", "#e69f00"
-BLUE, VERMILION, PURPLE = "#0072b2", "#d55e00", "#a3468a"
+BLACK = "#000000"
+GREY = "#7f7f7f"
+GREEN = "#009e73"
+ORANGE = "#e69f00"
+BLUE = "#0072b2"
+VERMILION = "#d55e00"
+PURPLE = "#a3468a"
 
 DOTTED: Dash = (0.0, (1.0, 1.6))
 DASHED: Dash = (0.0, (5.0, 2.0))
@@ -51,4 +56,5 @@ RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
 COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
 REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
 TRUE_RUPTURE = "#d2d2d2"  # while a layer ruptures, in the ground truth
-TARE, INITIALIZING = "#d5efd9", "#e4e4e4"
+TARE = "#d5efd9"
+INITIALIZING = "#e4e4e4"

@@ -145,14 +145,12 @@ _HEAD = struct.Struct("<BQ")  # number and size, with which a record begins
 _MESSAGE_HEAD = struct.Struct(
     "<HIQQ"
 )  # channel, sequence, when it was recorded and published
-_SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END, _PRIVATE = (
-    0x03,
-    0x04,
-    0x05,
-    0x06,
-    0x0F,
-    0x80,
-)
+_SCHEMA = 0x03
+_CHANNEL = 0x04
+_MESSAGE = 0x05
+_CHUNK = 0x06
+_DATA_END = 0x0F
+_PRIVATE = 0x80
 """Numbers of records: none lies between the end of the data and private ones."""
 _PARSED = {_SCHEMA: "Schema", _CHANNEL: "Channel", _CHUNK: "Chunk"}
 
@@ -178,16 +176,20 @@ class _McapReader:
     def __init__(self, path: Path, faults: list[str], limit: int) -> None:
         self._library = optional_library("mcap.records", "MCAP files")
         self._stream = optional_library("mcap.data_stream", "MCAP files").ReadDataStream
-        self._path, self._faults, self._limit = path, faults, limit
+        self._path = path
+        self._faults = faults
+        self._limit = limit
         self._schemas: dict[int, tuple[str, str]] = {}
         self._channels: dict[int, BagTopic] = {}
-        self._at, self._is_over = 0, False
+        self._at = 0
+        self._is_over = False
 
     def messages(self, options: FollowOptions | None) -> Iterator[RawMessage]:
         """Yield the messages, and `NONE_YET` before more of a growing file is waited
         for.
         """
-        held, growing = bytearray(), options is not None
+        held = bytearray()
+        growing = options is not None
         options = options or FollowOptions()
         head, blocks = head_of(byte_blocks(self._path, options), len(MAGIC))
         _require_magic(head, MAGIC, "MCAP")
@@ -221,14 +223,16 @@ class _McapReader:
                 or size > self._limit
                 or (opcode == _DATA_END and size != 4)
             ):
-                self._is_over, at = True, self._at + done
+                self._is_over = True
+                at = self._at + done
                 self._faults.append(
                     f"is damaged at byte {at}; what follows cannot be read"
                 )
             if self._is_over or end > len(held):
                 break
             yield from self._taken(opcode, bytes(held[start:end]))
-            done, self._is_over = end, opcode == _DATA_END
+            done = end
+            self._is_over = opcode == _DATA_END
             if self._is_over:
                 break
         self._at += done
@@ -279,7 +283,8 @@ class _McapReader:
         return None
 
     def _chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
-        data, size = chunk.data, chunk.uncompressed_size
+        data = chunk.data
+        size = chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
             data = _unpacked(data, chunk.compression, size)[:size]

@@ -38,7 +38,8 @@ _AS_MANY = (
     0.9  # a topic with this fraction of another's messages counts as equally fast
 )
 _LEARNED = 20  # messages of a topic that are looked into
-_SHORTEST_LIMIT_S, _PERIODS = 0.1, 5.0
+_SHORTEST_LIMIT_S = 0.1
+_PERIODS = 5.0
 """So many periods of a topic may lie between two of its messages and still be
 bridged."""
 _LATE_NS = NS_PER_S  # a topic whose messages come so much later than those of others loses nothing
@@ -53,7 +54,9 @@ class Topic:
     """
 
     def __init__(self, topic: BagTopic, first_ns: int) -> None:
-        self.topic, self.name, self.count = topic, topic.name, 0
+        self.topic = topic
+        self.name = topic.name
+        self.count = 0
         self.first_ns = self.last_ns = first_ns  # when messages were recorded
         self.columns: dict[str, int | None] = {}  # to width, None for one number
         self.joint_names: list[str] = []  # the elements of `named`
@@ -89,7 +92,8 @@ class Topic:
             # One damaged message, the first even, is no reason to lose the topic.
             self.fault = "" if self.columns else str(error)
             return
-        self.fault, self.has_stamp = "", content.stamp_ns is not None
+        self.fault = ""
+        self.has_stamp = content.stamp_ns is not None
         if content.named:
             self.joint_names += [n for n in content.names if n not in self.joint_names]
         self.named |= content.named
@@ -143,7 +147,8 @@ class Topic:
 
     def _numbers(self, name: str, content: Content) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
-        width, value = self.widths[name], content.values.get(name)
+        width = self.widths[name]
+        value = content.values.get(name)
         if value is None or (name in self.named) != (name in content.named):
             self._faults[
                 f"messages without values of {name}, or not one for each joint"
@@ -284,7 +289,9 @@ class JoinedRows:
                 f"rows are the messages of {chosen} ({rows.rate_hz:.4g} Hz); "
                 f"interpolated to their stamps: {rates}"
             )
-        self._start_ns, self._is_new = 0, True  # before the first table
+        # before the first table
+        self._start_ns = 0
+        self._is_new = True
 
     def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
         """Turn messages into tables of up to `MOST_ROWS`, with `t_s`; none waits at
@@ -349,7 +356,9 @@ class JoinedRows:
                     found[:, 0] if topic.columns[column] is None else found
                 )
         del reference.rows[:rows]
-        notes, self._warnings, self._is_new = tuple(self._warnings), [], False
+        notes = tuple(self._warnings)
+        self._warnings = []
+        self._is_new = False
         return Table(
             columns=columns, warnings=notes, joint_names=joints, start_ns=self._start_ns
         )
@@ -385,13 +394,15 @@ def bag_tables(
     rows. An MCAP file that is followed is read on as a recorder writes it, until it is
     finished. Raises as `stream_tables`.
     """
-    bag, growing = Bag(path), options if options.follow else None
+    bag = Bag(path)
+    growing = options if options.follow else None
     joined = learn_topics(bag, request, growing, max_bytes)
     is_whole = joined is None
     if joined is None:
         if growing is not None:
             # It has ended: now all of it can be counted.
-            bag, growing = Bag(path), None
+            bag = Bag(path)
+            growing = None
             learn_topics(bag, max_bytes=max_bytes)
         whole = bag.table()
         needed = frozenset(whole.columns) if request is None else request.columns(whole)
@@ -400,7 +411,9 @@ def bag_tables(
             return
         joined = JoinedRows(bag, request or ChannelRequest(), needed)
     faults: list[str] = []
-    table, done, count = None, 0, joined.reference.count
+    table = None
+    done = 0
+    count = joined.reference.count
     for table in joined.tables(read_messages(path, faults, max_bytes, growing)):
         yield table
         done += len(table)
@@ -420,7 +433,8 @@ def learn_topics(
     """Learn a bag's topics to its end; of a growing one until its rows are clear:
     return these.
     """
-    reported, settled_ns = "", 0
+    reported = ""
+    settled_ns = 0
     for message in read_messages(bag.path, bag.faults, max_bytes, growing):
         if message is NONE_YET:
             continue
@@ -432,10 +446,8 @@ def learn_topics(
             # Counted anew from this message on, so that rates are those of the same
             # time.
             for topic in bag.topics.values():
-                topic.count, topic.first_ns = (
-                    int(topic.first_ns == message.log_ns),
-                    message.log_ns,
-                )
+                topic.count = int(topic.first_ns == message.log_ns)
+                topic.first_ns = message.log_ns
             continue
         joined, missing = _join(bag, request or ChannelRequest())
         if joined is not None:

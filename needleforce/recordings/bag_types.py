@@ -39,7 +39,10 @@ _MOST_UNROLLED = (
 )
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-_BASE, _NAME, _ARRAY = 1, 2, 3  # kinds of fields, as rosbags numbers them
+# kinds of fields, as rosbags numbers them
+_BASE = 1
+_NAME = 2
+_ARRAY = 3
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -173,7 +176,8 @@ class TopicDecoder:
         names = tuple(given) if isinstance(given, list) else ()
         # Empty or repeated names identify no joint: their order then has to.
         names = names if all(names) and len(set(names)) == len(names) else ()
-        values, named = {}, set()
+        values = {}
+        named = set()
         for column, get, is_array, is_beside_names in self._getters:
             value = get(message)
             if is_array:
@@ -221,16 +225,15 @@ def bag_topics(
         name: left.pop(name) for name, v in signals.items() if v.shape[1] == width
     }
     if signals:
-        joints, joint_state = list(labels.joint_names), "sensor_msgs/msg/JointState"
+        joints = list(labels.joint_names)
+        joint_state = "sensor_msgs/msg/JointState"
         if len(joints) != width:
             joints = [f"joint_{i + 1}" for i in range(width)]
         numbers = (
             signals.get(name, np.empty((len(stamps_ns), 0))) for name in _SIGNALS
         )
-        rows, make = (
-            zip(_headers(stamps_ns, ""), *numbers, strict=True),
-            types[joint_state],
-        )
+        rows = zip(_headers(stamps_ns, ""), *numbers, strict=True)
+        make = types[joint_state]
         yield (
             "/joint_states",
             joint_state,
@@ -255,7 +258,8 @@ def bag_topics(
 
 def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
     types = standard_types().types
-    time, header = types["builtin_interfaces/msg/Time"], types["std_msgs/msg/Header"]
+    time = types["builtin_interfaces/msg/Time"]
+    header = types["std_msgs/msg/Header"]
     return (header(time(*divmod(stamp_ns, NS_PER_S)), frame) for stamp_ns in stamps_ns)
 
 
@@ -275,11 +279,10 @@ def _pop_vector(columns: dict[str, np.ndarray], part: str) -> np.ndarray | None:
 
 
 def _wrenches(name: str, vectors: list[np.ndarray], headers: Iterable[Any]) -> OutTopic:
-    kind, types = "geometry_msgs/msg/WrenchStamped", standard_types().types
-    vector, wrench = (
-        types["geometry_msgs/msg/Vector3"],
-        types["geometry_msgs/msg/Wrench"],
-    )
+    kind = "geometry_msgs/msg/WrenchStamped"
+    types = standard_types().types
+    vector = types["geometry_msgs/msg/Vector3"]
+    wrench = types["geometry_msgs/msg/Wrench"]
     force, torque = ([vector(*row) for row in values.tolist()] for values in vectors)
     rows = zip(headers, map(wrench, force, torque), strict=True)
     return name, kind, (types[kind](header, content) for header, content in rows)

@@ -154,7 +154,8 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
     `speed_mm_s` and a leading path such as `/joint_states/`.
     """
     rest, unit = split_unit(name.strip(), units)
-    number, family = None, name
+    number = None
+    family = name
     if match := _NUMBERED.match(rest):
         number = int(match["number"])
         start, end = match.span("number")
@@ -197,11 +198,10 @@ def find_columns(table: Table, pattern: str) -> Found:
     if pattern in table.columns:
         return [(pattern, table.columns[pattern])]
     if match := _RANGE.search(pattern):
-        first, last = match["first"], match["last"]
-        step, width = (
-            1 if int(first) <= int(last) else -1,
-            len(first) * first.startswith("0"),
-        )
+        first = match["first"]
+        last = match["last"]
+        step = 1 if int(first) <= int(last) else -1
+        width = len(first) * first.startswith("0")
         found: Found = []
         # One at a time: the first that is not there ends the search, however long the
         # range is.
@@ -216,7 +216,8 @@ def find_columns(table: Table, pattern: str) -> Found:
             table, pattern, re.escape(pattern).replace(r"\*", r"(\d{1,9})", 1)
         )
     if match := _ELEMENT.match(pattern):
-        values, index = table.columns.get(match["name"]), int(match["index"])
+        values = table.columns.get(match["name"])
+        index = int(match["index"])
         if values is None or values.ndim != 2:
             raise _not_found(table, pattern)
         if index >= values.shape[1]:
@@ -255,7 +256,8 @@ def _in_order(table: Table, numbered: Mapping[int, str], pattern: str) -> Found:
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
     """Return the error, with what may have been meant."""
-    names, hint = list(table.columns), ""
+    names = list(table.columns)
+    hint = ""
     head, colon, unit = pattern.rpartition(":")
     with_unit = [
         name for name in names if re.match(rf"{re.escape(pattern)}\s*[\[(]\D", name)

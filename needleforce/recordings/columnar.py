@@ -120,7 +120,9 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
 
 def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
     columns: dict[str, np.ndarray] = {}
-    warnings, types, seconds = [], arrow.types, frozenset[str]()
+    warnings = []
+    types = arrow.types
+    seconds = frozenset[str]()
     start_ns = int((file.schema_arrow.metadata or {}).get(START_KEY.encode(), 0))
     for name in file.schema_arrow.names if file.metadata.num_rows else ():
         cells = file.read(columns=[name]).column(0).combine_chunks()

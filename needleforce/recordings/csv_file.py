@@ -48,7 +48,9 @@ class _CsvRows:
         self.rows: list[tuple[int, str]] = []
         """Rows that wait to be read, each with the number of its line."""
         self.omitted: dict[int, str] = {}  # which columns are left out, and why
-        self._delimiter, self._comment, self._header = ",", "", ""
+        self._delimiter = ","
+        self._comment = ""
+        self._header = ""
         self._lines = self._latest = self._start_ns = 0
         self._is_chosen = False
         self._has_number: set[int] = set()
@@ -81,7 +83,8 @@ class _CsvRows:
         be known, unless the file was still being written.
         """
         if self._latest and _is_row(tail):
-            cells, names = tail.count(self._delimiter) + 1, len(self.names)
+            cells = tail.count(self._delimiter) + 1
+            names = len(self.names)
             if cells < names or is_growing:
                 what = f"({cells} of {names} cells) and was left out"
                 self.faults.note(
@@ -104,7 +107,8 @@ class _CsvRows:
         A comment just before it counts as the header if that line holds numbers and the
         comment has as many cells (`numpy.savetxt` writes its header so).
         """
-        self._delimiter, self._header = max(_DELIMITERS, key=line.count), line
+        self._delimiter = max(_DELIMITERS, key=line.count)
+        self._header = line
         names = self._split(line)
         is_row = any(_number(name) is not None for name in names)
         if is_row:
@@ -143,7 +147,8 @@ class _CsvRows:
         are left out.
         """
         taken = self.rows if self._is_chosen else self.rows[:HEAD_ROWS]
-        rows, width = [row for _, row in taken], len(self.names)
+        rows = [row for _, row in taken]
+        width = len(self.names)
         try:
             values = np.loadtxt(rows, delimiter=self._delimiter, comments=None, ndmin=2)
         except ValueError:
@@ -245,14 +250,18 @@ def csv_tables(
     wrong. A source that grows may end in the middle of a line that is being written.
     `name` stands in errors.
     """
-    lines, rows, options = TextLines(blocks), _CsvRows(), options or FollowOptions()
-    is_first, read_until = True, 0
+    lines = TextLines(blocks)
+    rows = _CsvRows()
+    options = options or FollowOptions()
+    is_first = True
+    read_until = 0
     try:
         for batch in lines:
             rows.add(batch)
             while len(rows.rows) >= (HEAD_ROWS if is_first else 1):
                 yield rows.table()
-                is_first, read_until = False, lines.size
+                is_first = False
+                read_until = lines.size
             waiting = lines.size - read_until + _ROW_BYTES * len(rows.rows)
             require_size(waiting, max_bytes, "its text")
         if options.should_stop():

@@ -24,7 +24,9 @@ BLOCK = 1 << 18  # the most bytes that are read, or unpacked, at a time
 STANDARD_STREAM = "-"  # instead of a file: standard input or standard output
 
 _POLL_S = 0.05
-_SMALL, _PAUSE_S = 4096, 0.005  # rows that come one by one are taken some at a time
+# rows that come one by one are taken some at a time
+_SMALL = 4096
+_PAUSE_S = 0.005
 _CHECKED_TAIL = (
     256  # Bytes before the place of reading that show if a file was written anew
 )
@@ -70,7 +72,9 @@ def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
 
 def _blocks(handle: int, options: FollowOptions, path: Path | None) -> Iterator[bytes]:
     is_file = stat.S_ISREG(os.fstat(handle).st_mode)
-    done, tail, last_s = 0, b"", time.monotonic()
+    done = 0
+    tail = b""
+    last_s = time.monotonic()
     follows = options.follow and is_file
     while not options.should_stop():
         if is_file or select.select([handle], [], [], _POLL_S)[0]:
@@ -128,7 +132,8 @@ BINARY = {
 
 def head_of(blocks: Iterable[bytes], size: int = 4) -> tuple[bytes, Iterator[bytes]]:
     """Return the first bytes, if there are so many, and all blocks."""
-    blocks, head = iter(blocks), b""
+    blocks = iter(blocks)
+    head = b""
     while len(head) < size and (more := next(blocks, b"")):
         head += more
     return head[:size], chain([head] if head else [], blocks)
@@ -156,7 +161,9 @@ class TextLines:
         self._blocks = blocks
         decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
         self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
-        self._count, self._fault, self._is_blank = 0, "", True
+        self._count = 0
+        self._fault = ""
+        self._is_blank = True
         self.tail = ""  # once all is read: what stands behind the last line end
         self.size = 0  # bytes of text so far
         self.warnings: list[str] = []  # what was lost or guessed
@@ -209,18 +216,18 @@ class TextLines:
         """Yield blocks of at most `BLOCK` bytes: a megabyte of gzip can hold a
         gigabyte.
         """
-        member, is_open = zlib.decompressobj(_GZIP_WINDOW), False
+        member = zlib.decompressobj(_GZIP_WINDOW)
+        is_open = False
         try:
             for packed in blocks:
                 # Members may follow each other, and zeros the last.
                 while packed and (is_open or (packed := packed.lstrip(b"\x00"))):
                     yield member.decompress(packed, BLOCK)
-                    packed, is_open = member.unconsumed_tail, not member.eof
+                    packed = member.unconsumed_tail
+                    is_open = not member.eof
                     if member.eof:
-                        packed, member = (
-                            member.unused_data,
-                            zlib.decompressobj(_GZIP_WINDOW),
-                        )
+                        packed = member.unused_data
+                        member = zlib.decompressobj(_GZIP_WINDOW)
         except zlib.error:
             self._fault = "the compressed file is damaged"
         else:

@@ -186,11 +186,10 @@ def _find_signal(
     spec = spec or ColumnSpec(columns=channel.name)
     if not found:
         return None
-    columns, widths = (
-        tuple(name for name, _ in found),
-        [prod(v.shape[1:]) for _, v in found],
-    )
-    width, names = sum(widths), ", ".join(columns)
+    columns = tuple(name for name, _ in found)
+    widths = [prod(v.shape[1:]) for _, v in found]
+    width = sum(widths)
+    names = ", ".join(columns)
     if width != 1 and not channel.per_joint:
         raise ColumnError(
             f"{channel.name} is one column, but {names} gives {width}; choose one"
@@ -238,7 +237,8 @@ class LogStream:
     def __init__(
         self, tables: Iterable[Table], request: ChannelRequest | None = None
     ) -> None:
-        self._tables, self._request = iter(tables), request or ChannelRequest()
+        self._tables = iter(tables)
+        self._request = request or ChannelRequest()
         self._found: dict[
             str, None
         ] = {}  # warnings, in order, of which so many were taken
@@ -292,7 +292,8 @@ class LogStream:
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
         names = tuple(name for name in CHANNELS if name != "time")
-        required, optional = self._request.required, self._request.optional
+        required = self._request.required
+        optional = self._request.optional
         for name in (*required, *optional):
             if name not in names:
                 raise MappingError(
@@ -301,7 +302,8 @@ class LogStream:
         optional = optional if required or optional else names
         missing: list[Channel] = []
         for name in (*required, *optional):
-            channel, spec = CHANNELS[name], self._request.mapping.channels.get(name)
+            channel = CHANNELS[name]
+            spec = self._request.mapping.channels.get(name)
             signal = _find_signal(table, channel, spec)
             is_wanted = name in required or spec is not None
             if signal is None:
@@ -346,7 +348,8 @@ class LogStream:
                 chain(*(signal.hardly_si() for signal in self._signals.values()))
             )
         t_s = kept.pop("t_s")
-        self._rows, self._kept = self._rows + rows, self._kept + len(t_s)
+        self._kept = self._kept + len(t_s)
+        self._rows = self._rows + rows
         if len(t_s):
             yield LogChunk(t_s=t_s, dt_s=self._stamps.update(t_s), channels=kept)
 
@@ -357,7 +360,8 @@ class LogStream:
         rate_hz = self._request.mapping.rate_hz
         if rate_hz is not None:
             return np.arange(self._rows, self._rows + rows) / rate_hz
-        found_s, signal = values["t_s"], self._signals["t_s"]
+        found_s = values["t_s"]
+        signal = self._signals["t_s"]
         if table.start_ns or signal.factors[0] * NS_PER_S != 1.0:
             return found_s
         raw = table.columns.get(signal.columns[0], found_s)
@@ -376,13 +380,15 @@ class LogStream:
         """Return all rows as one log; `FormatError` if they take more bytes than
         allowed.
         """
-        parts, size = list[dict[str, FloatArray]](), 0
+        parts = list[dict[str, FloatArray]]()
+        size = 0
         for chunk in self:
             parts.append({"t_s": chunk.t_s, **chunk.channels})
             size += sum(values.nbytes for values in parts[-1].values())
             require_size(size, max_bytes, "what is read of it")
         whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-        t_s, warnings = whole.pop("t_s"), self.take_warnings()
+        t_s = whole.pop("t_s")
+        warnings = self.take_warnings()
         return Log(t_s=t_s, channels=whole, warnings=warnings, start_ns=self.start_ns)
 
 

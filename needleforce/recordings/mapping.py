@@ -80,11 +80,14 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     themselves. `MappingError` if no column is named, or the scale is zero or not
     finite.
     """
-    names, unit, scale = text, None, 1.0
+    names = text
+    unit = None
+    scale = 1.0
     head, colon, tail = names.rpartition(":")
     if colon:
         with suppress(ValueError):
-            names, scale = head, float(tail)
+            names = head
+            scale = float(tail)
     head, colon, tail = names.rpartition(":")
     if colon and (unit := find_unit(tail, channel.units)):
         names = head
@@ -123,7 +126,8 @@ class ColumnMapping:
                 raise MappingError(
                     f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}"
                 )
-            units, unit = CHANNELS[name].units, spec.unit
+            units = CHANNELS[name].units
+            unit = spec.unit
             known = None if unit is None else find_unit(unit, units)
             if known is None and unit is not None:
                 listed = ", ".join(units)
@@ -330,7 +334,8 @@ def _channel_text(
     except ColumnError as error:
         if spec is not None:
             raise
-        found, reason = [], " ".join(str(error).split(";")[0].split())
+        found = []
+        reason = " ".join(str(error).split(";")[0].split())
     if not found:
         lines = [f"[{channel.name}]", 'columns = ""', f'unit = "{channel.si_unit}"']
         return [comment_line(reason), *(f"# {line}" for line in lines)]

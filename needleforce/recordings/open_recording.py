@@ -56,7 +56,8 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
         FileAccessError: the file cannot be read, or its suffix is not known.
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
     """
-    parts, size = list[Table](), 0
+    parts = list[Table]()
+    size = 0
     for table in stream_tables(path, FollowOptions(), max_bytes=max_bytes):
         parts.append(table)
         size += sum(values.nbytes for values in table.columns.values())
@@ -207,7 +208,8 @@ def suggest_mapping(
     it. Raises as `read_table`; `ColumnError` if the mapping names a column that is not
     there.
     """
-    known, names = mapping or ColumnMapping(), list(channels)
+    known = mapping or ColumnMapping()
+    names = list(channels)
     lines = [
         comment_line(f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"),
         "",
@@ -225,10 +227,8 @@ def suggest_mapping(
         lines += [*map(comment_line, bag.warnings), ""]
         lines += _bag_head(bag, table, names, joints, known)
     else:
-        table, is_time_wanted = (
-            next(stream_tables(source, FollowOptions())),
-            known.rate_hz is None,
-        )
+        table = next(stream_tables(source, FollowOptions()))
+        is_time_wanted = known.rate_hz is None
     lines += [*payload, ""] if payload else []
     names = ["time", *names] if is_time_wanted else names
     return "\n".join([*lines, *mapping_text(table, names, known)])

@@ -114,7 +114,8 @@ def mcap_writer(stream: BinaryIO, labels: Labels, empty: Columns) -> Iterator[Ap
 
     `LogError` if there is no time stamp `t_s`, or one that no message can carry.
     """
-    types, places = standard_types(), list[tuple[int, str]]()
+    types = standard_types()
+    places = list[tuple[int, str]]()
     library = optional_library("mcap.writer", "MCAP files")
     bag = library.Writer(stream, chunk_size=_CHUNK_BYTES, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
@@ -193,7 +194,8 @@ class OpenTable:
     """A table of `open_table`; `begin` opens its file when the first rows are there."""
 
     def __init__(self, begin: Callable[[Columns], Append], name: str) -> None:
-        self._begin, self._name = begin, name
+        self._begin = begin
+        self._name = name
         self._write: Append | None = None
         self._kinds: list[str] = []
 
@@ -206,10 +208,8 @@ class OpenTable:
         kinds = [f"{name} {v.dtype}{list(v.shape[1:])}" for name, v in arrays.items()]
         with file_errors(self._name, "write"):
             if self._write is None:
-                self._write, self._kinds = (
-                    self._begin({n: v[:0] for n, v in arrays.items()}),
-                    kinds,
-                )
+                self._write = self._begin({n: v[:0] for n, v in arrays.items()})
+                self._kinds = kinds
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: {self._kinds}"
@@ -233,13 +233,12 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
-        name, writer, file = (
-            "standard output",
-            csv_writer,
-            nullcontext(sys.stdout.buffer),
-        )
+        name = "standard output"
+        writer = csv_writer
+        file = nullcontext(sys.stdout.buffer)
     else:
-        name, writer = str(path), _find_writer(Path(path))
+        name = str(path)
+        writer = _find_writer(Path(path))
         file = whole_file(
             path, is_in_place=is_live and name.lower().endswith((".csv", ".mcap"))
         )
@@ -351,5 +350,6 @@ def _overlap(path: Path, other: Path) -> bool:
     """Return whether two paths are the same place, or one lies inside the other."""
     if path.exists() and other.exists() and path.samefile(other):
         return True
-    path, other = path.resolve(), other.resolve()
+    path = path.resolve()
+    other = other.resolve()
     return path == other or path in other.parents or other in path.parents

@@ -178,12 +178,14 @@ def interpolate(
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)
     order = np.argsort(stamps_ns, kind="stable")
-    stamps_ns, values = stamps_ns[order], values[order]
+    stamps_ns = stamps_ns[order]
+    values = values[order]
     low = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, None)
     high = np.clip(low + 1, None, stamps_ns.size - 1)
     is_far = (stamps_ns[high] - stamps_ns[low] > limit_ns) & (stamps_ns[low] != at_ns)
     # float64 holds differences of stamps, not stamps.
-    at, known = at_ns - stamps_ns[0], stamps_ns - stamps_ns[0]
+    at = at_ns - stamps_ns[0]
+    known = stamps_ns - stamps_ns[0]
     rows = [np.interp(at, known, each, left=np.nan, right=np.nan) for each in values.T]
     rows = np.stack(rows, axis=1)
     rows[is_far] = np.nan
@@ -208,7 +210,8 @@ class Faults(dict[str, tuple[int, str]]):
 
 
 _SET_BACK = "time: clock set back, from where it counts anew"
-_BACK, _REPEATED = "time: stamps running backward", "time: stamps repeated"
+_BACK = "time: stamps running backward"
+_REPEATED = "time: stamps repeated"
 _SET_AFTER_S = 0.1
 _SET_AFTER_ROWS = 3
 """A row that is not later than those before came late. When so many rows in a row, over
@@ -247,15 +250,15 @@ class RowClock:
         if t_s.size:
             self._latest_s = float(t_s[-1])
             self._behind.clear()
-            self._rows, self._advanced = (
-                self._rows + t_s.size,
-                self._advanced + t_s.size,
-            )
+            self._rows = self._rows + t_s.size
+            self._advanced = self._advanced + t_s.size
         return dt_s
 
     def _step(self, now_s: float) -> float:
-        before_s, dt_s = self._latest_s, now_s - self._latest_s
-        what, self._rows = _REPEATED if dt_s == 0.0 else _BACK, self._rows + 1
+        before_s = self._latest_s
+        dt_s = now_s - self._latest_s
+        what = _REPEATED if dt_s == 0.0 else _BACK
+        self._rows = self._rows + 1
         if dt_s < 0.0:
             if self._behind and now_s < self._behind[-1]:
                 self._behind.clear()
@@ -263,9 +266,11 @@ class RowClock:
                 self._behind.append(now_s)
             ran_s = now_s - self._behind[0]
             if len(self._behind) >= _SET_AFTER_ROWS and ran_s >= _SET_AFTER_S:
-                what, dt_s = _SET_BACK, ran_s
+                what = _SET_BACK
+                dt_s = ran_s
         if dt_s > 0.0:
-            self._latest_s, self._advanced = now_s, self._advanced + 1
+            self._latest_s = now_s
+            self._advanced = self._advanced + 1
             self._behind.clear()
         if now_s <= before_s:
             self._faults.note(

@@ -18,7 +18,9 @@ from needleforce.scene.state_ring import Closing, SceneError, StateRing, view_ro
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-UPDATES_HZ, START_s = 34.0, 60.0  # timers wake late: thirty a second are promised
+# timers wake late: thirty a second are promised
+UPDATES_HZ = 34.0
+START_s = 60.0
 
 
 class LiveView(Closing):
@@ -27,7 +29,10 @@ class LiveView(Closing):
     def __init__(
         self, ring: StateRing, process: Any, pipe: Connection, url: str
     ) -> None:
-        self._ring, self._process, self._pipe, self.url = ring, process, pipe, url
+        self._ring = ring
+        self._process = process
+        self._pipe = pipe
+        self.url = url
 
     def put(self, now: Any, q_rad: ArrayLike) -> None:
         """Hand over a tick: the session's estimate and the joint positions. Never
@@ -51,7 +56,8 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
         SceneError: The page could not be opened.
     """
     context = multiprocessing.get_context("spawn")
-    ring, (pipe, other) = StateRing(robot.nv), context.Pipe()
+    ring = StateRing(robot.nv)
+    pipe, other = context.Pipe()
     given = (other, ring.name, robot, plan, settings)
     process = context.Process(target=_serve, args=given, daemon=True)
     process.start()
@@ -82,7 +88,9 @@ def _serve(
     except (SceneError, OSError) as error:
         pipe.send(str(error))
         return
-    ring, count, due_s = StateRing(robot.nv, ring_name), 0, monotonic()
+    ring = StateRing(robot.nv, ring_name)
+    count = 0
+    due_s = monotonic()
     pipe.send(viewer.url)
     while not pipe.poll(max(due_s - monotonic(), 0.0)):
         due_s = max(due_s, monotonic() - 1.0 / UPDATES_HZ) + 1.0 / UPDATES_HZ

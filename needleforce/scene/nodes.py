@@ -16,13 +16,16 @@ from numpy.typing import ArrayLike
 from needleforce.scene.state_ring import Array, SceneError
 from urdf import Robot
 
-PLANNED, FOUND, OBSTACLE = (235, 235, 235), (255, 205, 0), (220, 60, 40)
+PLANNED = (235, 235, 235)
+FOUND = (255, 205, 0)
+OBSTACLE = (220, 60, 40)
 EXPECTED = (90, 200, 250)  # the next boundary, moved by what the ruptures have shown
 CAMERA_m = np.array([0.29, -0.35, 0.16])  # from the tip, at first
 RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
 OPACITY = 0.35
 RING_m = 6e-3
-NEEDLE_m, NEEDLE_RADIUS_m = 0.2, 0.8e-3
+NEEDLE_m = 0.2
+NEEDLE_RADIUS_m = 0.8e-3
 
 
 class PlanScene(NamedTuple):
@@ -53,13 +56,16 @@ class ArmNodes:
     def __init__(
         self, server: Any, robot: Robot, urdf_path: Path | None = None
     ) -> None:
-        self._server, self._robot, self._data = server, robot, robot.create_data()
+        self._data = robot.create_data()
+        self._server = server
+        self._robot = robot
         self._shapes: Any = None
         if urdf_path is not None:
             from viser.extras import ViserUrdf
 
             self._shapes = ViserUrdf(server, urdf_path, root_node_name="/arm")
-            shown, names = self._shapes.get_actuated_joint_names(), robot.joint_names
+            shown = self._shapes.get_actuated_joint_names()
+            names = robot.joint_names
             self._order = [shown.index(name) for name in names]
             self._shown_rad = np.zeros(
                 len(shown)
@@ -71,10 +77,12 @@ class ArmNodes:
     def update(self, q_rad: ArrayLike) -> tuple[Array, Array]:
         """Move it; returns the tip and the needle's direction, base axes."""
         q = np.asarray(q_rad, dtype=float)
-        model, data = self._robot.model, self._data
+        model = self._robot.model
+        data = self._data
         pin.framesForwardKinematics(model, data, q)
         pose = data.oMf[self._robot.tool_frame_id]
-        tip, axis = pose.translation.copy(), pose.rotation[:, 2].copy()
+        tip = pose.translation.copy()
+        axis = pose.rotation[:, 2].copy()
         if self._shapes is not None:
             self._shown_rad[self._order] = q
             self._shapes.update_cfg(self._shown_rad)
@@ -112,7 +120,8 @@ def add_anatomy(server: Any, plan: PlanScene) -> None:
         )
     if plan.entry_m is None or plan.target_m is None:
         return
-    entry, target = plan.to_robot(plan.entry_m), plan.to_robot(plan.target_m)
+    entry = plan.to_robot(plan.entry_m)
+    target = plan.to_robot(plan.target_m)
     length_m = float(np.linalg.norm(target - entry))
     if not length_m > 0.0:
         raise SceneError(
@@ -147,7 +156,8 @@ def add_ring(
     angle = np.linspace(0.0, 2.0 * np.pi, 33)
     ring = RING_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(33)], axis=1)
     line = _add_lines(server, name, ring, color, 4.0)
-    line.position, line.wxyz = tuple(place), turned_to(axis)
+    line.position = tuple(place)
+    line.wxyz = turned_to(axis)
     away = (2.0 if color in (FOUND, EXPECTED) else -6.0) * RING_m
     return [
         line,

@@ -35,8 +35,11 @@ def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     """A row of a `SessionEstimate` and the joint positions [rad], shape (n,), behind
     `FIELDS`.
     """
-    wrench, found, plan = now.wrench, now.identification, now.plan
-    rupture, retracted = found.rupture, found.retracted
+    wrench = now.wrench
+    found = now.identification
+    plan = now.plan
+    rupture = found.rupture
+    retracted = found.retracted
     return (
         *(now.time_s, now.depth_m, now.speed_m_s, wrench.axial, wrench.axial_std),
         *(

@@ -75,10 +75,8 @@ class _Seen(SimpleNamespace):
         yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
         if np.isnan(self.plan_layer):
             return
-        name, certain = (
-            self.names.get(self.plan_layer, ""),
-            100.0 * self.plan_probability,
-        )
+        name = self.names.get(self.plan_layer, "")
+        certain = 100.0 * self.plan_probability
         here = f"in **{name}** ({certain:.0f} %)"
         next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
         yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
@@ -139,12 +137,14 @@ class Viewer:
         )
         self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
         self._server.scene.set_up_direction("+z")
-        self._plan, self._rows = plan, np.empty((0, len(FIELDS) + robot.nv))
+        self._rows = np.empty((0, len(FIELDS) + robot.nv))
+        self._plan = plan
         self.marks: list[Mark] = []
         self._lock = threading.Lock()
         self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
         nodes.add_anatomy(self._server, plan)
-        at, up = np.zeros(3), np.array([0.0, 0.0, 1.0])
+        at = np.zeros(3)
+        up = np.array([0.0, 0.0, 1.0])
         self._ahead = nodes.add_ring(self._server, "/ahead", at, up, nodes.EXPECTED, "")
         self._server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
         self._shown_s = -1.0
@@ -171,7 +171,8 @@ class Viewer:
     def _add_plot(self, x_label: str) -> Any:
         from viser import uplot
 
-        series, bands = [uplot.Series(label=x_label)], []
+        series = [uplot.Series(label=x_label)]
+        bands = []
         for name, (_, _, color) in CURVES.items():
             pair = (len(series) + 1, len(series) + 2)
             bands.append(uplot.Band(series=pair, fill=f"rgba({color}, 0.18)"))
@@ -219,7 +220,8 @@ class Viewer:
         if not seen.rupture:
             return
         tip, axis = self._arm.update(row[len(FIELDS) :])
-        place, text = tip + (seen.rupture_depth_m - seen.depth_m) * axis, seen.event()
+        place = tip + (seen.rupture_depth_m - seen.depth_m) * axis
+        text = seen.event()
         name = f"/ruptures/{len(self.marks)}"
         handles = nodes.add_ring(self._server, name, place, axis, nodes.FOUND, text)
         for handle in handles:
@@ -247,7 +249,8 @@ class Viewer:
             self.show()
 
     def _draw(self, at: int) -> None:
-        row, (ring, label) = self._rows[at], self._ahead
+        row = self._rows[at]
+        ring, label = self._ahead
         seen = _Seen(row, self._plan)
         with self._server.atomic():
             tip, axis = self._arm.update(row[len(FIELDS) :])
@@ -260,10 +263,8 @@ class Viewer:
             ring.visible = label.visible = bool(np.isfinite(seen.plan_next_m))
             if ring.visible:
                 ring.position = tuple(tip + (seen.plan_next_m - seen.depth_m) * axis)
-                ring.wxyz, label.text = (
-                    nodes.turned_to(axis),
-                    f"{seen.next_name}, expected",
-                )
+                ring.wxyz = nodes.turned_to(axis)
+                label.text = f"{seen.next_name}, expected"
             self._slider.max = max(float(self._rows[-1, 0]), 0.01)
             if self._live.value:
                 self._slider.value = round(seen.time_s, 2)
@@ -281,7 +282,8 @@ class Viewer:
         good = good[:: max(len(good) // POINTS, 1)]
         curves = []
         for value, std, _ in CURVES.values():
-            middle, band = good[:, AT[value]], 2.0 * good[:, AT[std]]
+            middle = good[:, AT[value]]
+            band = 2.0 * good[:, AT[std]]
             curves += [middle, middle + band, middle - band]
         self._plots["time [s]"].data = (good[:, 0], *curves)
         # A curve over depth runs forth and back: only what is deeper than all before.
@@ -300,7 +302,8 @@ class Viewer:
         """From where the time line stands to its end, in real time."""
         self._live.value = False
         self._play.disabled = True
-        now_s, last_s = float(self._slider.value), self._slider.max
+        now_s = float(self._slider.value)
+        last_s = self._slider.max
         begin_s = time.monotonic() - (0.0 if now_s >= last_s - FRAME_s else now_s)
         while (now_s := time.monotonic() - begin_s) < last_s + FRAME_s:
             self._slider.value = round(min(now_s, last_s), 2)
