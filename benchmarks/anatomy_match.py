@@ -31,12 +31,18 @@ SAME_m = 3e-3
 
 
 class Case(NamedTuple):
-    """What the match is given."""
+    """What the match is given.
+
+    Attributes:
+        withheld: Part of the ruptures.
+        stated: Deviation of the offset, of the true one.
+        is_skin_right: Only what lies beneath the surface is off.
+    """
 
     name: str
-    withheld: float = 0.0  # part of the ruptures
-    stated: float = 1.0  # deviation of the offset, of the true one
-    is_skin_right: bool = False  # only what lies beneath the surface is off
+    withheld: float = 0.0
+    stated: float = 1.0
+    is_skin_right: bool = False
 
 
 CASES = (
@@ -49,19 +55,30 @@ CASES = (
 
 
 class Event(NamedTuple):
-    """A rupture that the session reported, or took back."""
+    """A rupture that the session reported, or took back.
 
-    tip_m: float  # below the surface, at the alarm
-    depth_m: float  # of the rupture
-    layer: int  # into which it led, -1 for a false alarm
+    Attributes:
+        tip_m: Below the surface, at the alarm.
+        depth_m: Of the rupture.
+        layer: Into which it led, -1 for a false alarm.
+        contact_m: Depth at which the surface was found.
+    """
+
+    tip_m: float
+    depth_m: float
+    layer: int
     is_retracted: bool
-    contact_m: float  # depth at which the surface was found
+    contact_m: float
 
 
 class Found(NamedTuple):
-    """The ruptures of one insertion."""
+    """The ruptures of one insertion.
 
-    boundaries_m: np.ndarray  # true, below the surface, the surface first
+    Attributes:
+        boundaries_m: true, below the surface, the surface first.
+    """
+
+    boundaries_m: np.ndarray
     events: list[Event]
 
 

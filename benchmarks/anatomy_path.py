@@ -31,13 +31,19 @@ THICK_VOXELS = 1.5
 
 
 class Measured(NamedTuple):
-    """One path."""
+    """One path.
+
+    Attributes:
+        scores: Errors over the stated standard deviation.
+        is_right: The sequence of layers that are thick enough.
+        crossings: True ones.
+    """
 
     errors_voxels: list[float]
-    scores: list[float]  # errors over the stated standard deviation
-    is_right: bool  # the sequence of layers that are thick enough
+    scores: list[float]
+    is_right: bool
     has_gaps: bool
-    crossings: int  # true ones
+    crossings: int
     seconds: float
 
 

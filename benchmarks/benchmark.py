@@ -18,26 +18,38 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fact:
-    """One number of a figure, the published one beside those of our runs."""
+    """One number of a figure, the published one beside those of our runs.
 
-    what: str  # with the unit
-    published: str  # as printed there, or said in the text
-    here: tuple[tuple[str, str], ...]  # from our runs, by the head of its column
+    Attributes:
+        what: With the unit.
+        published: As printed there, or said in the text.
+        here: From our runs, by the head of its column.
+    """
+
+    what: str
+    published: str
+    here: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
     """One benchmark on one plant with one seed: a piece of work for a process of its
     own.
+
+    Attributes:
+        benchmark: Its name.
+        plant: Plant model of a simulation, ``needle`` for one without an arm,
+            ``recording`` for real data.
+        seed: Of everything drawn; of real data, the number of the recording.
+        data: Folder of recordings, for benchmarks that need it.
+        drawings: Folder for figures; None for none.
     """
 
-    benchmark: str  # its name
-    # plant model of a simulation, ``needle`` for one without an arm, ``recording`` for
-    # real data
+    benchmark: str
     plant: str
-    seed: int = 0  # of everything drawn; of real data, the number of the recording
-    data: Path | None = None  # folder of recordings, for benchmarks that need it
-    drawings: Path | None = None  # folder for figures; None for none
+    seed: int = 0
+    data: Path | None = None
+    drawings: Path | None = None
 
     @property
     def recordings(self) -> Path:
@@ -59,13 +71,22 @@ class Job:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Drawing:
-    """A figure of a run, and the words that go with it."""
+    """A figure of a run, and the words that go with it.
 
-    figure: str  # published one to which it is the counterpart, such as ``8``; empty for none
-    panel: str = ""  # letter of the panel; empty for none
-    job: Job  # the run
-    shown: PageFigure  # its files, what it shows, what to look at
-    facts: tuple[Fact, ...] = ()  # numbers to stand below
+    Attributes:
+        figure: Published one to which it is the counterpart, such as ``8``; empty for
+            none.
+        panel: Letter of the panel; empty for none.
+        job: The run.
+        shown: Its files, what it shows, what to look at.
+        facts: Numbers to stand below.
+    """
+
+    figure: str
+    panel: str = ""
+    job: Job
+    shown: PageFigure
+    facts: tuple[Fact, ...] = ()
 
 
 class Findings(NamedTuple):
@@ -77,33 +98,47 @@ class Findings(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What became of a job."""
+    """What became of a job.
 
-    job: Job  # the job
-    rows: tuple[Row, ...] = ()  # its numbers; none when it failed
-    drawings: tuple[Drawing, ...] = ()  # the figures it has drawn
-    failure: str | None = None  # why it failed, one line
+    Attributes:
+        job: The job.
+        rows: Its numbers; none when it failed.
+        drawings: The figures it has drawn.
+        failure: Why it failed, one line.
+    """
+
+    job: Job
+    rows: tuple[Row, ...] = ()
+    drawings: tuple[Drawing, ...] = ()
+    failure: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Benchmark:
-    """One thing that can be run by name."""
+    """One thing that can be run by name.
 
-    id: str  # permanent name
-    title: str  # one line for people
-    run: Callable[[Job, Progress], Findings]  # does a job of it
-    needs: tuple[str, ...] = ()  # folders of recordings it reads; none for a simulation
+    Attributes:
+        id: Permanent name.
+        title: One line for people.
+        run: Does a job of it.
+        needs: Folders of recordings it reads; none for a simulation.
+        is_default: Whether it runs when nothing is named.
+        plants: On which plants a simulation runs when none is named.
+        possible: On which plants a simulation can run.
+        perturbs: Whether its plants are names of perturbations.
+    """
+
+    id: str
+    title: str
+    run: Callable[[Job, Progress], Findings]
+    needs: tuple[str, ...] = ()
     seeds: int = (
         1  # how many recordings it has, one a seed; a simulation takes any seed
     )
-    is_default: bool = True  # whether it runs when nothing is named
-    plants: tuple[str, ...] = (
-        "clean",
-    )  # on which plants a simulation runs when none is named
-    possible: tuple[str, ...] = tuple(
-        PLANT_MODELS
-    )  # on which plants a simulation can run
-    perturbs: bool = False  # whether its plants are names of perturbations
+    is_default: bool = True
+    plants: tuple[str, ...] = ("clean",)
+    possible: tuple[str, ...] = tuple(PLANT_MODELS)
+    perturbs: bool = False
 
     @property
     def is_recorded(self) -> bool:

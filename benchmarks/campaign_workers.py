@@ -39,13 +39,16 @@ Answer = TypeVar("Answer")
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Workers:
-    """Who does the jobs."""
+    """Who does the jobs.
+
+    Attributes:
+        workers: Processes at a time; default: one per processor.
+        cluster: Instead, address of a Dask scheduler whose workers do the jobs.
+    """
 
     workers: Annotated[int | None, Parameter(validator=Number(gte=1))] = None
-    """Processes at a time; default: one per processor."""
 
     cluster: str = ""
-    """Instead, address of a Dask scheduler whose workers do the jobs."""
 
     @property
     def processes(self) -> int:

@@ -130,13 +130,16 @@ def list_benchmarks() -> None:
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Kept:
-    """Where numbers are written."""
+    """Where numbers are written.
+
+    Attributes:
+        json: Write the numbers there, as they come.
+        resume: Go on with that file: runs whose numbers it has are not done again.
+    """
 
     json: Path | None = None
-    """Write the numbers there, as they come."""
 
     resume: bool = False
-    """Go on with that file: runs whose numbers it has are not done again."""
 
 
 _KEPT = Kept()

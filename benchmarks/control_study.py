@@ -30,21 +30,24 @@ FIRST_SEED = 1000
 
 
 class Figure(NamedTuple):
-    """One number of one run."""
+    """One number of one run.
+
+    Attributes:
+        what: What was measured, in words; the same for every seed and plant.
+        servo: ``S``: stiff; ``I``: joint impedance; empty where both are the same.
+        target: The most it may be; None for a number that is shown for reference.
+        at_least: Whether the target is the least it may be.
+        quantile: Of the seeds, from the good end: 1 is the worst seed, 0.9 the worst of
+            the best 90 %.
+    """
 
     what: str
-    """What was measured, in words; the same for every seed and plant."""
     servo: str
-    """``S``: stiff; ``I``: joint impedance; empty where both are the same."""
     value: float
     unit: str
     target: float | None = None
-    """The most it may be; None for a number that is shown for reference."""
     at_least: bool = False
-    """Whether the target is the least it may be."""
     quantile: float = 1.0
-    """Of the seeds, from the good end: 1 is the worst seed, 0.9 the worst of the
-    best 90 %."""
 
 
 class ControlJob(NamedTuple):
@@ -57,14 +60,17 @@ class ControlJob(NamedTuple):
 
 
 class ControlRow(NamedTuple):
-    """One row of the table for one plant."""
+    """One row of the table for one plant.
+
+    Attributes:
+        value: Over the seeds, see `Figure.quantile`; nan where any of them is.
+    """
 
     part: str
     what: str
     servo: str
     plant: str
     value: float
-    """Over the seeds, see `Figure.quantile`; nan where any of them is."""
     unit: str
     target: float | None
     at_least: bool

@@ -42,17 +42,27 @@ UNKNOWN_KG = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultResult:
-    """What came of one fault."""
+    """What came of one fault.
 
-    name: str  # what was done, in a few words
-    worst_N: float  # largest error of the force while it lasted
-    worst_sigma: float  # the same in its own standard deviations
-    # time after its end until the error stays within `CLOSE_N`; infinite if it does not
+    Attributes:
+        name: What was done, in a few words.
+        worst_N: Largest error of the force while it lasted.
+        worst_sigma: The same in its own standard deviations.
+        recovery_s: Time after its end until the error stays within `CLOSE_N`; infinite
+            if it does not.
+        reported: Statuses other than ok, and warnings, from its start to `HOLD_S` after
+            its end.
+        is_finite: Whether every number handed out was.
+        note: What else happened, in words.
+    """
+
+    name: str
+    worst_N: float
+    worst_sigma: float
     recovery_s: float
-    # statuses other than ok, and warnings, from its start to `HOLD_S` after its end
     reported: tuple[str, ...]
-    is_finite: bool  # whether every number handed out was
-    note: str = ""  # what else happened, in words
+    is_finite: bool
+    note: str = ""
 
 
 def tare_index(run: Run) -> int:

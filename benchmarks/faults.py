@@ -26,17 +26,25 @@ PERIOD_s = 1e-3
 class FaultStream:
     """m samples of an arm with n joints, and what the force would be without the
     fault.
+
+    Attributes:
+        q_rad: positions, shape (m, n).
+        dq_rad_s: velocities, shape (m, n).
+        tau_Nm: torques, shape (m, n).
+        reference_N: Axial force to compare with, shape (m,).
+        start: First sample of the fault.
+        stop: First sample after it.
     """
 
     dt_s: (
         Array  # time since the sample before, as the caller would report it, shape (m,)
     )
-    q_rad: Array  # positions, shape (m, n)
-    dq_rad_s: Array  # velocities, shape (m, n)
-    tau_Nm: Array  # torques, shape (m, n)
-    reference_N: Array  # axial force to compare with, shape (m,)
-    start: int = 0  # first sample of the fault
-    stop: int = 0  # first sample after it
+    q_rad: Array
+    dq_rad_s: Array
+    tau_Nm: Array
+    reference_N: Array
+    start: int = 0
+    stop: int = 0
 
     @classmethod
     def of_run(

@@ -169,12 +169,17 @@ def is_visible(rupture: Rupture) -> bool:
 
 
 class Matching(NamedTuple):
-    """True transitions matched with reported ruptures."""
+    """True transitions matched with reported ruptures.
 
-    # pairs of a true rupture and its alarm, in the order of the ruptures
+    Attributes:
+        found: Pairs of a true rupture and its alarm, in the order of the ruptures.
+        missed: True ruptures without an alarm.
+        false: Alarms without a true rupture.
+    """
+
     found: tuple[tuple[Rupture, Alarm], ...]
-    missed: tuple[Rupture, ...]  # true ruptures without an alarm
-    false: tuple[Alarm, ...]  # alarms without a true rupture
+    missed: tuple[Rupture, ...]
+    false: tuple[Alarm, ...]
 
 
 def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
@@ -252,11 +257,17 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
 
 
 class LayerFriction(NamedTuple):
-    """Friction of one layer at its rupture."""
+    """Friction of one layer at its rupture.
 
-    true_N: float  # on the shaft
-    estimated_N: float  # estimated; 0 when its rupture was missed
-    std_N: float  # stated standard deviation; nan when none is stated
+    Attributes:
+        true_N: On the shaft.
+        estimated_N: estimated; 0 when its rupture was missed.
+        std_N: Stated standard deviation; nan when none is stated.
+    """
+
+    true_N: float
+    estimated_N: float
+    std_N: float
 
     @property
     def error(self) -> float:

@@ -165,10 +165,16 @@ PARAMETERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Compared:
-    """What several methods made of one force."""
+    """What several methods made of one force.
 
-    ours: Identified  # one setting for everything
-    tuned: Identified  # the published method with the settings of its authors
+    Attributes:
+        ours: One setting for everything.
+        tuned: The published method with the settings of its authors.
+        on_ft: Ours on the F/T sensor's force, likewise.
+    """
+
+    ours: Identified
+    tuned: Identified
     published: (
         Identified  # the published method with one setting and the measured speed
     )
@@ -178,7 +184,7 @@ class Compared:
     ft: ForceReading | None = (
         None  # the F/T sensor's force, where the force was another
     )
-    on_ft: Identified | None = None  # ours on the F/T sensor's force, likewise
+    on_ft: Identified | None = None
 
 
 def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:

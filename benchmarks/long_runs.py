@@ -46,19 +46,23 @@ BYTES_PER_MB = 1024.0**2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Soak:
-    """What many updates did."""
+    """What many updates did.
 
-    # median update at the start, after the tare and one cycle, and at the end, over the
-    # same part of a cycle [us]
+    Attributes:
+        tick_us: Median update at the start, after the tare and one cycle, and at the
+            end, over the same part of a cycle [us].
+        python_kB: Memory that Python held for the chain after that cycle and after the
+            last whole one: in the tissue a layer's data add to it [kB].
+        process_MB: Resident memory of the process at the same times [MB].
+        ruptures: Found in each whole insertion.
+        skipped: Samples that the session rejected.
+    """
+
     tick_us: tuple[float, float]
-    # memory that Python held for the chain after that cycle and after the last whole
-    # one: in the tissue a layer's data add to it [kB]
     python_kB: tuple[float, float]
-    process_MB: tuple[
-        float, float
-    ]  # resident memory of the process at the same times [MB]
-    ruptures: tuple[int, ...]  # found in each whole insertion
-    skipped: int  # samples that the session rejected
+    process_MB: tuple[float, float]
+    ruptures: tuple[int, ...]
+    skipped: int
 
     @property
     def marks(self) -> tuple[bool, bool, bool]:
@@ -286,13 +290,17 @@ RECORDINGS: Mapping[str, Callable[[float], Iterator[Columns]]] = {
 
 
 class ProcessUse(NamedTuple):
-    """What a process needed."""
+    """What a process needed.
 
-    wall_s: float  # from start to end
-    cpu_s: float  # time on processors
-    memory_MB: tuple[
-        float, ...
-    ]  # resident memory as it went on, in equal steps of time
+    Attributes:
+        wall_s: From start to end.
+        cpu_s: Time on processors.
+        memory_MB: Resident memory as it went on, in equal steps of time.
+    """
+
+    wall_s: float
+    cpu_s: float
+    memory_MB: tuple[float, ...]
 
     def memory_at(self, fraction: float) -> float:
         """Resident memory when that fraction of the time had passed [MB]; nan if
@@ -344,12 +352,19 @@ def run_python(
 
 
 class StreamSpeed(NamedTuple):
-    """What a command needed for a recording."""
+    """What a command needed for a recording.
 
-    command: str  # ``residual`` or ``identification``
-    suffix: str  # of the recording; results are written as CSV
-    seconds: float  # length of the recording
-    rows: int  # of the recording
+    Attributes:
+        command: ``residual`` or ``identification``.
+        suffix: Of the recording; results are written as CSV.
+        seconds: Length of the recording.
+        rows: Of the recording.
+    """
+
+    command: str
+    suffix: str
+    seconds: float
+    rows: int
     use: ProcessUse
 
     @property

@@ -61,12 +61,19 @@ def on_lwr(config: SensorConfig) -> SensorConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceReading:
-    """Axial force of one source and method over a whole run, n samples."""
+    """Axial force of one source and method over a whole run, n samples.
 
-    source: Source  # see `Source`
-    method: Method  # see `Method`
-    axial_N: Array  # force, positive when tissue pushes back, shape (n,)
-    std_N: Array  # standard deviation the source states for it, shape (n,)
+    Attributes:
+        source: See `Source`.
+        method: See `Method`.
+        axial_N: force, positive when tissue pushes back, shape (n,).
+        std_N: Standard deviation the source states for it, shape (n,).
+    """
+
+    source: Source
+    method: Method
+    axial_N: Array
+    std_N: Array
 
 
 REPORT_EVERY = 1000
@@ -79,14 +86,22 @@ inside and is given the raw speed."""
 
 
 class SessionRun(NamedTuple):
-    """What an `InsertionSession` made of n samples of an arm."""
+    """What an `InsertionSession` made of n samples of an arm.
+
+    Attributes:
+        depth_m: Shape (n,).
+        speed_m_s: Shape (n,).
+        result: Of the identification, from the tare on.
+        was_refused: The tare, which was then done with ``ignore_contact``.
+        unsmoothed_N: The force that was identified, shape (n,).
+    """
 
     reading: ForceReading
-    depth_m: Array  # shape (n,)
-    speed_m_s: Array  # shape (n,)
-    result: Replay  # of the identification, from the tare on
-    was_refused: bool  # the tare, which was then done with ``ignore_contact``
-    unsmoothed_N: Array  # the force that was identified, shape (n,)
+    depth_m: Array
+    speed_m_s: Array
+    result: Replay
+    was_refused: bool
+    unsmoothed_N: Array
 
 
 def run_session(
@@ -226,15 +241,21 @@ def joint_residual(
 
 
 class Alarm(NamedTuple):
-    """One rupture as an identifier reported it, on the run's own clock."""
+    """One rupture as an identifier reported it, on the run's own clock.
 
-    sample: int  # index of the sample that raised it
-    alarm_s: float  # time of that sample
-    rupture_s: float  # estimated rupture time, as known at the end
-    # the layer it ended, as known at the end; None if it was never identified
+    Attributes:
+        sample: Index of the sample that raised it.
+        alarm_s: Time of that sample.
+        rupture_s: Estimated rupture time, as known at the end.
+        layer: The layer it ended, as known at the end; None if it was never identified.
+        online: The same layer as identified in the layer after it, before any later
+            rupture: what was taken off the force then.
+    """
+
+    sample: int
+    alarm_s: float
+    rupture_s: float
     layer: LayerEstimate | None
-    # the same layer as identified in the layer after it, before any later rupture: what
-    # was taken off the force then
     online: LayerEstimate | None
 
 
@@ -278,16 +299,22 @@ def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
 class Identified:
     """What a method made of a signal; sample k of it is sample ``start + k`` of the
     run.
+
+    Attributes:
+        signal: What it was given.
+        method: Of the identification (and, of a virtual force, of the sensor).
+        config: Its settings.
+        start: The first sample it was given: the end of the tare.
+        result: Its estimates.
+        alarms: The ruptures it reported; their samples count from the run's first.
     """
 
-    signal: NeedleSignal  # what it was given
-    method: Method  # of the identification (and, of a virtual force, of the sensor)
-    config: MultilayerConfig | PublishedConfig  # its settings
-    start: int  # the first sample it was given: the end of the tare
-    result: Replay  # its estimates
-    alarms: tuple[
-        Alarm, ...
-    ]  # the ruptures it reported; their samples count from the run's first
+    signal: NeedleSignal
+    method: Method
+    config: MultilayerConfig | PublishedConfig
+    start: int
+    result: Replay
+    alarms: tuple[Alarm, ...]
 
     @property
     def source(self) -> Source:

@@ -44,27 +44,42 @@ class _Elbow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Perturbation(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """One departure; of what is not given, nothing is changed."""
+    """One departure; of what is not given, nothing is changed.
 
-    what: str  # for people
-    source: str  # of the size
-    base: str = ""  # the plant, by name
-    plant: dict[
-        str, Range
-    ] = {}  # numbers of the plant; of joint-wise ones, each is drawn
-    times: dict[str, Range] = {}  # factors on joint-wise numbers of the plant
-    sends_velocity: bool = True  # whether the robot sends velocities
+    Attributes:
+        what: For people.
+        source: Of the size.
+        base: The plant, by name.
+        plant: Numbers of the plant; of joint-wise ones, each is drawn.
+        times: Factors on joint-wise numbers of the plant.
+        sends_velocity: Whether the robot sends velocities.
+        tare_stroke_m: zero: at rest.
+        speed_m_s: Constant speed of the insertion.
+        steps: Pieces of the insertion.
+        waves: Motion of the tissue.
+        tissue: Numbers of a `TissueVariation`, of every layer.
+        own_laws: A random variation for every layer.
+        lateral: Numbers of a `LateralForce`.
+        elbow: Pushes of a hand.
+    """
+
+    what: str
+    source: str
+    base: str = ""
+    plant: dict[str, Range] = {}
+    times: dict[str, Range] = {}
+    sends_velocity: bool = True
     has_speed: bool = (
         True  # whether who reads the F/T sensor has a speed beside the depth
     )
-    tare_stroke_m: Range | None = None  # zero: at rest
-    speed_m_s: Range | None = None  # constant speed of the insertion
-    steps: _Steps | None = None  # pieces of the insertion
-    waves: tuple[_Wave, ...] = ()  # motion of the tissue
-    tissue: dict[str, Range] = {}  # numbers of a `TissueVariation`, of every layer
-    own_laws: bool = False  # a random variation for every layer
-    lateral: dict[str, Range] = {}  # numbers of a `LateralForce`
-    elbow: _Elbow | None = None  # pushes of a hand
+    tare_stroke_m: Range | None = None
+    speed_m_s: Range | None = None
+    steps: _Steps | None = None
+    waves: tuple[_Wave, ...] = ()
+    tissue: dict[str, Range] = {}
+    own_laws: bool = False
+    lateral: dict[str, Range] = {}
+    elbow: _Elbow | None = None
 
     def __call__(self, world: "World", rng: Rng) -> "World":
         """The world with this changed, its size drawn."""

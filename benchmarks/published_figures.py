@@ -17,17 +17,25 @@ class PublishedFigure(
 ):
     """One figure of Ferro et al., or their table, as `published_figures.toml` has
     it.
+
+    Attributes:
+        number: In the publication.
+        title: What it is about.
+        scenarios: Runs that give its counterpart.
+        shows: What is published.
+        see: What to compare in ours; the results stand in the numbers of the run.
+        ruptures: What the text says of such a figure, times on the clock of its
+            recordings.
     """
 
-    number: str  # in the publication
-    title: str  # what it is about
-    scenarios: tuple[str, ...]  # runs that give its counterpart
-    shows: str  # what is published
-    see: str  # what to compare in ours; the results stand in the numbers of the run
+    number: str
+    title: str
+    scenarios: tuple[str, ...]
+    shows: str
+    see: str
     source: str = (
         ""  # of the force whose friction is compensated online; empty for other figures
     )
-    # what the text says of such a figure, times on the clock of its recordings
     ruptures: str = ""
     friction: str = "not stated"
     remaining: str = ""

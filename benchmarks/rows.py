@@ -46,16 +46,27 @@ class RowKey(NamedTuple):
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One measured number."""
+    """One measured number.
 
-    scenario: str  # name of the benchmark
-    plant: str  # plant model of a simulation, ``recording`` for real data
-    seed: int  # seed of a simulation, number of the recording for real data
-    source: str  # see `Source`
-    method: str  # see `Method`
-    metric: str  # a name of `metrics.csv`
-    value: float  # the number; nan where it could not be determined
-    unit: str  # its unit
+    Attributes:
+        scenario: Name of the benchmark.
+        plant: Plant model of a simulation, ``recording`` for real data.
+        seed: Seed of a simulation, number of the recording for real data.
+        source: See `Source`.
+        method: See `Method`.
+        metric: A name of `metrics.csv`.
+        value: The number; nan where it could not be determined.
+        unit: Its unit.
+    """
+
+    scenario: str
+    plant: str
+    seed: int
+    source: str
+    method: str
+    metric: str
+    value: float
+    unit: str
 
     @property
     def key(self) -> RowKey:
@@ -169,15 +180,24 @@ a count."""
 
 
 class Metric(msgspec.Struct, frozen=True, kw_only=True):
-    """One kind of number."""
+    """One kind of number.
 
-    name: str  # as in the results
-    table: str  # the table that shows it
-    meaning: str  # one line
-    best: float  # the value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage
-    tolerance: float  # absolute worsening that is not called a regression, in the metric's unit
-    # the same as a fraction of the old distance from ``best``; the larger of the two
-    # counts
+    Attributes:
+        name: As in the results.
+        table: The table that shows it.
+        meaning: One line.
+        best: The value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage.
+        tolerance: Absolute worsening that is not called a regression, in the metric's
+            unit.
+        relative_tolerance: The same as a fraction of the old distance from ``best``;
+            the larger of the two counts.
+    """
+
+    name: str
+    table: str
+    meaning: str
+    best: float
+    tolerance: float
     relative_tolerance: float
 
     @property

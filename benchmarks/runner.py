@@ -129,20 +129,28 @@ IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """What was asked for."""
+    """What was asked for.
 
-    # names of benchmarks; none for the quick ones (and, where figures are wanted, for
-    # what the published figures need), ``all`` for all, ``tissue`` for the scenarios
-    # with tissue
+    Attributes:
+        ids: Names of benchmarks; none for the quick ones (and, where figures are
+            wanted, for what the published figures need), ``all`` for all, ``tissue``
+            for the scenarios with tissue.
+        plants: Plant models of simulations, ``needle`` for none; when empty, every
+            benchmark runs on its own: the random stack with the needle alone, so that
+            hundreds are affordable; for benchmarks in perturbed worlds, names of
+            perturbations.
+        seeds: How many seeds are run.
+        first_seed: The first of them.
+        data: Folder of recordings, if any.
+        drawings: Folder for figures, if wanted.
+    """
+
     ids: Sequence[str] = ()
-    # plant models of simulations, ``needle`` for none; when empty, every benchmark runs
-    # on its own: the random stack with the needle alone, so that hundreds are
-    # affordable; for benchmarks in perturbed worlds, names of perturbations
     plants: Sequence[str] = ()
-    seeds: int = 1  # how many seeds are run
-    first_seed: int = 0  # the first of them
-    data: Path | None = None  # folder of recordings, if any
-    drawings: Path | None = None  # folder for figures, if wanted
+    seeds: int = 1
+    first_seed: int = 0
+    data: Path | None = None
+    drawings: Path | None = None
 
 
 class Plan(NamedTuple):

@@ -22,22 +22,34 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class InsertionTruth:
-    """Ground truth at the n samples of a run through L layers."""
+    """Ground truth at the n samples of a run through L layers.
 
-    t_s: Array  # true instants, shape (n,)
-    depth_m: Array  # depth of the tip in the tissue, shape (n,)
-    speed_m_s: Array  # speed of the tip, shape (n,)
-    axial_N: Array  # axial force, shape (n,), positive when tissue pushes back
-    tip_N: Array  # its part at the tip, shape (n,)
-    layer_friction_N: Array  # friction of each layer on the shaft, shape (n, L)
-    layer: NDArray[
-        np.int64
-    ]  # where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,)
-    ruptures: tuple[Rupture, ...]  # in the order they happened
-    tare_end_s: float  # nothing has been touched before
-    contact_s: float  # first contact
-    insertion_end_s: float  # the needle is at its deepest
-    # where each layer ends in undeformed tissue; empty if unknown
+    Attributes:
+        t_s: True instants, shape (n,).
+        depth_m: Depth of the tip in the tissue, shape (n,).
+        speed_m_s: Speed of the tip, shape (n,).
+        axial_N: Axial force, shape (n,), positive when tissue pushes back.
+        tip_N: Its part at the tip, shape (n,).
+        layer_friction_N: Friction of each layer on the shaft, shape (n, L).
+        layer: Where the tip is: 0 above, i in layer i, L + 1 beyond, shape (n,).
+        ruptures: In the order they happened.
+        tare_end_s: Nothing has been touched before.
+        contact_s: First contact.
+        insertion_end_s: The needle is at its deepest.
+        boundaries_m: Where each layer ends in undeformed tissue; empty if unknown.
+    """
+
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array
+    axial_N: Array
+    tip_N: Array
+    layer_friction_N: Array
+    layer: NDArray[np.int64]
+    ruptures: tuple[Rupture, ...]
+    tare_end_s: float
+    contact_s: float
+    insertion_end_s: float
     boundaries_m: tuple[float, ...] = ()
 
     @property
@@ -90,14 +102,23 @@ def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceTruth:
-    """True axial force over a run, and the part of it that is judged."""
+    """True axial force over a run, and the part of it that is judged.
 
-    t_s: Array  # time, shape (n,), increasing
-    depth_m: Array  # travel of the tip since first contact, shape (n,)
-    axial_N: Array  # true axial force, shape (n,)
-    zeroed_s: float  # when the sensors were zeroed; readings before mean nothing
-    start_s: float  # first contact
-    end_s: float  # end of the withdrawal
+    Attributes:
+        t_s: time, shape (n,), increasing.
+        depth_m: Travel of the tip since first contact, shape (n,).
+        axial_N: True axial force, shape (n,).
+        zeroed_s: When the sensors were zeroed; readings before mean nothing.
+        start_s: First contact.
+        end_s: End of the withdrawal.
+    """
+
+    t_s: Array
+    depth_m: Array
+    axial_N: Array
+    zeroed_s: float
+    start_s: float
+    end_s: float
 
     @property
     def judged(self) -> NDArray[np.bool_]:
@@ -112,12 +133,19 @@ that differs in its last bit looks like a clock that jitters."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class JointSignals:
-    """n samples of an arm with j joints: all that the virtual sensor gets."""
+    """n samples of an arm with j joints: all that the virtual sensor gets.
 
-    t_s: Array  # time stamps, shape (n,), increasing
-    q_rad: Array  # positions, shape (n, j)
-    dq_rad_s: Array | None  # velocities, shape (n, j), or None where the arm sends none
-    tau_Nm: Array  # torques, shape (n, j)
+    Attributes:
+        t_s: Time stamps, shape (n,), increasing.
+        q_rad: positions, shape (n, j).
+        dq_rad_s: velocities, shape (n, j), or None where the arm sends none.
+        tau_Nm: torques, shape (n, j).
+    """
+
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
 
     @classmethod
     def of_run(cls, run: Run) -> "JointSignals":
@@ -149,13 +177,22 @@ class JointSignals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NeedleSignal:
-    """n samples of depth, speed and force: what an identifier gets."""
+    """n samples of depth, speed and force: what an identifier gets.
 
-    source: Source  # where the force comes from
-    t_s: Array  # time stamps, shape (n,)
-    depth_m: Array  # travel along the needle's axis, shape (n,); where its zero lies is not known
-    speed_m_s: Array | None  # its rate, shape (n,); None where nothing measures it
-    force_N: Array  # axial force, zeroed in free air, shape (n,)
+    Attributes:
+        source: Where the force comes from.
+        t_s: Time stamps, shape (n,).
+        depth_m: Travel along the needle's axis, shape (n,); where its zero lies is not
+            known.
+        speed_m_s: Its rate, shape (n,); None where nothing measures it.
+        force_N: Axial force, zeroed in free air, shape (n,).
+    """
+
+    source: Source
+    t_s: Array
+    depth_m: Array
+    speed_m_s: Array | None
+    force_N: Array
 
 
 def measured_travel(

@@ -62,16 +62,24 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SimulatedCase:
-    """Everything that metrics and figures of one simulated insertion may use."""
+    """Everything that metrics and figures of one simulated insertion may use.
 
-    run: Run  # the insertion with its ground truth
-    signals: JointSignals  # what the arm sent
-    truth: ForceTruth  # what force readings are judged against
-    sessions: dict[Method, SessionRun]  # of every method, as a user has it
-    # by the published sensor with the gain that suits the run, where that method was
-    # run
+    Attributes:
+        run: The insertion with its ground truth.
+        signals: What the arm sent.
+        truth: What force readings are judged against.
+        sessions: Of every method, as a user has it.
+        best_gain: By the published sensor with the gain that suits the run, where that
+            method was run.
+        ft: The F/T sensor's.
+    """
+
+    run: Run
+    signals: JointSignals
+    truth: ForceTruth
+    sessions: dict[Method, SessionRun]
     best_gain: ForceReading | None
-    ft: ForceReading | None  # the F/T sensor's
+    ft: ForceReading | None
 
     @property
     def readings(self) -> list[ForceReading]:

@@ -137,11 +137,17 @@ class ChainUpdate:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SpeedReport:
-    """What was timed; updates are counted from the first that was timed."""
+    """What was timed; updates are counted from the first that was timed.
 
-    times: dict[str, Array]  # by subject, as of `time_side_by_side`
-    alarms: dict[str, list[int]]  # updates that raised a rupture, by chain
-    layers: dict[str, list[int]]  # updates that worked on identifying a layer, by chain
+    Attributes:
+        times: By subject, as of `time_side_by_side`.
+        alarms: Updates that raised a rupture, by chain.
+        layers: Updates that worked on identifying a layer, by chain.
+    """
+
+    times: dict[str, Array]
+    alarms: dict[str, list[int]]
+    layers: dict[str, list[int]]
 
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:

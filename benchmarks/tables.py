@@ -62,11 +62,16 @@ def met_mark(is_met: bool) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ResultTable:
-    """A table of texts."""
+    """A table of texts.
+
+    Attributes:
+        heads: Of the columns; a line end breaks the line.
+        align: One letter per column: ``r`` right, ``L`` left on one line, ``l`` left.
+    """
 
     title: str
-    heads: tuple[str, ...]  # of the columns; a line end breaks the line
-    align: str  # one letter per column: ``r`` right, ``L`` left on one line, ``l`` left
+    heads: tuple[str, ...]
+    align: str
     lines: tuple[tuple[str, ...], ...]
     caption: str = ""
 
@@ -134,19 +139,26 @@ def select(frame: Frame, **wanted: str | None) -> Frame:
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A column of numbers: which rows of a group go into a cell, and how they are
     shown.
+
+    Attributes:
+        form: Format of a number, such as ``.3f``.
+        metric: None for any, as below.
+        scale: Factor on the values.
+        has_interval: Of several runs, show how well the middle is known too.
+        text: Name in `TEXTS` of what is shown of the group instead of a number.
     """
 
     head: str
-    form: str = ""  # format of a number, such as ``.3f``
-    metric: str | None = None  # None for any, as below
+    form: str = ""
+    metric: str | None = None
     method: str | None = None
     source: str | None = None
-    scale: float = 1.0  # factor on the values
+    scale: float = 1.0
     is_fraction: bool = (
         False  # of several runs, show mean and least, not median and worst
     )
-    has_interval: bool = False  # of several runs, show how well the middle is known too
-    text: str = ""  # name in `TEXTS` of what is shown of the group instead of a number
+    has_interval: bool = False
+    text: str = ""
 
     def cell(self, group: Frame) -> str:
         """What the group's rows give."""
@@ -188,19 +200,24 @@ HEADS = {"source": "force", "metric": "what"}
 
 
 class GroupTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table with one line per group of rows, as `tables.toml` has it."""
+    """A table with one line per group of rows, as `tables.toml` has it.
+
+    Attributes:
+        by: Columns of `Row` that make a group.
+        worst_first: Metrics whose worst run decides the order, worst first; ``target``:
+            missed targets come first; ``shortfall``: of our fractions.
+        has_worst: Whether a cell shows the worst of several runs too.
+    """
 
     title: str
-    by: tuple[str, ...]  # columns of `Row` that make a group
+    by: tuple[str, ...]
     columns: tuple[Column, ...]
     shows: str = (
         ""  # groups without a metric of this table of `metrics.csv` are left out
     )
     caption: str = ""
-    # metrics whose worst run decides the order, worst first; ``target``: missed targets
-    # come first; ``shortfall``: of our fractions
     worst_first: tuple[str, ...] = ()
-    has_worst: bool = True  # whether a cell shows the worst of several runs too
+    has_worst: bool = True
     perturbed: bool = (
         False  # whether it is of the runs in perturbed worlds, or of the others
     )

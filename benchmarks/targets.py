@@ -39,17 +39,29 @@ Statistic = Literal["worst", "mean", "median"]
 
 
 class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits for one metric over the runs it applies to."""
+    """Limits for one metric over the runs it applies to.
 
-    what: str  # one line for people
-    metric: str  # a name of `metrics.csv`
-    plant: str  # the plant model it applies to
-    scenarios: tuple[str, ...] = ()  # the benchmarks it applies to; none for all
-    source: str = "virtual"  # see `Source`
-    method: str = "ours"  # see `Method`
-    at_least: float = -math.inf  # lower limit, in the metric's unit
-    at_most: float = math.inf  # upper limit
-    statistic: Statistic = "worst"  # see `Statistic`
+    Attributes:
+        what: One line for people.
+        metric: A name of `metrics.csv`.
+        plant: The plant model it applies to.
+        scenarios: The benchmarks it applies to; none for all.
+        source: See `Source`.
+        method: See `Method`.
+        at_least: Lower limit, in the metric's unit.
+        at_most: Upper limit.
+        statistic: See `Statistic`.
+    """
+
+    what: str
+    metric: str
+    plant: str
+    scenarios: tuple[str, ...] = ()
+    source: str = "virtual"
+    method: str = "ours"
+    at_least: float = -math.inf
+    at_most: float = math.inf
+    statistic: Statistic = "worst"
     of_published: bool = (
         False  # the limits are for the ratio to ``published`` in the same run
     )
@@ -139,12 +151,19 @@ TABLE_ONE_Ns_per_m: Mapping[int, PublishedFriction] = {
 
 
 class Evaluation(NamedTuple):
-    """How one target stands."""
+    """How one target stands.
+
+    Attributes:
+        value: What is judged: the worst, mean or median of the runs; nan if one is not
+            finite.
+        runs: How many.
+        worst: The row that is farthest out.
+    """
 
     target: Target
-    value: float  # what is judged: the worst, mean or median of the runs; nan if one is not finite
-    runs: int  # how many
-    worst: RowKey  # the row that is farthest out
+    value: float
+    runs: int
+    worst: RowKey
 
     @property
     def is_met(self) -> bool:
@@ -220,13 +239,21 @@ FAILURES = frozenset({Change.WORSE, Change.MISSING, Change.NOT_FINITE})
 
 
 class Comparison(NamedTuple):
-    """One row of two runs."""
+    """One row of two runs.
 
-    key: RowKey  # which row
-    unit: str  # of both values
-    old: float  # earlier value, nan where there was none
-    new: float  # later value, nan where there is none
-    change: Change  # what became of it
+    Attributes:
+        key: Which row.
+        unit: Of both values.
+        old: Earlier value, nan where there was none.
+        new: Later value, nan where there is none.
+        change: What became of it.
+    """
+
+    key: RowKey
+    unit: str
+    old: float
+    new: float
+    change: Change
 
     @property
     def is_failure(self) -> bool:
@@ -283,14 +310,20 @@ def _change(metric: str, old: Row | None, new: Row | None) -> Change:
 
 
 class Headline(NamedTuple):
-    """A line of the README's summary: one metric over a group of runs."""
+    """A line of the README's summary: one metric over a group of runs.
+
+    Attributes:
+        form: Format of a number.
+        what: For people, with the unit.
+        scenarios: One of `GROUPS`, or a scenario.
+    """
 
     metric: str
-    form: str  # format of a number
-    what: str  # for people, with the unit
+    form: str
+    what: str
     source: str = "virtual"
     plant: str = "clean"
-    scenarios: str = "tissue"  # one of `GROUPS`, or a scenario
+    scenarios: str = "tissue"
 
 
 _FORCE = Headline("wrench_rmse_N", ".3f", "axial force, rms error, N")

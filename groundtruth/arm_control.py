@@ -36,21 +36,29 @@ _OF_JOINTS = ("q_rad", "dq_rad_s", "tau_Nm", "joint_friction_Nm")
 class ArmTrace:
     """True signals of n ticks of an arm with m joints; row k belongs to the tick's
     start.
+
+    Attributes:
+        q_rad: Shape (n, m), as the next two.
+        tau_Nm: Held over the tick.
+        ft_wrench: Reading of the F/T sensor, shape (n, 6), see `ArmPlant`.
+        depth_m: Of the tip, shape (n,).
+        mean_axial_N: Force of the tissue, mean over the tick, shape (n,).
+        forces: The tissue's answer, n of them.
     """
 
-    q_rad: Array  # shape (n, m), as the next two
+    q_rad: Array
     dq_rad_s: Array
-    tau_Nm: Array  # held over the tick
-    ft_wrench: Array  # reading of the F/T sensor, shape (n, 6), see `ArmPlant`
+    tau_Nm: Array
+    ft_wrench: Array
     axial_jacobian: (
         Array  # speed of the tip along the needle per joint velocity, (n + 1, m)
     )
-    depth_m: Array  # of the tip, shape (n,)
-    mean_axial_N: Array  # force of the tissue, mean over the tick, shape (n,)
+    depth_m: Array
+    mean_axial_N: Array
     joint_friction_Nm: (
         Array  # of the bearings on the links, mean over the tick, shape (n, m)
     )
-    forces: list[TissueForce]  # the tissue's answer, n of them
+    forces: list[TissueForce]
 
     @property
     def speed_m_s(self) -> Array:

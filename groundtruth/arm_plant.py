@@ -139,19 +139,22 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantBodies:
-    """Kinematics and true inertias of arm, F/T sensor and needle."""
+    """Kinematics and true inertias of arm, F/T sensor and needle.
 
-    robot: Robot  # the estimator's
+    Attributes:
+        robot: The estimator's.
+        links: bare, 1 to 7, each in its joint frame.
+        sensor: The tool up to the sensor's measuring plane, in the flange frame.
+        needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
+    """
+
+    robot: Robot
     kinematics: (
         Robot  # the same with the true places of its joints; its inertias are not used
     )
-    links: tuple[pin.Inertia, ...]  # bare, 1 to 7, each in its joint frame
-    sensor: (
-        pin.Inertia
-    )  # the tool up to the sensor's measuring plane, in the flange frame
-    needle: (
-        pin.Inertia
-    )  # everything beyond the measuring plane, in the ``ft_sensor`` frame
+    links: tuple[pin.Inertia, ...]
+    sensor: pin.Inertia
+    needle: pin.Inertia
 
     def model(self) -> pin.Model:
         """Pinocchio model of the true arm, with the true inertia of every joint."""
@@ -335,14 +338,19 @@ class BearingFriction:
 class TissueContact:
     """What the arm touches: tissue in front of the needle, perhaps a hand at the
     elbow.
+
+    Attributes:
+        law: One without layers is free air.
+        surface_in_base_m: Point of the surface that the tip meets, shape (3,).
+        motion: Of the surface along that direction.
     """
 
-    law: Tissue  # one without layers is free air
-    surface_in_base_m: Array  # point of the surface that the tip meets, shape (3,)
+    law: Tissue
+    surface_in_base_m: Array
     axis_in_base: (
         Array  # direction of insertion along which depth is measured, shape (3,)
     )
-    motion: TissueMotion | None = None  # of the surface along that direction
+    motion: TissueMotion | None = None
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
 

@@ -69,11 +69,16 @@ class Membrane:
     Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation /
     indentation_m: the second-order spring of Okamura, Simone, O'Leary 2004 for the
     capsule of bovine liver.
+
+    Attributes:
+        puncture_N: Force at which it ruptures.
+        indentation_m: How far it has then been pushed in.
+        hardening: Fraction of the quadratic part, 0 (linear) to 1.
     """
 
-    puncture_N: float  # force at which it ruptures
-    indentation_m: float  # how far it has then been pushed in
-    hardening: float  # fraction of the quadratic part, 0 (linear) to 1
+    puncture_N: float
+    indentation_m: float
+    hardening: float
     release_m: (
         float  # travel of the tip over which the force is released after the puncture
     )
@@ -99,12 +104,16 @@ class ShaftFriction:
     In steady sliding the force per length is `coulomb sign(v) + viscous v`. Around a
     reversal the tissue first moves along with the shaft: the Coulomb part builds up
     over `presliding_m` (Dahl's model, see `groundtruth.tissue.bristle_step`).
+
+    Attributes:
+        presliding_m: Where the Coulomb part is 63 % of the way to its new value.
+        reference_speed_m_s: At which the friction was measured or calibrated.
     """
 
     coulomb_N_per_m: float
     viscous_Ns_per_m2: float
-    presliding_m: float  # where the Coulomb part is 63 % of the way to its new value
-    reference_speed_m_s: float  # at which the friction was measured or calibrated
+    presliding_m: float
+    reference_speed_m_s: float
     speed_exponent: float = (
         1.0  # the second part grows with v^n, alike at the reference speed
     )
@@ -182,17 +191,25 @@ class Layer:
     ruptures. A fraction of it is a constant cutting force, the rest elastic: the chord
     of that at the end is steeper by `stiffening` than the slope at the start, 0.1 for
     10 %.
+
+    Attributes:
+        name: For tables and legends.
+        thickness_m: d_i of the paper.
+        release_m: Travel over which the tip force is released when the tip leaves the
+            layer.
+        relaxed_fraction: Of tip force and Coulomb friction, lost after a long rest.
+        membrane: To be punctured to enter the layer.
     """
 
-    name: str  # for tables and legends
-    thickness_m: float  # d_i of the paper
+    name: str
+    thickness_m: float
     exit_force_N: float
     cutting_fraction: float
     stiffening: float
-    release_m: float  # travel over which the tip force is released when the tip leaves the layer
-    relaxed_fraction: float  # of tip force and Coulomb friction, lost after a long rest
+    release_m: float
+    relaxed_fraction: float
     friction: ShaftFriction
-    membrane: Membrane | None = None  # to be punctured to enter the layer
+    membrane: Membrane | None = None
     tip_exponent: float = (
         1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
     )
@@ -256,13 +273,20 @@ class Interface:
     A membrane at a boundary backs up the tissue above it: the tip force of the layer
     above is held while the membrane is pushed in, and both are released together at the
     puncture. So each boundary gives one rupture.
+
+    Attributes:
+        depth_m: In undeformed tissue.
+        onset_m: Depth of the tip at which it begins to rupture.
+        release_m: Travel over which the force is then released.
+        drop_N: Force released, tissue not relaxed; zero at a bare surface.
+        membrane: To be punctured there.
     """
 
-    depth_m: float  # in undeformed tissue
-    onset_m: float  # depth of the tip at which it begins to rupture
-    release_m: float  # travel over which the force is then released
-    drop_N: float  # force released, tissue not relaxed; zero at a bare surface
-    membrane: Membrane | None  # to be punctured there
+    depth_m: float
+    onset_m: float
+    release_m: float
+    drop_N: float
+    membrane: Membrane | None
     kept_fraction: float = (
         0.0  # of `drop_N`, not released but fading: layers hang together
     )

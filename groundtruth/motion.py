@@ -35,13 +35,16 @@ TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 class Stroke:
     """A stroke from rest to rest; position and speed are continuous, acceleration is
     bounded.
+
+    Attributes:
+        travel_m: Signed.
     """
 
     profile: Profile
     start_s: float
     duration_s: float
     start_m: float
-    travel_m: float  # signed
+    travel_m: float
     ramp_fraction: float = (
         0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
     )
@@ -100,15 +103,20 @@ class Motion:
 
     Zero is the undeformed surface of the tissue; negative is above it, in free air.
     Before the first stroke and after the last the needle rests.
+
+    Attributes:
+        strokes: Contiguous in time and position.
+        insertion_end_s: The needle is at its deepest and rests.
+        withdrawal_end_s: It is back above the surface.
     """
 
-    strokes: tuple[Stroke, ...]  # contiguous in time and position
+    strokes: tuple[Stroke, ...]
     tare_end_s: (
         float  # end of the stroke in free air; contact has not happened before it
     )
-    insertion_end_s: float  # the needle is at its deepest and rests
+    insertion_end_s: float
     withdrawal_start_s: float
-    withdrawal_end_s: float  # it is back above the surface
+    withdrawal_end_s: float
 
     def __post_init__(self) -> None:
         if not self.strokes:

@@ -33,14 +33,19 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
 class ForceNoise:
     """Noise, drift since the last zeroing, and steps of the sensor at the needle's
     base.
+
+    Attributes:
+        white_std_N: Standard deviation of the noise of one sample.
+        step_N: Smallest step of the reading.
+        correlation_s: Time constant of the noise if it is not white.
     """
 
-    white_std_N: float = 0.0  # standard deviation of the noise of one sample
+    white_std_N: float = 0.0
     drift_std_N_per_s: float = (
         0.0  # standard deviation of the drift rate, drawn once per run
     )
-    step_N: float = 0.0  # smallest step of the reading
-    correlation_s: float = 0.0  # time constant of the noise if it is not white
+    step_N: float = 0.0
+    correlation_s: float = 0.0
 
     def __post_init__(self) -> None:
         require_non_negative(PlantModelError, **asdict(self))
@@ -81,126 +86,141 @@ class PlantModel:
 
     Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z
     in sensor axes. The default of every number is zero: no such error.
+
+    Attributes:
+        cad_fraction: Fraction a of the CAD link table in the arm, (1 - a) nominal + a
+            CAD. Two published tables of one arm disagree by 1.5 Nm rms at J2; 0.1 of
+            that (0.15 Nm, 0.3 N at the flange) stands for a model identified with care,
+            0.3 (0.45 Nm, 0.9 N) for one taken over from elsewhere.
+        payload_error: Relative error of the tool's mass as the estimator knows it; the
+            sign is drawn. 0.02: weighed without its cable; 0.05: from data sheets.
+        payload_com_spread_m: Standard deviation, per axis, of the error of the tool's
+            centre of mass: the mass error times the 50 mm size of an F/T sensor with
+            its adapters.
+        kinematic_error_m: Standard deviation, per joint and axis, of the error of where
+            the estimator's model has the joint's frame.
+        kinematic_error_rad: The same of how that frame is turned.
+        torque_noise_std_Nm: Noise of one sample: 0.03 % of limit.
+        torque_noise_correlation_s: Time constant of that noise, zero for white. The
+            source states the 0.03 % after an 8 Hz filter: 1 / (2 pi 8 Hz) = 20 ms.
+            `clean` takes the number per sample, which is kinder.
+        torque_bias_min_Nm: Least magnitude of the constant offset; the magnitude is
+            drawn uniformly, the sign too.
+        torque_bias_max_Nm: Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7):
+            what an identification of a real LWR 4+ had to attribute to its friction
+            offsets.
+        torque_drift_std_per_min: Standard deviation of the linear drift rate, as a
+            fraction of limit per minute. 1e-4: the zero of a strain-gauge sensor (ATI
+            Mini45) drifts by 0.115 N of 290 N, 4e-4, in 4 minutes.
+        torque_random_walk_std_per_sqrt_min: Random walk on top, as a fraction of limit
+            after one minute. 3e-5, a third of the linear part: real drift is not
+            straight, but nearly so over the two minutes of an insertion.
+        torque_warm_up: Part of the zero, as a fraction of limit, that fades while the
+            sensor warms up; the sign is drawn. Chosen: 1e-3 over a minute, some times
+            the 4e-4 in 4 minutes of the sensor above.
+        warm_up_s: Time constant of that.
+        torque_ripple: Amplitude, as a fraction of limit, of a ripple periodic in joint
+            position: the elliptic wave generator passes the sensor twice per motor
+            turn, sin(2 N q) with gear ratio N. 1e-4, one fiftieth of the 0.5 %
+            linearity, most of which is smooth and calibrated away.
+        torque_hysteresis: Half-width, as a fraction of limit, of the torque sensor's
+            backlash: the output lags until the torque has moved by this much. 1e-4, one
+            fiftieth of the linearity as well.
+        torque_nonlinearity: Greatest smooth deviation of a torque sensor from a
+            straight line, as a fraction of limit. The data sheet promises less than 0.5
+            %.
+        joint_coulomb: Coulomb friction between torque sensor and link, as a fraction of
+            limit, see `groundtruth.arm_plant.BearingFriction`. No source states it;
+            calibrated, see `FRI`.
+        joint_viscous_Nms_per_rad: Viscous friction there.
+        size_spread: Friction and drift of each joint are drawn within this factor of
+            their stated size.
+        position_noise_std_rad: White noise of the reported position. 1e-5: a motor
+            encoder seen through the gear; the absolute sensor on the link (1.75e-4)
+            would be the worst case.
+        position_step_rad: Step to which the position is rounded after the noise; as
+            large as the noise.
+        velocity_noise_std_rad_s: White noise of the reported velocity, None if none is
+            reported (as over FRI). 2e-4: an 18-bit motor encoder behind 160:1, a step
+            of 1.5e-7 rad, differenced at the 3 kHz of the joint loop: 1.5e-7 x 3000 /
+            sqrt(6) = 1.8e-4.
+        clock_jitter_std_s: Error of the time stamps, cut at 0.4 ticks so that they keep
+            their order. 5e-5: stamps taken on arrival by a PC without a tuned real-time
+            kernel.
+        drop_probability: Probability, at each sample, that a loss begins. 1e-3: UDP
+            through a shared switch.
+        drop_max_samples: A loss takes 1 to this many samples in a row, each number
+            equally likely.
+        ft_noise_std: White noise of one sample of the reference F/T sensor, N and Nm.
+            Along z that of `MINI45`; the other axes in proportion to raw samples of
+            one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm.
+        ft_noise_correlation_s: Time constant of that noise, zero for white.
+        ft_drift_std_per_min: Standard deviation of its linear drift rate, N/min and
+            Nm/min. Along z that of `MINI45`; the other axes in proportion to their
+            range: 145, 145, 290 N; 5 Nm.
     """
 
     name: str
 
     cad_fraction: float = 0.0
-    """Fraction a of the CAD link table in the arm, (1 - a) nominal + a CAD. Two
-    published tables of one arm disagree by 1.5 Nm rms at J2; 0.1 of that (0.15 Nm, 0.3
-    N at the flange) stands for a model identified with care, 0.3 (0.45 Nm, 0.9 N) for
-    one taken over from elsewhere."""
 
     payload_error: float = 0.0
-    """Relative error of the tool's mass as the estimator knows it; the sign is drawn.
-    0.02: weighed without its cable; 0.05: from data sheets."""
 
     payload_com_spread_m: float = 0.0
-    """Standard deviation, per axis, of the error of the tool's centre of mass: the mass
-    error times the 50 mm size of an F/T sensor with its adapters."""
 
     kinematic_error_m: float = 0.0
-    """Standard deviation, per joint and axis, of the error of where the estimator's
-    model has the joint's frame."""
 
-    kinematic_error_rad: float = 0.0  # the same of how that frame is turned
+    kinematic_error_rad: float = 0.0
 
-    torque_noise_std_Nm: tuple[float, ...] = (
-        0.0,
-    ) * 7  # noise of one sample: 0.03 % of limit
+    torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
 
     torque_noise_correlation_s: float = 0.0
-    """Time constant of that noise, zero for white. The source states the 0.03 % after
-    an 8 Hz filter: 1 / (2 pi 8 Hz) = 20 ms. `clean` takes the number per sample, which
-    is kinder."""
 
     torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
-    """Least magnitude of the constant offset; the magnitude is drawn uniformly, the
-    sign too."""
 
     torque_bias_max_Nm: tuple[float, ...] = (0.0,) * 7
-    """Greatest magnitude. Up to 1 Nm (J1-J5) and 0.3 Nm (J6-J7): what an identification
-    of a real LWR 4+ had to attribute to its friction offsets."""
 
     torque_drift_std_per_min: float = 0.0
-    """Standard deviation of the linear drift rate, as a fraction of limit per minute.
-    1e-4: the zero of a strain-gauge sensor (ATI Mini45) drifts by 0.115 N of 290 N,
-    4e-4, in 4 minutes."""
 
     torque_random_walk_std_per_sqrt_min: float = 0.0
-    """Random walk on top, as a fraction of limit after one minute. 3e-5, a third of the
-    linear part: real drift is not straight, but nearly so over the two minutes of an
-    insertion."""
 
     torque_warm_up: float = 0.0
-    """Part of the zero, as a fraction of limit, that fades while the sensor warms up;
-    the sign is drawn. Chosen: 1e-3 over a minute, some times the 4e-4 in 4 minutes of
-    the sensor above."""
 
-    warm_up_s: float = 60.0  # time constant of that
+    warm_up_s: float = 60.0
 
     torque_ripple: float = 0.0
-    """Amplitude, as a fraction of limit, of a ripple periodic in joint position: the
-    elliptic wave generator passes the sensor twice per motor turn, sin(2 N q) with gear
-    ratio N. 1e-4, one fiftieth of the 0.5 % linearity, most of which is smooth and
-    calibrated away."""
 
     torque_hysteresis: float = 0.0
-    """Half-width, as a fraction of limit, of the torque sensor's backlash: the output
-    lags until the torque has moved by this much. 1e-4, one fiftieth of the linearity as
-    well."""
 
     torque_nonlinearity: float = 0.0
-    """Greatest smooth deviation of a torque sensor from a straight line, as a fraction
-    of limit. The data sheet promises less than 0.5 %."""
 
     joint_coulomb: float = 0.0
-    """Coulomb friction between torque sensor and link, as a fraction of limit, see
-    `groundtruth.arm_plant.BearingFriction`. No source states it; calibrated, see `FRI`."""
 
-    joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7  # viscous friction there
+    joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7
 
     size_spread: float = 1.0
-    """Friction and drift of each joint are drawn within this factor of their stated
-    size."""
 
     position_noise_std_rad: float = 0.0
-    """White noise of the reported position. 1e-5: a motor encoder seen through the
-    gear; the absolute sensor on the link (1.75e-4) would be the worst case."""
 
     position_step_rad: float = 0.0
-    """Step to which the position is rounded after the noise; as large as the noise."""
 
     velocity_noise_std_rad_s: float | None = 0.0
-    """White noise of the reported velocity, None if none is reported (as over FRI).
-    2e-4: an 18-bit motor encoder behind 160:1, a step of 1.5e-7 rad, differenced at the
-    3 kHz of the joint loop: 1.5e-7 x 3000 / sqrt(6) = 1.8e-4."""
 
     clock_jitter_std_s: float = 0.0
-    """Error of the time stamps, cut at 0.4 ticks so that they keep their order. 5e-5:
-    stamps taken on arrival by a PC without a tuned real-time kernel."""
 
     ticks_per_sample: int = (
         1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
     )
 
     drop_probability: float = 0.0
-    """Probability, at each sample, that a loss begins. 1e-3: UDP through a shared
-    switch."""
 
     drop_max_samples: int = 1
-    """A loss takes 1 to this many samples in a row, each number equally likely."""
 
     ft_noise_std: tuple[float, ...] = (0.0,) * 6
-    """White noise of one sample of the reference F/T sensor, N and Nm. Along z that of
-    `MINI45`; the other axes in proportion to raw samples of one: 20, 19, 50 mN; 0.53,
-    0.53, 0.50 mNm."""
 
-    ft_noise_correlation_s: float = 0.0  # time constant of that noise, zero for white
+    ft_noise_correlation_s: float = 0.0
 
     ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
-    """Standard deviation of its linear drift rate, N/min and Nm/min. Along z that of
-    `MINI45`; the other axes in proportion to their range: 145, 145, 290 N; 5 Nm."""
 
 
 def drawn_factors(

@@ -53,34 +53,41 @@ BRAKING_rad_s2 = 10.0
 
 
 class ArmSample(NamedTuple):
-    """What the arm reports in one cycle."""
+    """What the arm reports in one cycle.
+
+    Attributes:
+        dt_s: Since the previous sample, by the arm's stamps.
+    """
 
     dt_s: float
-    """Since the previous sample, by the arm's stamps."""
     q_rad: Array
     dq_rad_s: Array | None
     tau_Nm: Array
 
 
 class ArmTruth(NamedTuple):
-    """What is true at the last sample; copies."""
+    """What is true at the last sample; copies.
+
+    Attributes:
+        tau_Nm: Joint torques held over the tick that begins.
+        tip_m: Where the tip is, base axes.
+        rotation: Axes of the needle in base axes, shape (3, 3); the third points along
+            it.
+        speed_m_s: Along the needle, positive inwards.
+        tissue: Force of the tissue, one tick ago.
+        ruptured: Boundaries with a force to lose that the needle has gone through.
+    """
 
     t_s: float
     q_rad: Array
     dq_rad_s: Array
     tau_Nm: Array
-    """Joint torques held over the tick that begins."""
     tip_m: Array
-    """Where the tip is, base axes."""
     rotation: Array
-    """Axes of the needle in base axes, shape (3, 3); the third points along it."""
     depth_m: float
     speed_m_s: float
-    """Along the needle, positive inwards."""
     tissue: TissueForce
-    """Force of the tissue, one tick ago."""
     ruptured: int
-    """Boundaries with a force to lose that the needle has gone through."""
 
 
 class _Servo:

@@ -22,13 +22,16 @@ from groundtruth.plant_model import TICK_s
 
 
 class MasterSample(NamedTuple):
-    """What the device reports."""
+    """What the device reports.
+
+    Attributes:
+        clutch: True while the hand moves the needle.
+    """
 
     t_s: float
     position_m: Array
     velocity_m_s: Array
     clutch: bool
-    """True while the hand moves the needle."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -25,11 +25,13 @@ from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueMotion:
-    """The tissue moves along the needle, as with heart or breath: a sum of waves."""
+    """The tissue moves along the needle, as with heart or breath: a sum of waves.
 
-    waves: tuple[
-        tuple[float, float, float], ...
-    ]  # amplitude [m], frequency [Hz], phase [rad]
+    Attributes:
+        waves: Amplitude [m], frequency [Hz], phase [rad].
+    """
+
+    waves: tuple[tuple[float, float, float], ...]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Place [m] of the undeformed surface, positive away from the robot, and its
@@ -43,14 +45,19 @@ class TissueMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LateralForce:
-    """Tissue pushes the needle aside at its tip: in contact only, across the needle."""
+    """Tissue pushes the needle aside at its tip: in contact only, across the needle.
+
+    Attributes:
+        growth_N_per_m: With depth.
+        turn_rad_per_m: Of that direction, with depth.
+    """
 
     constant_N: float = 0.0
-    growth_N_per_m: float = 0.0  # with depth
+    growth_N_per_m: float = 0.0
     direction_rad: float = (
         0.0  # at the surface, from the tool's x axis towards its y axis
     )
-    turn_rad_per_m: float = 0.0  # of that direction, with depth
+    turn_rad_per_m: float = 0.0
 
     def at(self, depth_m: float) -> tuple[float, float]:
         """Force on the needle along the tool's x and y axes [N]."""
@@ -63,11 +70,17 @@ class LateralForce:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElbowPush:
-    """A hand pushes the elbow now and then and lets go: half a sine each time."""
+    """A hand pushes the elbow now and then and lets go: half a sine each time.
 
-    force_N: tuple[float, float, float]  # the largest, in base axes
-    start_s: tuple[float, ...]  # of each push
-    duration_s: float  # of each
+    Attributes:
+        force_N: The largest, in base axes.
+        start_s: Of each push.
+        duration_s: Of each.
+    """
+
+    force_N: tuple[float, float, float]
+    start_s: tuple[float, ...]
+    duration_s: float
 
     def at(self, t_s: float) -> Array:
         """Force on the elbow in base axes [N], shape (3,)."""
@@ -78,19 +91,26 @@ class ElbowPush:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scenario:
-    """One insertion, ready to be simulated: layers and motion."""
+    """One insertion, ready to be simulated: layers and motion.
 
-    id: str  # permanent name
-    title: str  # one line for people
-    layers: tuple[
-        Layer, ...
-    ]  # first the one the needle meets first; none for free motion
-    motion: Motion  # of the needle tip relative to the undeformed surface
-    tissue_motion: TissueMotion | None = None  # of the surface about its place
+    Attributes:
+        id: Permanent name.
+        title: One line for people.
+        layers: First the one the needle meets first; none for free motion.
+        motion: Of the needle tip relative to the undeformed surface.
+        tissue_motion: Of the surface about its place.
+        elbow: Neither does it feel those.
+    """
+
+    id: str
+    title: str
+    layers: tuple[Layer, ...]
+    motion: Motion
+    tissue_motion: TissueMotion | None = None
     lateral: LateralForce | None = (
         None  # across the needle; the needle alone does not feel it
     )
-    elbow: ElbowPush | None = None  # neither does it feel those
+    elbow: ElbowPush | None = None
 
     def with_variation(
         self, change: TissueVariation, rng: np.random.Generator

@@ -34,12 +34,19 @@ class Signals(ReadOnlyArrays):
     ``hold``); at rest it equals the gravity torque. A wrench is that of the environment
     on the needle plus the needle's weight (so tissue that pushes back lowers z), minus
     its inertia.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some
+            plants.
+        q_rad: Shape (n, 7), as the next two.
+        dq_rad_s: None where the interface reports none.
+        tau_Nm: Of the joints, on the link side.
     """
 
-    t_s: Array  # time stamps, shape (n,), increasing; jittered, or with gaps, on some plants
-    q_rad: Array  # shape (n, 7), as the next two
-    dq_rad_s: Array | None  # None where the interface reports none
-    tau_Nm: Array  # of the joints, on the link side
+    t_s: Array
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
     ft_wrench: (
         Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
     )
@@ -54,30 +61,46 @@ class Truth(TissueTruth):
     torque sensor sees and an observer takes for external, are means over the tick that
     begins at the sample: what a momentum observer can learn from that sample and the
     next.
+
+    Attributes:
+        t_s: True instants of the samples, shape (n,).
+        q_rad: Shape (n, 7), as all of the joints.
+        tau_Nm: Held from each sample to the next tick.
+        depth_m: Of the tip in the tissue, negative above, shape (n,); zero without
+            tissue.
+        speed_m_s: Of the tip along the needle, shape (n,).
     """
 
-    t_s: Array  # true instants of the samples, shape (n,)
-    q_rad: Array  # shape (n, 7), as all of the joints
+    t_s: Array
+    q_rad: Array
     dq_rad_s: Array
-    tau_Nm: Array  # held from each sample to the next tick
+    tau_Nm: Array
     external_torque_Nm: Array
     joint_friction_Nm: Array
-    depth_m: Array  # of the tip in the tissue, negative above, shape (n,); zero without tissue
-    speed_m_s: Array  # of the tip along the needle, shape (n,)
+    depth_m: Array
+    speed_m_s: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One simulated insertion: what the robot gave, and what was true."""
+    """One simulated insertion: what the robot gave, and what was true.
+
+    Attributes:
+        plant: Name of the plant model.
+        seed: Of everything drawn.
+        robot: As the estimator knows it: nominal links, nominal tool.
+        tool: Likewise.
+        tare_end_s: The needle has not met anything before this; a user knows that.
+    """
 
     scenario: Scenario
-    plant: str  # name of the plant model
-    seed: int  # of everything drawn
-    robot: Robot  # as the estimator knows it: nominal links, nominal tool
-    tool: NeedleTool  # likewise
+    plant: str
+    seed: int
+    robot: Robot
+    tool: NeedleTool
     signals: Signals
     truth: Truth
-    tare_end_s: float  # the needle has not met anything before this; a user knows that
+    tare_end_s: float
 
 
 def simulate(
@@ -163,15 +186,23 @@ def _sense(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NeedleRun(ReadOnlyArrays):
-    """Signals and truth of one needle-only insertion; arrays of shape (n,)."""
+    """Signals and truth of one needle-only insertion; arrays of shape (n,).
+
+    Attributes:
+        seed: Of the sensor noise.
+        depth_m: Of the tip below the surface where that would rest, negative above.
+        speed_m_s: Its rate.
+        force_N: Reading of the sensor, zeroed at the end of the tare stroke.
+        tare_end_s: Contact has not happened before; all that a user knows of it.
+    """
 
     scenario: Scenario
-    seed: int  # of the sensor noise
+    seed: int
     t_s: Array
-    depth_m: Array  # of the tip below the surface where that would rest, negative above
-    speed_m_s: Array  # its rate
-    force_N: Array  # reading of the sensor, zeroed at the end of the tare stroke
-    tare_end_s: float  # contact has not happened before; all that a user knows of it
+    depth_m: Array
+    speed_m_s: Array
+    force_N: Array
+    tare_end_s: float
     truth: TissueTruth
 
 

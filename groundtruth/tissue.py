@@ -37,17 +37,21 @@ class TissueForce(NamedTuple):
     A named tuple, not a dataclass: it is made at every physics step. `layer` is 0 above
     the surface (or before its membrane is punctured), i with the tip in layer i, one
     more beyond the last.
+
+    Attributes:
+        tip_N: elastic, membrane and cutting force at the tip; never negative.
+        layer_friction_N: The part of each layer in `friction_N`.
     """
 
     axial_N: (
         float  # tip force and shaft friction together, positive when tissue pushes back
     )
-    tip_N: float  # elastic, membrane and cutting force at the tip; never negative
+    tip_N: float
     friction_N: (
         float  # along the whole shaft; it opposes motion, negative in withdrawal
     )
     layer: int
-    layer_friction_N: tuple[float, ...]  # the part of each layer in `friction_N`
+    layer_friction_N: tuple[float, ...]
 
 
 def no_force(layer_count: int) -> TissueForce:
@@ -229,32 +233,51 @@ class Rupture:
     The visible drop is the fall of the axial force from the onset to its least value
     before the end: smaller than `drop_N` where the next layer or its friction already
     pushes, a little larger where the needle slows down meanwhile.
+
+    Attributes:
+        onset_s: The release begins; between samples, by interpolation.
+        end_s: It ends; the end of the run if the needle stopped within it.
+        onset_m: Depth of the tip at the onset.
+        layer: The one the tip leaves; 0 for a membrane on the surface.
+        drop_N: Force the tip loses: elastic, membrane and cutting force held at the
+            onset.
+        layer_friction_N: Of the layer that the tip leaves, at the onset.
+        friction_N: Of the whole shaft when the release has ended.
     """
 
-    onset_s: float  # the release begins; between samples, by interpolation
-    end_s: float  # it ends; the end of the run if the needle stopped within it
-    onset_m: float  # depth of the tip at the onset
-    layer: int  # the one the tip leaves; 0 for a membrane on the surface
-    drop_N: float  # force the tip loses: elastic, membrane and cutting force held at the onset
+    onset_s: float
+    end_s: float
+    onset_m: float
+    layer: int
+    drop_N: float
     visible_drop_N: float
-    layer_friction_N: float  # of the layer that the tip leaves, at the onset
-    friction_N: float  # of the whole shaft when the release has ended
+    layer_friction_N: float
+    friction_N: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueTruth(ReadOnlyArrays):
-    """The ground truth of the tissue at n samples, see `TissueForce`."""
+    """The ground truth of the tissue at n samples, see `TissueForce`.
 
-    axial_N: Array  # shape (n,), positive when tissue pushes back, as the next two
+    Attributes:
+        axial_N: Shape (n,), positive when tissue pushes back, as the next two.
+        friction_N: Negative in withdrawal.
+        layer_friction_N: Shape (n, number of layers).
+        layer: Shape (n,).
+        ruptures: In the order they happened.
+        withdrawn_s: It leaves that surface in withdrawal; nan if it does not.
+    """
+
+    axial_N: Array
     tip_N: Array
-    friction_N: Array  # negative in withdrawal
-    layer_friction_N: Array  # shape (n, number of layers)
-    layer: NDArray[np.int64]  # shape (n,)
-    ruptures: tuple[Rupture, ...]  # in the order they happened
+    friction_N: Array
+    layer_friction_N: Array
+    layer: NDArray[np.int64]
+    ruptures: tuple[Rupture, ...]
     contact_s: (
         float  # the tip first touches the undeformed surface; nan if it never does
     )
-    withdrawn_s: float  # it leaves that surface in withdrawal; nan if it does not
+    withdrawn_s: float
 
     @property
     def rupture_s(self) -> Array:

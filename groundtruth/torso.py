@@ -17,12 +17,18 @@ from scipy.spatial.transform import Rotation
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """A solid ellipsoid."""
+    """A solid ellipsoid.
+
+    Attributes:
+        centre_m: (3,).
+        radii_m: (3,).
+        axes: (3, 3) columns: directions of the radii.
+    """
 
     name: str
-    centre_m: NDArray[np.float64]  # (3,)
-    radii_m: NDArray[np.float64]  # (3,)
-    axes: NDArray[np.float64]  # (3, 3) columns: directions of the radii
+    centre_m: NDArray[np.float64]
+    radii_m: NDArray[np.float64]
+    axes: NDArray[np.float64]
 
     @property
     def volume_m3(self) -> float:
@@ -62,9 +68,13 @@ class Ellipsoid:
 
 
 class Stretch(NamedTuple):
-    """What a path crosses between two depths."""
+    """What a path crosses between two depths.
 
-    name: str  # empty for air
+    Attributes:
+        name: Empty for air.
+    """
+
+    name: str
     entry_m: float
     exit_m: float
 

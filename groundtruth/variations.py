@@ -18,16 +18,24 @@ TEXTURE_LENGTH_M = 0.5e-3  # over which a texture is correlated
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueVariation:
-    """What is different in each layer; every default leaves the layer as it is."""
+    """What is different in each layer; every default leaves the layer as it is.
 
-    texture_N: float = 0.0  # standard deviation of a texture of the tip force
-    release_m: float | None = None  # travel of a rupture's release, membranes included
-    tip_exponent: float = 1.0  # power of the elastic tip force over penetration
-    cutting_fraction: float | None = None  # constant cutting force in the tip force
+    Attributes:
+        texture_N: Standard deviation of a texture of the tip force.
+        release_m: Travel of a rupture's release, membranes included.
+        tip_exponent: Power of the elastic tip force over penetration.
+        cutting_fraction: Constant cutting force in the tip force.
+        length_exponent: Friction grows with embedded length to this power.
+    """
+
+    texture_N: float = 0.0
+    release_m: float | None = None
+    tip_exponent: float = 1.0
+    cutting_fraction: float | None = None
     kept_fraction: float = (
         0.0  # of the tip force after an internal rupture, fading over 5 mm
     )
-    length_exponent: float = 1.0  # friction grows with embedded length to this power
+    length_exponent: float = 1.0
     speed_exponent: float = (
         1.0  # all friction grows with speed to this power: no Coulomb part
     )

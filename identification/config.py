@@ -45,13 +45,17 @@ def _check_kind(name: str, value: object, kind: type) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckConfig:
-    """Limits of a plausible sample."""
+    """Limits of a plausible sample.
+
+    Attributes:
+        jump_m: Change of depth beyond what speed explains that counts as a jump; a
+            needle at a surgical 100 mm/s moves a tenth of this between samples at 1
+            kHz.
+    """
 
     gap_s: float = (
         0.25  # an interval longer than this, and than ten usual ones, is a gap
     )
-    # Change of depth beyond what speed explains that counts as a jump; a needle at a
-    # surgical 100 mm/s moves a tenth of this between samples at 1 kHz.
     jump_m: float = 1e-3
     sign_memory_s: float = (
         0.2  # memory of the travel from depth and from speed that are compared
@@ -72,9 +76,12 @@ class CheckConfig:
 class MultilayerConfig:
     """Settings of the multi-layer method; its physical priors stand where they are
     used.
+
+    Attributes:
+        alarm_probability: Of one more rupture, at which an alarm is raised.
     """
 
-    alarm_probability: float = 0.98  # of one more rupture, at which an alarm is raised
+    alarm_probability: float = 0.98
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
@@ -95,32 +102,41 @@ class PublishedConfig:
     values.
 
     Settings of Section VI and of the authors' framework.
+
+    Attributes:
+        model: `ml`, equation (3), or `kv`, equation (2).
+        sigma1_N: The same at an abrupt change, equation (9).
+        derivative_rise_N_per_s: How much beta grows at each detection.
+        derivative_time_constant_s: Of the derivative's low-pass. Not published: at this
+            value 10 mN of noise leave 0.05 N/s, just below beta.
+        reset_frequency_Hz: f_CR of the covariance resetting.
+        var_stiffness: sigma^2_K,0 of Psi_0.
+        var_friction: sigma^2_B,0 of Psi_0.
+        contact_depth_m: Of the first contact, which the method assumes known.
+        most_windows: Reset windows kept per layer before neighbours are merged (27
+            minutes of one layer merge to half the reset frequency four times).
     """
 
-    model: Model = "ml"  # `ml`, equation (3), or `kv`, equation (2)
+    model: Model = "ml"
     sigma0_N: float = (
         0.01  # standard deviation of the error in the standard case, equation (9)
     )
-    sigma1_N: float = 0.08  # the same at an abrupt change, equation (9)
+    sigma1_N: float = 0.08
     derivative_threshold_N_per_s: float = (
         0.075  # beta; below -beta a rupture is expected
     )
-    derivative_rise_N_per_s: float = 0.025  # how much beta grows at each detection
-    # Of the derivative's low-pass. Not published: at this value 10 mN of noise leave
-    # 0.05 N/s, just below beta.
+    derivative_rise_N_per_s: float = 0.025
     derivative_time_constant_s: float = 0.2
-    reset_frequency_Hz: float = 40.0  # f_CR of the covariance resetting
+    reset_frequency_Hz: float = 40.0
     drop_travel_m: float = (
         1e-3  # k_v of T_drop = k_v / v; published as 1 with speeds in mm/s
     )
-    var_stiffness: float = 1e6  # sigma^2_K,0 of Psi_0
-    var_friction: float = 1e6  # sigma^2_B,0 of Psi_0
-    contact_depth_m: float = 0.0  # of the first contact, which the method assumes known
+    var_stiffness: float = 1e6
+    var_friction: float = 1e6
+    contact_depth_m: float = 0.0
     least_speed_m_s: float = (
         1e-4  # below it T_drop has no meaning and no rupture is detected
     )
-    # Reset windows kept per layer before neighbours are merged (27 minutes of one layer
-    # merge to half the reset frequency four times).
     most_windows: int = 4096
     check: CheckConfig = field(default_factory=CheckConfig)
 

@@ -126,18 +126,27 @@ _SHOWN = tuple(_difference(4, _TEXTURE_MM * 2**k) for k in (_FINE, _COARSE))
 
 
 class DisturbanceLevels(NamedTuple):
-    """What is known of the noise."""
+    """What is known of the noise.
 
-    past: Array = np.zeros(257)  # forces, a step apart, newest last
-    steps: float = 0.0  # number of consecutive steps since the last gap
-    squares: Array = np.zeros((8, _MEMORY))  # of the last differences at each lag
-    seen: Array = np.zeros(8)  # number of differences so far, at each lag
-    levels: Array = np.array(
-        [1e-4, 0.0, 0.0, 0.0]
-    )  # variances: white, colour, heart, breath
-    force_sum: float = 0.0  # integral of the force over the step being filled
-    filled_s: float = 0.0  # length of that step so far
-    step_s: float = STEP_S  # length of the last step: longer where samples are rare
+    Attributes:
+        past: forces, a step apart, newest last.
+        steps: Number of consecutive steps since the last gap.
+        squares: Of the last differences at each lag.
+        seen: Number of differences so far, at each lag.
+        levels: variances: white, colour, heart, breath.
+        force_sum: Integral of the force over the step being filled.
+        filled_s: Length of that step so far.
+        step_s: Length of the last step: longer where samples are rare.
+    """
+
+    past: Array = np.zeros(257)
+    steps: float = 0.0
+    squares: Array = np.zeros((8, _MEMORY))
+    seen: Array = np.zeros(8)
+    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])
+    force_sum: float = 0.0
+    filled_s: float = 0.0
+    step_s: float = STEP_S
     is_texture: bool = (
         False  # steps of travel [mm]; the level is coarse less fine differences
     )

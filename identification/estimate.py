@@ -51,26 +51,36 @@ class RuptureState(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """The tip leaves a layer. Raised at the alarm; a false one is retracted later."""
+    """The tip leaves a layer. Raised at the alarm; a false one is retracted later.
 
-    layer: int  # number of the layer that ends, from 1
-    alarm_s: float  # time of the sample that raised the alarm
-    alarm_depth_m: float  # depth at the alarm
-    time_s: float  # estimated instant t_r, not later than the alarm
-    depth_m: float  # depth at that instant
-    force_N: float  # axial force at that instant
-    speed_m_s: float  # speed at that instant
-    # That the tissue ruptured there and it is no chance of the signal, 0 to 1; of a
-    # retracted one, what is left of it.
+    Attributes:
+        layer: Number of the layer that ends, from 1.
+        alarm_s: Time of the sample that raised the alarm.
+        alarm_depth_m: Depth at the alarm.
+        time_s: Estimated instant t_r, not later than the alarm.
+        depth_m: Depth at that instant.
+        force_N: Axial force at that instant.
+        speed_m_s: Speed at that instant.
+        probability: That the tissue ruptured there and it is no chance of the signal, 0
+            to 1; of a retracted one, what is left of it.
+        contact_depth_m: Depth of first contact: found by the multi-layer method, known
+            beforehand in `published`.
+        partial_rupture_probability: That it was partial and not the layer's end, None
+            where the method does not distinguish them.
+    """
+
+    layer: int
+    alarm_s: float
+    alarm_depth_m: float
+    time_s: float
+    depth_m: float
+    force_N: float
+    speed_m_s: float
     probability: float
     is_final: bool = (
         False  # whether it is settled: while False it may still be retracted
     )
-    # Depth of first contact: found by the multi-layer method, known beforehand in
-    # `published`.
     contact_depth_m: float
-    # That it was partial and not the layer's end, None where the method does not
-    # distinguish them.
     partial_rupture_probability: float | None = None
 
 
@@ -85,29 +95,41 @@ class LayerEstimate:
     value.
 
     The values are those at the rupture's speed.
+
+    Attributes:
+        layer: Number from 1.
+        is_final: Whether the measurement of its rupture has ended: False in a
+            provisional estimate, which a final one follows unless the alarm is
+            retracted. `Identifier.layers` goes on refining final estimates with what
+            later layers reveal about their friction.
+        start_depth_m: Depth at which it begins.
+        thickness_m: d_i, travel from there to its rupture.
+        rupture: How it ended.
+        force_drop_N: Elastic force released.
+        stiffness_N_per_m: K_i.
+        friction_Ns_per_m2: B_i (for `kv` in Ns/m).
+        friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
+        coulomb_N_per_m: Per embedded length the part of the friction that does not
+            depend on speed, and the part in proportion to it; None for `published`,
+            which knows viscous friction only. Identified where the motion separated the
+            two.
     """
 
-    layer: int  # number from 1
-    # Whether the measurement of its rupture has ended: False in a provisional estimate,
-    # which a final one follows unless the alarm is retracted. `Identifier.layers` goes
-    # on refining final estimates with what later layers reveal about their friction.
+    layer: int
     is_final: bool
-    start_depth_m: float  # depth at which it begins
-    thickness_m: float  # d_i, travel from there to its rupture
-    rupture: Rupture  # how it ended
-    force_drop_N: float  # elastic force released
+    start_depth_m: float
+    thickness_m: float
+    rupture: Rupture
+    force_drop_N: float
     force_drop_std_N: float | None = None
-    stiffness_N_per_m: float  # K_i
+    stiffness_N_per_m: float
     stiffness_std_N_per_m: float | None = None
     stiffness_identified: bool
-    friction_Ns_per_m2: float  # B_i (for `kv` in Ns/m)
+    friction_Ns_per_m2: float
     friction_std_Ns_per_m2: float | None = None
     friction_identified: bool
-    friction_N: float  # friction of this layer on the shaft at its rupture, B_i d_i v
+    friction_N: float
     friction_std_N: float | None = None
-    # Per embedded length the part of the friction that does not depend on speed, and
-    # the part in proportion to it; None for `published`, which knows viscous friction
-    # only. Identified where the motion separated the two.
     coulomb_N_per_m: float | None = None
     coulomb_std_N_per_m: float | None = None
     coulomb_identified: bool = False

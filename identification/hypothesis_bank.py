@@ -55,13 +55,21 @@ def _probabilities(log_weights: Vector) -> Array:
 
 
 class Bank(NamedTuple):
-    """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`."""
+    """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`.
 
-    means: Array  # of the unknowns, shape (n, 20)
-    spreads: Array  # their covariances, shape (n, 20, 20)
-    log_weights: Array  # logarithm of each one's probability, shape (n,)
-    facts: Array  # what it assumes to be known, shape (n, 10)
-    records: Array  # what it knows of the last rupture, for reports, shape (n, 16)
+    Attributes:
+        means: Of the unknowns, shape (n, 20).
+        spreads: Their covariances, shape (n, 20, 20).
+        log_weights: Logarithm of each one's probability, shape (n,).
+        facts: What it assumes to be known, shape (n, 10).
+        records: What it knows of the last rupture, for reports, shape (n, 16).
+    """
+
+    means: Array
+    spreads: Array
+    log_weights: Array
+    facts: Array
+    records: Array
 
     @property
     def damage(self) -> str:
@@ -92,23 +100,38 @@ class Bank(NamedTuple):
 
 
 class Place(NamedTuple):
-    """Where the tip is at the middle of a block, as far as all hypotheses agree."""
+    """Where the tip is at the middle of a block, as far as all hypotheses agree.
 
-    time_s: float  # since the reset
-    dt_s: float  # length of the block
-    depth: float  # [mm]
-    speed: float  # [mm/s]
-    deflection: float  # presliding deflection, -1 to 1
-    force: float  # mean over the block [N]
-    usual_speed: float  # mean over the last ten seconds [mm/s]
-    noise: float  # standard deviation of a block's force [N]
-    raw: float = 0.0  # unfiltered depth [mm]
-    lag_s: float = 0.0  # by which the speed may be late
-    before: float = 0.0  # mean force over the block before [N]
+    Attributes:
+        time_s: Since the reset.
+        dt_s: Length of the block.
+        depth: [mm].
+        speed: [mm/s].
+        deflection: Presliding deflection, -1 to 1.
+        force: Mean over the block [N].
+        usual_speed: Mean over the last ten seconds [mm/s].
+        noise: Standard deviation of a block's force [N].
+        raw: Unfiltered depth [mm].
+        lag_s: By which the speed may be late.
+        before: Mean force over the block before [N].
+        law_error: Error of the law that the tissue's texture shows [N].
+    """
+
+    time_s: float
+    dt_s: float
+    depth: float
+    speed: float
+    deflection: float
+    force: float
+    usual_speed: float
+    noise: float
+    raw: float = 0.0
+    lag_s: float = 0.0
+    before: float = 0.0
     by_speed: float = (
         0.0  # shaft friction that changes of the speed have added so far [N]
     )
-    law_error: float = 0.0  # error of the law that the tissue's texture shows [N]
+    law_error: float = 0.0
 
 
 def first_bank() -> Bank:

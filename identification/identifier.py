@@ -29,12 +29,19 @@ _NO_EVENTS = Events()[:]
 
 
 class Snapshot(NamedTuple):
-    """Everything an `Identifier` remembers; immutable, so keeping it costs nothing."""
+    """Everything an `Identifier` remembers; immutable, so keeping it costs nothing.
 
-    config: MultilayerConfig | PublishedConfig  # Configuration it belongs to
-    samples: Array  # Memory of the sample filter
-    state: PublishedState | SwitchingState  # Memory of the method
-    last: Estimate  # Last estimate
+    Attributes:
+        config: Configuration it belongs to.
+        samples: Memory of the sample filter.
+        state: Memory of the method.
+        last: Last estimate.
+    """
+
+    config: MultilayerConfig | PublishedConfig
+    samples: Array
+    state: PublishedState | SwitchingState
+    last: Estimate
 
 
 class Identifier:

@@ -173,12 +173,19 @@ class ReplayStream:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Replay:
-    """Online estimates of a recording."""
+    """Online estimates of a recording.
 
-    t_s: Array  # time stamps of the recording, shape (n,), read-only
-    estimates: tuple[Estimate, ...]  # one per row
-    layers: tuple[LayerEstimate, ...]  # layers traversed, as known at the end
-    hints: tuple[str, ...]  # suspicions about signs and units
+    Attributes:
+        t_s: Time stamps of the recording, shape (n,), read-only.
+        estimates: One per row.
+        layers: Layers traversed, as known at the end.
+        hints: Suspicions about signs and units.
+    """
+
+    t_s: Array
+    estimates: tuple[Estimate, ...]
+    layers: tuple[LayerEstimate, ...]
+    hints: tuple[str, ...]
 
 
 def replay(

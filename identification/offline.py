@@ -28,12 +28,18 @@ class LayerSpan:
     analysis.
 
     Without a membrane it ruptures as the tip leaves it; with one earlier or later.
+
+    Attributes:
+        start_s: Instant t_i at which the tip enters the layer.
+        start_depth_m: Depth of the tip at that instant.
+        thickness_m: Thickness d_i along the insertion axis.
+        rupture_s: Instant t_r at which the layer stops pushing back elastically.
     """
 
-    start_s: float  # instant t_i at which the tip enters the layer
-    start_depth_m: float  # depth of the tip at that instant
-    thickness_m: float  # thickness d_i along the insertion axis
-    rupture_s: float  # instant t_r at which the layer stops pushing back elastically
+    start_s: float
+    start_depth_m: float
+    thickness_m: float
+    rupture_s: float
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless thickness is positive and times are
@@ -157,12 +163,17 @@ def read_column(
 class OfflineLayer:
     """One layer identified offline; standard deviations are infinite where not
     identified.
+
+    Attributes:
+        stiffness_N_per_m: K_i.
+        stiffness_identified: Whether the data separate it from the other parameters.
+        friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
     """
 
-    stiffness_N_per_m: float  # K_i
+    stiffness_N_per_m: float
     stiffness_std_N_per_m: float
-    stiffness_identified: bool  # whether the data separate it from the other parameters
-    friction: float  # B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`
+    stiffness_identified: bool
+    friction: float
     friction_std: float
     friction_identified: bool
     cumulative_friction_Ns_per_m: (
@@ -172,13 +183,20 @@ class OfflineLayer:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OfflineIdentification:
-    """Result of equation (6) over one recording."""
+    """Result of equation (6) over one recording.
+
+    Attributes:
+        layers: In order of entry.
+        rank: Of the scaled regression matrix.
+        rmse_N: Root mean square reconstruction error.
+        predicted_force_N: Reconstruction Phi theta, shape (n,), read-only.
+    """
 
     model: Model
-    layers: tuple[OfflineLayer, ...]  # in order of entry
-    rank: int  # of the scaled regression matrix
-    rmse_N: float  # root mean square reconstruction error
-    predicted_force_N: Array  # reconstruction Phi theta, shape (n,), read-only
+    layers: tuple[OfflineLayer, ...]
+    rank: int
+    rmse_N: float
+    predicted_force_N: Array
 
 
 def identify_offline(

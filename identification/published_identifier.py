@@ -67,12 +67,19 @@ NO_WINDOWS.setflags(write=False)
 
 
 class RupturedLayer(NamedTuple):
-    """A layer that has ruptured, while its force drop is being measured."""
+    """A layer that has ruptured, while its force drop is being measured.
 
-    start_depth_m: float  # Depth at which it begins
-    windows: Array  # Sums of its reset windows
-    mean_speed_m_s: float  # Average speed in it
-    rupture: Rupture  # How it ended
+    Attributes:
+        start_depth_m: Depth at which it begins.
+        windows: Sums of its reset windows.
+        mean_speed_m_s: Average speed in it.
+        rupture: How it ended.
+    """
+
+    start_depth_m: float
+    windows: Array
+    mean_speed_m_s: float
+    rupture: Rupture
 
     @property
     def damage(self) -> str:
@@ -88,14 +95,20 @@ class RupturedLayer(NamedTuple):
 
 
 class PublishedState(NamedTuple):
-    """All that the published method remembers; immutable."""
+    """All that the published method remembers; immutable.
 
-    memory: Array  # What every sample changes, shape (28,)
-    windows: Array = NO_WINDOWS  # Sums of the closed reset windows of the current layer
+    Attributes:
+        memory: What every sample changes, shape (28,).
+        windows: Sums of the closed reset windows of the current layer.
+        layers: Layers identified so far.
+    """
+
+    memory: Array
+    windows: Array = NO_WINDOWS
     ruptured: RupturedLayer | None = (
         None  # The last layer, until its friction is subtracted
     )
-    layers: tuple[LayerEstimate, ...] = ()  # Layers identified so far
+    layers: tuple[LayerEstimate, ...] = ()
 
     @property
     def damage(self) -> str:

@@ -66,11 +66,15 @@ _UNITS = (("N_per_m", _MM), ("N_per_m", _MM), ("Ns_per_m2", _MM * _MM))
 class Evidence(NamedTuple):
     """The bank, the probability of each of its n hypotheses, and how many ruptures
     each counts.
+
+    Attributes:
+        weights: probabilities, shape (n,).
+        ruptures: Number of ruptures, shape (n,); see `evidence_of`.
     """
 
     bank: Bank
-    weights: Array  # probabilities, shape (n,)
-    ruptures: Array  # number of ruptures, shape (n,); see `evidence_of`
+    weights: Array
+    ruptures: Array
 
 
 def evidence_of(bank: Bank, alarm: Rupture | None, known: int) -> Evidence:
@@ -125,12 +129,19 @@ def answer_at(
 
 
 class Evaluation(NamedTuple):
-    """What the hypotheses say about the number of ruptures."""
+    """What the hypotheses say about the number of ruptures.
 
-    more: float  # probability of one more than known, with a clear fall of the force
-    fewer: float  # probability of fewer than known
-    pick: int  # the likeliest of those hypotheses, -1 without any
-    best: int  # number of ruptures of the likeliest of all
+    Attributes:
+        more: Probability of one more than known, with a clear fall of the force.
+        fewer: Probability of fewer than known.
+        pick: The likeliest of those hypotheses, -1 without any.
+        best: Number of ruptures of the likeliest of all.
+    """
+
+    more: float
+    fewer: float
+    pick: int
+    best: int
 
 
 @compiled

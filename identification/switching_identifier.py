@@ -85,27 +85,39 @@ Noise = tuple[
 
 
 class SwitchingState(NamedTuple):
-    """All that the switching filter remembers; immutable."""
+    """All that the switching filter remembers; immutable.
+
+    Attributes:
+        memory: What every sample changes, see `switching_update`.
+        answer: See `switching_update`.
+        tissue: Its motion by itself.
+        trend: Of the needle's own speed, see `speed_trend`.
+        place: Middle of the last block.
+        stage: What is left to do for that block.
+        deepest: Point so far [mm].
+        spawned: Depth at which hypotheses began last [mm].
+        force_std_in_air: Of the force's slow error before the contact [N].
+        ruptures: In the hypotheses that the last report followed.
+        alarm: The last one raised and not taken back.
+    """
 
     bank: Bank
-    memory: Array = (
-        samples.FIRST_MEMORY
-    )  # what every sample changes, see `switching_update`
-    answer: Array = samples.NO_ANSWER  # see `switching_update`
+    memory: Array = samples.FIRST_MEMORY
+    answer: Array = samples.NO_ANSWER
     levels: DisturbanceLevels = DisturbanceLevels()
-    tissue: TissueMotion = TissueMotion()  # its motion by itself
-    trend: Array = NO_TREND  # of the needle's own speed, see `speed_trend`
+    tissue: TissueMotion = TissueMotion()
+    trend: Array = NO_TREND
     texture: DisturbanceLevels = DisturbanceLevels.of_texture()
-    place: Place = Place(*(0.0,) * 10)  # middle of the last block
-    stage: int = _NOTHING  # what is left to do for that block
-    deepest: float = -_FAR_MM  # point so far [mm]
-    spawned: float = -_FAR_MM  # depth at which hypotheses began last [mm]
+    place: Place = Place(*(0.0,) * 10)
+    stage: int = _NOTHING
+    deepest: float = -_FAR_MM
+    spawned: float = -_FAR_MM
     resumed: float = (
         0.0  # how much of a rest or reversal is left in the friction, 0 to 1
     )
-    force_std_in_air: float = 0.0  # of the force's slow error before the contact [N]
-    ruptures: int = 0  # in the hypotheses that the last report followed
-    alarm: Rupture | None = None  # the last one raised and not taken back
+    force_std_in_air: float = 0.0
+    ruptures: int = 0
+    alarm: Rupture | None = None
     layers: tuple[LayerEstimate, ...] = ()
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
 

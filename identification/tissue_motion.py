@@ -62,29 +62,42 @@ _IDLE: dict[str, Any] = {
 
 
 class TissueMotion(NamedTuple):
-    """What is known of the motion; immutable."""
+    """What is known of the motion; immutable.
 
-    window: Array = np.zeros(
-        (0, 4)
-    )  # means of time, depth, speed and force, in two layers
+    Attributes:
+        window: Means of time, depth, speed and force, in two layers.
+        until_s: The layer before ended.
+        from_s: Its last layer begins, what lies between is not used.
+        fit: The motion in use, if it has beats.
+        since_s: In use since then.
+        bad: Steps in a row at which it was no good fit.
+        next_s: When it is looked at again.
+        unit: The next one of a search, -1 outside one.
+        found: Of breath, heart, one beside the other: error, frequencies.
+        tried: Being fitted in a search.
+        best: So far in that search.
+        first: The best of its starts with two beats.
+        likely: A good one found by the last search that was not clear yet.
+        held: Steps in a row at which that explained the force.
+    """
+
+    window: Array = np.zeros((0, 4))
     filling: tuple[float, ...] = (
         _EMPTY  # length of the mean being filled, integrals of those
     )
-    until_s: float = 0.0  # the layer before ended
-    from_s: float = 0.0  # its last layer begins, what lies between is not used
-    fit: Fit = Fit()  # the motion in use, if it has beats
-    since_s: float = 0.0  # in use since then
-    bad: int = 0  # steps in a row at which it was no good fit
-    next_s: float = 0.0  # when it is looked at again
-    unit: int = -1  # the next one of a search, -1 outside one
-    found: Array = np.zeros(
-        (3, 3)
-    )  # of breath, heart, one beside the other: error, frequencies
-    tried: Fit = Fit()  # being fitted in a search
-    best: Fit = Fit()  # so far in that search
-    first: Fit = Fit()  # the best of its starts with two beats
-    likely: Fit = Fit()  # a good one found by the last search that was not clear yet
-    held: int = 0  # steps in a row at which that explained the force
+    until_s: float = 0.0
+    from_s: float = 0.0
+    fit: Fit = Fit()
+    since_s: float = 0.0
+    bad: int = 0
+    next_s: float = 0.0
+    unit: int = -1
+    found: Array = np.zeros((3, 3))
+    tried: Fit = Fit()
+    best: Fit = Fit()
+    first: Fit = Fit()
+    likely: Fit = Fit()
+    held: int = 0
 
     @property
     def damage(self) -> str:

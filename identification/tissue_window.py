@@ -62,15 +62,21 @@ Pair = tuple[Matrix, Matrix]
 
 
 class Fit(NamedTuple):
-    """A motion fitted to a window."""
+    """A motion fitted to a window.
 
-    beats: Array = np.zeros(
-        (0, 5)
-    )  # f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first
-    at_s: float = 0.0  # time from which their phases count
-    error: float = 1e30  # sum of squares it leaves
-    rms_N: float = 0.0  # of what it leaves
-    damping: float = 0.01  # Levenberg's
+    Attributes:
+        beats: f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first.
+        at_s: Time from which their phases count.
+        error: Sum of squares it leaves.
+        rms_N: Of what it leaves.
+        damping: Levenberg's.
+    """
+
+    beats: Array = np.zeros((0, 5))
+    at_s: float = 0.0
+    error: float = 1e30
+    rms_N: float = 0.0
+    damping: float = 0.01
 
 
 @compiled

@@ -16,9 +16,13 @@ STEP_m = 0.1e-3  # Travel after which the plan is read again, besides at events:
 
 
 class Plan(Protocol):
-    """What a session needs of a plan; `needleforce.anatomy.PlanMatch` is one."""
+    """What a session needs of a plan; `needleforce.anatomy.PlanMatch` is one.
 
-    fingerprint: str  # of the plan: equal for equal plans
+    Attributes:
+        fingerprint: Of the plan: equal for equal plans.
+    """
+
+    fingerprint: str
 
     def state(
         self,
@@ -34,14 +38,22 @@ class Plan(Protocol):
 
 
 class PlanMemory(NamedTuple):
-    """What a session remembers of its plan: with what that was last read."""
+    """What a session remembers of its plan: with what that was last read.
 
-    fingerprint: str  # of plan and entry; empty without a plan
-    entry_depth_m: float = 0.0  # depth of the plan's entry
-    ruptures: tuple[tuple[float, float], ...] = ()  # time of the alarm, depth [m]
-    depth_m: float | None = None  # None: not read yet
+    Attributes:
+        fingerprint: Of plan and entry; empty without a plan.
+        entry_depth_m: Depth of the plan's entry.
+        ruptures: Time of the alarm, depth [m].
+        depth_m: None: not read yet.
+        contact_m: None: the surface has not been met.
+    """
+
+    fingerprint: str
+    entry_depth_m: float = 0.0
+    ruptures: tuple[tuple[float, float], ...] = ()
+    depth_m: float | None = None
     deepest_m: float = 0.0
-    contact_m: float | None = None  # None: the surface has not been met
+    contact_m: float | None = None
 
 
 class PlanFollower:

@@ -92,23 +92,35 @@ class SessionEstimate(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """Where the identification can go back to."""
+    """Where the identification can go back to.
 
-    time_s: float  # see `SessionEstimate`
+    Attributes:
+        time_s: See `SessionEstimate`.
+    """
+
+    time_s: float
     identifier: IdentifierSnapshot
 
 
 class SessionSnapshot(NamedTuple):
-    """All that an `InsertionSession` remembers; immutable."""
+    """All that an `InsertionSession` remembers; immutable.
+
+    Attributes:
+        travel: See `travel_step`.
+        speed_lag_s: Setting of the session.
+        unused_s: Time of valid samples that were not used for identification.
+        time_s: See `SessionEstimate`.
+        earlier: Older and newer.
+    """
 
     sensor: SensorState
     identifier: IdentifierSnapshot
     zero: TravelZero
-    travel: tuple[float, float, float, float]  # see `travel_step`
-    speed_lag_s: float  # setting of the session
-    unused_s: float  # time of valid samples that were not used for identification
-    time_s: float  # see `SessionEstimate`
-    earlier: tuple[Checkpoint, Checkpoint]  # older and newer
+    travel: tuple[float, float, float, float]
+    speed_lag_s: float
+    unused_s: float
+    time_s: float
+    earlier: tuple[Checkpoint, Checkpoint]
     plan: PlanMemory
 
 

@@ -17,10 +17,15 @@ Needle = tuple[
 
 
 class TravelZero(NamedTuple):
-    """Where depth is counted from."""
+    """Where depth is counted from.
 
-    start_in_base_m: Array  # the tip's place, shape (3,)
-    axis_in_base: Array  # the needle's direction, shape (3,)
+    Attributes:
+        start_in_base_m: The tip's place, shape (3,).
+        axis_in_base: The needle's direction, shape (3,).
+    """
+
+    start_in_base_m: Array
+    axis_in_base: Array
 
 
 @compiled

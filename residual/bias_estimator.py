@@ -40,13 +40,17 @@ class TareRecorder:
 
     Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older
     half become one; the latest blocks stay short.
+
+    Attributes:
+        sums: Per block: number of samples, and the sums of their times [s], positions,
+            residuals, squared residuals and states; shape (m, 5 + states, n).
+        open: The same of the block that is not complete yet, shape (5 + states, n).
+        age_s: Length of that block so far [s].
     """
 
-    # Per block: number of samples, and the sums of their times [s], positions,
-    # residuals, squared residuals and states; shape (m, 5 + states, n)
     sums: Array
-    open: Array  # The same of the block that is not complete yet, shape (5 + states, n)
-    age_s: float = 0.0  # Length of that block so far [s]
+    open: Array
+    age_s: float = 0.0
 
     @classmethod
     def of_size(cls, joints: int, states: int) -> Self:
@@ -100,33 +104,53 @@ class TareRecorder:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class BiasState:
-    """All that a `BiasEstimator` remembers."""
+    """All that a `BiasEstimator` remembers.
 
-    recorder: TareRecorder  # Free motion recorded for the next tare
+    Attributes:
+        recorder: Free motion recorded for the next tare.
+        states: States of hysteresis and friction, shape (states, n).
+        torque_sum: Sum of the torques since the last renewal [Nm], shape (n,).
+        bias: Bias that is subtracted [Nm], shape (n,).
+        motion_Nm2: Variance of the residual's error due to motion, shape (n,).
+        weighed_s: When the covariance was renewed last [s].
+        q: Last position [rad], shape (n,).
+        dq: Last velocity [rad/s], shape (n,).
+        smooth_dq: Lagged velocity, for the acceleration [rad/s], shape (n,).
+        tare: The tare in force, the prior's before the first.
+        started: Whether a sample has come.
+        tared: Whether that tare is current: no new recording was started.
+        tared_s: When it was taken [s].
+        now_s: Time since the start [s].
+        renewed_s: When states and offset were renewed last [s].
+        due_s: When they are renewed next [s].
+        summed: Number of torques in the sum.
+        leapt_s: Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or
+            since free motion is recorded [s].
+    """
+
+    recorder: TareRecorder
     joint_memory: (
         Array  # Memory of hysteresis and friction, see `residual.joint_states`
     )
-    states: Array  # States of hysteresis and friction, shape (states, n)
-    torque_sum: Array  # Sum of the torques since the last renewal [Nm], shape (n,)
-    bias: Array  # Bias that is subtracted [Nm], shape (n,)
-    motion_Nm2: Array  # Variance of the residual's error due to motion, shape (n,)
+    states: Array
+    torque_sum: Array
+    bias: Array
+    motion_Nm2: Array
     most_motion_Nm2: (
         Array  # Value beyond which the covariance is renewed at once, shape (n,)
     )
-    weighed_s: float = -WEIGH_S  # When the covariance was renewed last [s]
-    q: Array  # Last position [rad], shape (n,)
-    dq: Array  # Last velocity [rad/s], shape (n,)
-    smooth_dq: Array  # Lagged velocity, for the acceleration [rad/s], shape (n,)
-    tare: Tare  # The tare in force, the prior's before the first
-    started: bool = False  # Whether a sample has come
-    tared: bool = False  # Whether that tare is current: no new recording was started
-    tared_s: float = 0.0  # When it was taken [s]
-    now_s: float = 0.0  # Time since the start [s]
-    renewed_s: float = 0.0  # When states and offset were renewed last [s]
-    due_s: float = 0.0  # When they are renewed next [s]
-    summed: int = 0  # Number of torques in the sum
-    # Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or since free
-    # motion is recorded [s]
+    weighed_s: float = -WEIGH_S
+    q: Array
+    dq: Array
+    smooth_dq: Array
+    tare: Tare
+    started: bool = False
+    tared: bool = False
+    tared_s: float = 0.0
+    now_s: float = 0.0
+    renewed_s: float = 0.0
+    due_s: float = 0.0
+    summed: int = 0
     leapt_s: float = 0.0
 
 

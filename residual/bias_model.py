@@ -115,12 +115,20 @@ class BiasPrior:
 
 
 class Tare(NamedTuple):
-    """A fitted offset: parameters of a `BiasModel`, which robot and settings give."""
+    """A fitted offset: parameters of a `BiasModel`, which robot and settings give.
 
-    mean: Array  # Parameters, offsets first, shape (m,)
-    covariance: Array  # Of the parameters, shape (m, m)
-    noise_Nm2: Array  # Covariance of a single residual about the model, shape (n, n)
-    scatter_Nm2: Array  # Part of its diagonal that the mean of a recorded block removes, shape (n,)
+    Attributes:
+        mean: Parameters, offsets first, shape (m,).
+        covariance: Of the parameters, shape (m, m).
+        noise_Nm2: Covariance of a single residual about the model, shape (n, n).
+        scatter_Nm2: Part of its diagonal that the mean of a recorded block removes,
+            shape (n,).
+    """
+
+    mean: Array
+    covariance: Array
+    noise_Nm2: Array
+    scatter_Nm2: Array
     walk_Nm2_per_s: (
         Array  # Variance that the sensors' random walk adds in a second, shape (n,)
     )
@@ -280,12 +288,19 @@ class BiasModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareBlocks:
-    """Means over short blocks of free motion, one row each."""
+    """Means over short blocks of free motion, one row each.
 
-    q_rad: Array  # Positions, shape (m, n)
-    states: Array  # Of hysteresis and friction, shape (m, states, n)
-    residual_Nm: Array  # Residuals before offset removal, shape (m, n)
-    age_s: Array  # Time relative to the end of the tare, <= 0, shape (m,)
+    Attributes:
+        q_rad: Positions, shape (m, n).
+        states: Of hysteresis and friction, shape (m, states, n).
+        residual_Nm: Residuals before offset removal, shape (m, n).
+        age_s: Time relative to the end of the tare, <= 0, shape (m,).
+    """
+
+    q_rad: Array
+    states: Array
+    residual_Nm: Array
+    age_s: Array
     scatter_Nm2: (
         Array  # Variance of single residuals about their block's mean, shape (n,)
     )

@@ -103,22 +103,27 @@ Sums = tuple[Vector, Vector, Blocks, Matrix, Matrix]
 class VelocityMatch(NamedTuple):
     """How velocities match positions; the sums fade over `MEMORY_S` and are taken in
     motion.
+
+    Attributes:
+        motion: Position [rad], velocity as measured and rate of the position [rad/s] at
+            the last check; then fading travel of q and of dq [rad]; shape (5, n).
+        seconds: Time for which a joint has been checked [s], shape (n,).
+        beyond: Sum of squares of the difference of both travels beyond the tolerated
+            [rad^2 s], shape (n,).
+        moments: Sums of pairwise products of dq's travel, q's, and the rate of q's;
+            shape (n, 3, 3).
+        squares: Row i, column j: square of the travel of joint j while joint i is
+            judged [rad^2 s]; (n, n).
+        products: Row i, column j: product of that travel with dq's of joint i, shape
+            (n, n).
     """
 
-    # Position [rad], velocity as measured and rate of the position [rad/s] at the last
-    # check; then fading travel of q and of dq [rad]; shape (5, n)
     motion: Array
-    seconds: Array  # Time for which a joint has been checked [s], shape (n,)
-    # Sum of squares of the difference of both travels beyond the tolerated [rad^2 s],
-    # shape (n,)
+    seconds: Array
     beyond: Array
-    # Sums of pairwise products of dq's travel, q's, and the rate of q's; shape (n, 3,
-    # 3)
     moments: Array
-    # Row i, column j: square of the travel of joint j while joint i is judged [rad^2
-    # s]; (n, n)
     squares: Array
-    products: Array  # Row i, column j: product of that travel with dq's of joint i, shape (n, n)
+    products: Array
 
 
 def first_match(q: Array, dq: Array) -> VelocityMatch:
@@ -292,13 +297,18 @@ def _factor(match: VelocityMatch, i: int) -> str:
 
 
 class TorqueChange(NamedTuple):
-    """Joint torque without its offset, now and before, both smoothed."""
+    """Joint torque without its offset, now and before, both smoothed.
 
-    # Torque now; torque before, kept while the arm is pushed [Nm]; then the mean
-    # product of their differences [Nm^2]; shape (n + 2, n)
+    Attributes:
+        torques: Torque now; torque before, kept while the arm is pushed [Nm]; then the
+            mean product of their differences [Nm^2]; shape (n + 2, n).
+        learned_s: Time over which that product was learned.
+        pushed_s: Time since the arm has been pushed.
+    """
+
     torques: Array
-    learned_s: float = 0.0  # time over which that product was learned
-    pushed_s: float = 0.0  # time since the arm has been pushed
+    learned_s: float = 0.0
+    pushed_s: float = 0.0
 
 
 @compiled
@@ -375,20 +385,25 @@ def change_step(
 
 
 class MonitorState(NamedTuple):
-    """All that a `ConsistencyMonitor` remembers."""
+    """All that a `ConsistencyMonitor` remembers.
+
+    Attributes:
+        widening: Factor by which the covariance in use was widened.
+        warnings: Of the last check, as a number.
+        at_limit: Indices of joints at a position limit in that check.
+        match: Of measured velocities with positions; None before a check, and where
+            velocities are estimated.
+        change: None before the tare.
+    """
 
     mismatch_squared: float = (
         0.0  # Smoothed, in units of the covariance before it was widened
     )
-    widening: float = 1.0  # Factor by which the covariance in use was widened
-    warnings: int = 0  # Of the last check, as a number
-    at_limit: tuple[
-        int, ...
-    ] = ()  # Indices of joints at a position limit in that check
-    # Of measured velocities with positions; None before a check, and where velocities
-    # are estimated
+    widening: float = 1.0
+    warnings: int = 0
+    at_limit: tuple[int, ...] = ()
     match: VelocityMatch | None = None
-    change: TorqueChange | None = None  # None before the tare
+    change: TorqueChange | None = None
 
 
 class ConsistencyMonitor:

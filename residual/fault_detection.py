@@ -105,35 +105,49 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class GuardState:
-    """All that a `FaultDetector` remembers."""
+    """All that a `FaultDetector` remembers.
 
-    # Last accepted sample: position, velocity if there is one, torque; shape (2 n,) or
-    # (3 n,); zeros before the first
+    Attributes:
+        last: Last accepted sample: position, velocity if there is one, torque; shape (2
+            n,) or (3 n,); zeros before the first.
+        before: The accepted sample before it.
+        velocity: Velocity that it left off with [rad/s], shape (n,).
+        alone: Of the check for single torques that repeat.
+        noise: Learnt noise of the same signals; None until learnt.
+        rejected: Last sample held back as a spike, or None.
+        step_s: Time between the last two accepted samples [s]; 0 before two.
+        missed_s: Time since the last accepted sample [s].
+        stayed_s: Time for which samples held back agree with each other [s].
+        motion: Of the check for positions and velocities that repeat.
+        torque: Of the check for torques that repeat.
+        age_s: Time since each torque was checked; not when bias is renewed [s].
+        is_loaded: Whether a torque was near its limit at that check.
+        warning: What seemed frozen at that check.
+        question: What may be missing: it has not changed for long.
+        held_s: Time for which positions have repeated now [s].
+        swept: Travel that they may lag by meanwhile [rad], shape (n,); None if they do
+            not repeat.
+    """
+
     last: Array
-    before: Array  # The accepted sample before it
-    velocity: Array  # Velocity that it left off with [rad/s], shape (n,)
-    alone: SingleSignalDetector  # Of the check for single torques that repeat
-    noise: Array | None = None  # Learnt noise of the same signals; None until learnt
+    before: Array
+    velocity: Array
+    alone: SingleSignalDetector
+    noise: Array | None = None
     probe: NoiseProbe | None = (
         None  # What is known of the noise so far; None once it is learnt
     )
-    rejected: Array | None = None  # Last sample held back as a spike, or None
-    step_s: float = 0.0  # Time between the last two accepted samples [s]; 0 before two
-    missed_s: float = 0.0  # Time since the last accepted sample [s]
-    stayed_s: float = 0.0  # Time for which samples held back agree with each other [s]
-    # Of the check for positions and velocities that repeat
+    rejected: Array | None = None
+    step_s: float = 0.0
+    missed_s: float = 0.0
+    stayed_s: float = 0.0
     motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    # Of the check for torques that repeat
     torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = (
-        0.5 * CHECK_S
-    )  # Time since each torque was checked; not when bias is renewed [s]
-    is_loaded: bool = False  # Whether a torque was near its limit at that check
-    warning: str = ""  # What seemed frozen at that check
-    question: str = ""  # What may be missing: it has not changed for long
-    held_s: float = 0.0  # Time for which positions have repeated now [s]
-    # Travel that they may lag by meanwhile [rad], shape (n,); None if they do not
-    # repeat
+    age_s: float = 0.5 * CHECK_S
+    is_loaded: bool = False
+    warning: str = ""
+    question: str = ""
+    held_s: float = 0.0
     swept: Array | None = None
 
 

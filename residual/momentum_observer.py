@@ -187,10 +187,15 @@ def momentum_step(
 
 @dataclass(slots=True, eq=False)
 class MomentumState:
-    """All that a `MomentumObserver` remembers."""
+    """All that a `MomentumObserver` remembers.
 
-    rows: Array  # Of the last step, shape (ROWS, n)
-    started: bool = False  # Whether there was one
+    Attributes:
+        rows: Of the last step, shape (ROWS, n).
+        started: Whether there was one.
+    """
+
+    rows: Array
+    started: bool = False
     noise: Array | None = (
         None  # Momentum noise per joint for smoothing, shape (n,); None without
     )

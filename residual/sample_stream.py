@@ -25,31 +25,42 @@ _new = tuple.__new__  # makes a named tuple in half the time: there is one in ev
 
 
 class TorqueSample(NamedTuple):
-    """External joint torque with the motion of the same instant; arrays (n,)."""
+    """External joint torque with the motion of the same instant; arrays (n,).
 
-    q: Array  # Position [rad], delayed like the residual when velocity is estimated
-    dq: Array  # Velocity [rad/s]
-    tau: Array  # Measured torque [Nm]; the external torque where the robot sends that
-    residual: Array  # External joint torque before offset removal [Nm]
-    settled: bool  # Whether the filters have forgotten their start
+    Attributes:
+        q: Position [rad], delayed like the residual when velocity is estimated.
+        dq: Velocity [rad/s].
+        tau: Measured torque [Nm]; the external torque where the robot sends that.
+        residual: External joint torque before offset removal [Nm].
+        settled: Whether the filters have forgotten their start.
+    """
+
+    q: Array
+    dq: Array
+    tau: Array
+    residual: Array
+    settled: bool
 
 
 @dataclass(slots=True, eq=False)
 class StreamState:
-    """All that a stream remembers."""
+    """All that a stream remembers.
 
-    velocity: (
-        VelocityState | None
-    )  # Of the velocity estimator; None where velocities are measured
-    guard: GuardState | None  # Of the fault detector; None where there is none
-    observer: (
-        MomentumState | None
-    )  # Of the momentum observer; None for external torques
-    probe: (
-        NoiseProbe | None
-    )  # Of the noise to smooth; None once it is known, and without smoothing
-    age_s: float = 0.0  # Time since the filters started [s]
-    missed_s: float = 0.0  # Time that the observer has not seen yet [s]
+    Attributes:
+        velocity: Of the velocity estimator; None where velocities are measured.
+        guard: Of the fault detector; None where there is none.
+        observer: Of the momentum observer; None for external torques.
+        probe: Of the noise to smooth; None once it is known, and without smoothing.
+        age_s: Time since the filters started [s].
+        missed_s: Time that the observer has not seen yet [s].
+    """
+
+    velocity: VelocityState | None
+    guard: GuardState | None
+    observer: MomentumState | None
+    probe: NoiseProbe | None
+    age_s: float = 0.0
+    missed_s: float = 0.0
 
 
 class SampleStream:

@@ -83,11 +83,17 @@ def stands_out(rows: Array) -> NDArray[np.bool_]:
 
 @dataclass(slots=True, eq=False)
 class NoiseProbe:
-    """Noise of a smooth vector signal, from its first samples; see `white_noise`."""
+    """Noise of a smooth vector signal, from its first samples; see `white_noise`.
 
-    rows: Array  # Room for samples, shape (MOST_SAMPLES, size)
-    count: int = 0  # Number of samples so far
-    left_s: float = 0.5  # Time until they are enough [s]
+    Attributes:
+        rows: Room for samples, shape (MOST_SAMPLES, size).
+        count: Number of samples so far.
+        left_s: Time until they are enough [s].
+    """
+
+    rows: Array
+    count: int = 0
+    left_s: float = 0.5
 
     def add(self, value: ArrayLike, dt_s: float) -> Array | None:
         """Take a sample, shape (size,), that came ``dt_s`` after the one before.
@@ -105,12 +111,18 @@ class NoiseProbe:
 class StuckSignalDetector:
     """Watches signals that come from one source and would get stuck together; all it
     remembers.
+
+    Attributes:
+        usual_s: Longest repeat while learning [s].
+        repeat_s: For how long all signals have repeated now [s].
+        repeats: For how many accepted samples.
+        is_telling: Whether a repeat means anything in these signals.
     """
 
-    usual_s: float = 0.0  # Longest repeat while learning [s]
-    repeat_s: float = 0.0  # For how long all signals have repeated now [s]
-    repeats: int = 0  # For how many accepted samples
-    is_telling: bool = False  # Whether a repeat means anything in these signals
+    usual_s: float = 0.0
+    repeat_s: float = 0.0
+    repeats: int = 0
+    is_telling: bool = False
 
     @property
     def _limit_s(self) -> float:
@@ -139,14 +151,19 @@ class StuckSignalDetector:
 class SingleSignalDetector:
     """Checks now and then whether one signal repeats while the others go on; all it
     remembers.
+
+    Attributes:
+        values: At the last check, shape (n,).
+        still_s: For how long each has been the same at every check [s], shape (n,).
+        limit_s: For how long at least it is reported, infinite for a signal whose
+            repeats mean nothing [s], shape (n,).
+        longest_s: The longest of the times in `still_s` [s].
     """
 
-    values: Array  # At the last check, shape (n,)
-    still_s: Array  # For how long each has been the same at every check [s], shape (n,)
-    # For how long at least it is reported, infinite for a signal whose repeats mean
-    # nothing [s], shape (n,)
+    values: Array
+    still_s: Array
     limit_s: Array
-    longest_s: float = 0.0  # The longest of the times in `still_s` [s]
+    longest_s: float = 0.0
 
     def learn(self, is_telling: NDArray[np.bool_], usual_s: float) -> None:
         """Learning has ended: of which signals, shape (size,), does a repeat mean

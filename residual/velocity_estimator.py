@@ -69,11 +69,17 @@ def lag_pair_step(
 
 
 class MatchedSample(NamedTuple):
-    """One consistent, delayed sample; arrays (n,)."""
+    """One consistent, delayed sample; arrays (n,).
 
-    q: Array  # Filtered position [rad]
-    dq: Array  # Its exact derivative [rad/s]
-    tau: Array  # Torque through the same filter [Nm]
+    Attributes:
+        q: Filtered position [rad].
+        dq: Its exact derivative [rad/s].
+        tau: Torque through the same filter [Nm].
+    """
+
+    q: Array
+    dq: Array
+    tau: Array
     settled: (
         bool  # Whether the start of the filter has faded; before that dq is not usable
     )
@@ -81,11 +87,17 @@ class MatchedSample(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class VelocityState:
-    """All that a `VelocityEstimator` remembers."""
+    """All that a `VelocityEstimator` remembers.
 
-    rows: Array  # Of the last step, position then torque, shape (ROWS, 2 n)
-    started: bool = False  # Whether there was one
-    age_s: float = 0.0  # Time since the filter started [s]
+    Attributes:
+        rows: Of the last step, position then torque, shape (ROWS, 2 n).
+        started: Whether there was one.
+        age_s: Time since the filter started [s].
+    """
+
+    rows: Array
+    started: bool = False
+    age_s: float = 0.0
 
 
 class VelocityEstimator:

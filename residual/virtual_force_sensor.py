@@ -33,28 +33,45 @@ _new = tuple.__new__  # makes a named tuple in half the time: there is one in ev
 
 
 class SensorState(NamedTuple):
-    """All that a `VirtualForceSensor` remembers."""
+    """All that a `VirtualForceSensor` remembers.
 
-    robot: str  # `robot_digest` of its robot
-    config: str  # Its settings in words; they must be the same to go on
-    stream: StreamState | None  # Of the stream of samples; None before the first
-    is_external: bool  # Whether it is one of the robot's own external torques
-    lag_s: float  # Of the stream that the last sample came by [s]
-    offset: BiasState  # Of the offset removal
+    Attributes:
+        robot: `robot_digest` of its robot.
+        config: Its settings in words; they must be the same to go on.
+        stream: Of the stream of samples; None before the first.
+        is_external: Whether it is one of the robot's own external torques.
+        lag_s: Of the stream that the last sample came by [s].
+        offset: Of the offset removal.
+        weighed_at: Where the joints were weighed last [rad], shape (n,).
+        monitor: Of the consistency checks.
+        wrench: Memory of `wrench_step`, shape (3, 3) or (3, 6).
+        follows: Whether that memory is of a sample.
+        unchecked_s: Time since the last consistency check [s].
+        last: Last estimate; None before the first.
+        missed_s: Time of samples rejected since then [s].
+        rejected: Number of bad samples so far.
+    """
+
+    robot: str
+    config: str
+    stream: StreamState | None
+    is_external: bool
+    lag_s: float
+    offset: BiasState
     torque_covariance: (
         Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
     )
-    weighed_at: Array  # Where the joints were weighed last [rad], shape (n,)
-    monitor: MonitorState  # Of the consistency checks
-    wrench: Array  # Memory of `wrench_step`, shape (3, 3) or (3, 6)
-    follows: bool  # Whether that memory is of a sample
-    unchecked_s: float  # Time since the last consistency check [s]
+    weighed_at: Array
+    monitor: MonitorState
+    wrench: Array
+    follows: bool
+    unchecked_s: float
     waiting: (
         int  # 2 while the consistency check waits for its tick, 1 while the weights do
     )
-    last: WrenchEstimate | None  # Last estimate; None before the first
-    missed_s: float  # Time of samples rejected since then [s]
-    rejected: int  # Number of bad samples so far
+    last: WrenchEstimate | None
+    missed_s: float
+    rejected: int
 
 
 class VirtualForceSensor:

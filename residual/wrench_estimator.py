@@ -45,19 +45,24 @@ KEPT_SIGMAS = (
 
 
 class WrenchGain(NamedTuple):
-    """How the joints are weighed at one configuration; arrays are read-only."""
+    """How the joints are weighed at one configuration; arrays are read-only.
 
-    # That configuration [rad], then the matrix from joint torque to force (and torque)
-    # in the axes asked for; shape (4 or 7, n)
+    Attributes:
+        rows: That configuration [rad], then the matrix from joint torque to force (and
+            torque) in the axes asked for; shape (4 or 7, n).
+        axis: Insertion direction in the same axes; variance of the axial force, and of
+            a lateral force in the direction known least; the part of both that is noise
+            of a sample [N^2]; shape (7,).
+        reported: ``covariance``, ``conditioning`` and ``damping_fraction`` of
+            `WrenchEstimate`.
+        weakest_m: Joint torque per newton in the least observable of the directions
+            that the mode asks for [m]; in the full mode a newton metre counts as a
+            newton.
+    """
+
     rows: Array
-    # Insertion direction in the same axes; variance of the axial force, and of a
-    # lateral force in the direction known least; the part of both that is noise of a
-    # sample [N^2]; shape (7,)
     axis: Array
-    # ``covariance``, ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`
     reported: tuple[Array, float, Array]
-    # Joint torque per newton in the least observable of the directions that the mode
-    # asks for [m]; in the full mode a newton metre counts as a newton
     weakest_m: float
     unexplained: (
         Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)

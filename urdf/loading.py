@@ -253,14 +253,18 @@ class SerialJoint:
     axis. A placement is that of the joint's frame at zero in the previous one (the base
     for the first); ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
 
+    Attributes:
+        name: Of the joint, and of the frame of the link behind it.
+        axis: Of rotation in the joint's frame, shape (3,); any length but zero.
+
     Raises:
         InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
         InertiaError: No mass, but moments.
     """
 
-    name: str  # of the joint, and of the frame of the link behind it
+    name: str
     placement: pin.SE3 | Array
-    axis: Array  # of rotation in the joint's frame, shape (3,); any length but zero
+    axis: Array
     inertia: (
         Array  # the link's ten parameters, see `urdf.payload`, in the joint's frame
     )

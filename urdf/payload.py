@@ -80,14 +80,19 @@ class Payload:
     Two payloads in the same frame compose with ``+``. Arrays are stored as read-only
     copies.
 
+    Attributes:
+        mass_kg: Zero only for no body at all.
+        com_m: Centre of mass in the frame, shape (3,).
+        inertia_kg_m2: About the centre of mass in the frame's axes, shape (3, 3).
+
     Raises:
         InputError: Wrong shape, not finite, or an inertia that is not symmetric.
         InertiaError: Numbers no rigid body can have.
     """
 
-    mass_kg: float  # zero only for no body at all
-    com_m: Array  # centre of mass in the frame, shape (3,)
-    inertia_kg_m2: Array  # about the centre of mass in the frame's axes, shape (3, 3)
+    mass_kg: float
+    com_m: Array
+    inertia_kg_m2: Array
 
     def __post_init__(self) -> None:
         mass = float(finite_array(self.mass_kg, (), "payload mass_kg"))
@@ -178,6 +183,14 @@ class NeedleTool:
     - Hub: the rest of ``needle_mass_kg``, a homogeneous cylinder at the measuring plane. 67 g of
       aluminium 30 mm across are 35 mm high.
 
+    Attributes:
+        sensor_height_m: From the flange face to the measuring plane.
+        needle_mass_kg: Beyond the measuring plane, hub and shaft.
+        needle_length_m: From the measuring plane to the tip.
+        needle_diameter_m: Of the shaft, outside.
+        shaft_density_kg_m3: Lower it for a hollow needle.
+        hub_length_m: Less than the needle's.
+
     Raises:
         InputError: A number that is not finite, not positive (masses, density and
             sensor height may be zero), or a shaft heavier or a hub longer than the
@@ -187,13 +200,13 @@ class NeedleTool:
     sensor_mass_kg: float = (
         _SENSOR_MASS_KG  # on the flange's side of the measuring plane
     )
-    sensor_height_m: float = 0.040  # from the flange face to the measuring plane
+    sensor_height_m: float = 0.040
     sensor_diameter_m: float = 0.045
-    needle_mass_kg: float = 0.068  # beyond the measuring plane, hub and shaft
-    needle_length_m: float = 0.153  # from the measuring plane to the tip
-    needle_diameter_m: float = 0.00127  # of the shaft, outside
-    shaft_density_kg_m3: float = 7850.0  # lower it for a hollow needle
-    hub_length_m: float = 0.035  # less than the needle's
+    needle_mass_kg: float = 0.068
+    needle_length_m: float = 0.153
+    needle_diameter_m: float = 0.00127
+    shaft_density_kg_m3: float = 7850.0
+    hub_length_m: float = 0.035
     hub_diameter_m: float = 0.030
 
     def __post_init__(self) -> None:

@@ -40,15 +40,22 @@ class PayloadEstimate:
     The four parameters are mass and first moments in the flange frame, kg and kg m. A
     mass that is negative by many standard deviations means a wrong sign, frame, scale
     or robot model.
+
+    Attributes:
+        payload: A point mass in the flange frame; none where the mass came out
+            negative.
+        parameters: The least-squares answer, shape (4,).
+        rank: Number of parameter combinations that the data determine.
+        residual_rms_Nm: Torque left unexplained, per joint, shape (nv,).
     """
 
-    payload: Payload  # a point mass in the flange frame; none where the mass came out negative
-    parameters: Array  # the least-squares answer, shape (4,)
+    payload: Payload
+    parameters: Array
     covariance: (
         Array  # shape (4, 4); infinite variance for what the data do not determine
     )
-    rank: int  # number of parameter combinations that the data determine
-    residual_rms_Nm: Array  # torque left unexplained, per joint, shape (nv,)
+    rank: int
+    residual_rms_Nm: Array
 
     @property
     def is_identified(self) -> bool:

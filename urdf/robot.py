@@ -37,19 +37,27 @@ class Robot:
     Build one with a loader of `urdf` or with `urdf.build_serial_robot`. ``model`` has
     the payload and is handed out directly for hot loops: read it, do not write it.
 
+    Attributes:
+        bare_model: The arm without payload; copied on construction.
+        tool_frame: Whose wrench is of interest.
+        flange_frame: That carries the payload.
+        payload: What hangs on the flange, in the flange frame.
+        tool_frame_id: In ``model.frames``.
+        position_lower_rad: Limits, shape (nv,), read-only; of sliding joints in m, m/s
+            and N.
+
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
         UnsupportedJointError: A joint of several numbers, as Pinocchio's continuous and
             ball joints are, or none that moves.
     """
 
-    bare_model: pin.Model  # the arm without payload; copied on construction
-    tool_frame: str  # whose wrench is of interest
-    flange_frame: str  # that carries the payload
-    payload: Payload | None = None  # what hangs on the flange, in the flange frame
+    bare_model: pin.Model
+    tool_frame: str
+    flange_frame: str
+    payload: Payload | None = None
     model: pin.Model = field(init=False, repr=False)
-    tool_frame_id: int = field(init=False)  # in ``model.frames``
-    # Limits, shape (nv,), read-only; of sliding joints in m, m/s and N.
+    tool_frame_id: int = field(init=False)
     position_lower_rad: Array = field(init=False, repr=False)
     position_upper_rad: Array = field(init=False, repr=False)
     velocity_limit_rad_s: Array = field(init=False, repr=False)

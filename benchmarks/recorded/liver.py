@@ -101,12 +101,19 @@ REST_s = 0.9
 
 
 class LiverInsertion(NamedTuple):
-    """One recording of n samples: insertion, hold and withdrawal."""
+    """One recording of n samples: insertion, hold and withdrawal.
 
-    t_s: Array  # time since its first sample, shape (n,)
-    depth_m: Array  # shape (n,)
-    force_N: Array  # axial force as recorded, shape (n,)
-    insertion: slice  # its parts, see `insertion_parts`
+    Attributes:
+        t_s: Time since its first sample, shape (n,).
+        depth_m: Shape (n,).
+        force_N: Axial force as recorded, shape (n,).
+        insertion: Its parts, see `insertion_parts`.
+    """
+
+    t_s: Array
+    depth_m: Array
+    force_N: Array
+    insertion: slice
     withdrawal: slice
 
     @property
@@ -211,31 +218,37 @@ def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int
 class LiverReference(NamedTuple):
     """What the estimates of an insertion are compared with: pull-out force, drops of
     the force.
+
+    Attributes:
+        pullout_N: At each of `DEPTHS_mm`.
+        drops: As large as an internal rupture.
+        small_drops: By more than five times the noise, the former among them.
     """
 
-    pullout_N: tuple[float, ...]  # at each of `DEPTHS_mm`
-    drops: list[ForceDrop]  # as large as an internal rupture
-    small_drops: list[
-        ForceDrop
-    ]  # by more than five times the noise, the former among them
+    pullout_N: tuple[float, ...]
+    drops: list[ForceDrop]
+    small_drops: list[ForceDrop]
 
 
 class LiverEstimates(NamedTuple):
-    """What a method made of an insertion; a rule of thumb reports friction only."""
+    """What a method made of an insertion; a rule of thumb reports friction only.
+
+    Attributes:
+        friction_N: At each depth.
+        alarms_m: Depths of the ruptures reported.
+        enhanced_N: Enhanced force, shape (n,).
+        friction_std_N: At each depth; empty or nan where none is stated.
+        above_at_rest: Fraction at rest with friction two deviations above the force.
+        below_zero: Fraction in contact with the tip force two deviations below zero.
+    """
 
     reference: LiverReference
-    friction_N: tuple[float, ...]  # at each depth
-    alarms_m: Sequence[float] = ()  # depths of the ruptures reported
-    enhanced_N: Array = np.empty(0)  # enhanced force, shape (n,)
-    friction_std_N: tuple[
-        float, ...
-    ] = ()  # at each depth; empty or nan where none is stated
-    above_at_rest: float = (
-        np.nan
-    )  # fraction at rest with friction two deviations above the force
-    below_zero: float = (
-        np.nan
-    )  # fraction in contact with the tip force two deviations below zero
+    friction_N: tuple[float, ...]
+    alarms_m: Sequence[float] = ()
+    enhanced_N: Array = np.empty(0)
+    friction_std_N: tuple[float, ...] = ()
+    above_at_rest: float = np.nan
+    below_zero: float = np.nan
 
 
 def liver_reference(

@@ -50,11 +50,17 @@ it."""
 
 
 class Panda(NamedTuple):
-    """The recording with its model."""
+    """The recording with its model.
 
-    robot: Robot  # the arm, tool frame at the flange
-    friction: SigmoidFriction  # friction left between torque sensor and link
-    signals: JointSignals  # 21 s of free motion
+    Attributes:
+        robot: The arm, tool frame at the flange.
+        friction: Friction left between torque sensor and link.
+        signals: 21 s of free motion.
+    """
+
+    robot: Robot
+    friction: SigmoidFriction
+    signals: JointSignals
 
 
 def read_panda(data: Path) -> Panda:

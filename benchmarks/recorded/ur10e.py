@@ -28,15 +28,21 @@ PINOCCHIO_ORDER = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)
 
 
 class Ur10e(NamedTuple):
-    """The recordings with their model."""
+    """The recordings with their model.
 
-    robot: Robot  # the arm with its rotors, tool frame at the end link
-    # friction of its joints: torque comes from currents, so all of it is in there
+    Attributes:
+        robot: The arm with its rotors, tool frame at the end link.
+        friction: Friction of its joints: torque comes from currents, so all of it is in
+            there.
+        loaded: Signals of the same motion with the payload.
+    """
+
+    robot: Robot
     friction: JointFriction
     unloaded: (
         JointSignals  # signals without payload; torque is torque constant times current
     )
-    loaded: JointSignals  # signals of the same motion with the payload
+    loaded: JointSignals
 
 
 def read_ur10e(data: Path) -> Ur10e:

@@ -62,26 +62,36 @@ NOTHING = Layer("", *[np.nan] * 4, is_obstacle=False)  # Behind the last boundar
 
 
 class PlanState(NamedTuple):
-    """What plan and ruptures say together; depths are those of the ruptures."""
+    """What plan and ruptures say together; depths are those of the ruptures.
+
+    Attributes:
+        name: Of that layer, or `OUTSIDE` before the first tissue.
+        probability: That the tip is in it.
+        next_name: Of the layer behind the next boundary; empty behind the last.
+        next_m: Depth at which it will be met; nan behind the last.
+        matched_name: Of that layer; `FALSE_ALARM`; empty without ruptures.
+        matched_probability: Of that.
+        is_obstacle_next: Whether bone or cartilage comes next.
+    """
 
     layer: (
         int  # index of the layer that the tip is in most likely; -1: before the first
     )
-    name: str  # of that layer, or `OUTSIDE` before the first tissue
-    probability: float  # that the tip is in it
+    name: str
+    probability: float
     offset_m: (
         float  # how much deeper everything lies than planned: the posterior's median
     )
     offset_std_m: float
-    next_name: str  # of the layer behind the next boundary; empty behind the last
-    next_m: float  # depth at which it will be met; nan behind the last
+    next_name: str
+    next_m: float
     next_std_m: float
     matched: (
         int  # index of the layer into which the last rupture most likely led; -1: none
     )
-    matched_name: str  # of that layer; `FALSE_ALARM`; empty without ruptures
-    matched_probability: float  # of that
-    is_obstacle_next: bool  # whether bone or cartilage comes next
+    matched_name: str
+    matched_probability: float
+    is_obstacle_next: bool
 
 
 class PlanMatch:
@@ -319,13 +329,18 @@ class PlanMatch:
 
 
 class _Expected(NamedTuple):
-    """What is known before the first rupture, for each offset (columns)."""
+    """What is known before the first rupture, for each offset (columns).
 
-    weight: Array  # rows: the last boundary matched, the first for none
+    Attributes:
+        weight: rows: the last boundary matched, the first for none.
+        std_m: Of those (2, boundaries, 1).
+    """
+
+    weight: Array
     rupture_m: (
         Array  # where a boundary ruptures at once, and late (2, boundaries, offsets)
     )
-    std_m: Array  # of those (2, boundaries, 1)
+    std_m: Array
 
 
 def _student(x: Any) -> Any:

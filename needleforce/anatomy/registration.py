@@ -72,14 +72,23 @@ class Registration:
 
     The covariance is that of a small rotation [rad] about the pivot, and a shift [m],
     in the robot's base; nan where nothing can be said.
+
+    Attributes:
+        rotation: R, (3, 3).
+        translation_m: t, (3,).
+        covariance: (6, 6).
+        pivot_m: In the robot's base, (3,).
+        degrees: Of freedom behind the covariance; infinite where the deviation was
+            known.
+        residual_rms_m: At the landmarks or touches; says nothing of the target.
     """
 
-    rotation: Array  # R, (3, 3)
-    translation_m: Array  # t, (3,)
-    covariance: Array  # (6, 6)
-    pivot_m: Array  # in the robot's base, (3,)
-    degrees: float  # of freedom behind the covariance; infinite where the deviation was known
-    residual_rms_m: float  # at the landmarks or touches; says nothing of the target
+    rotation: Array
+    translation_m: Array
+    covariance: Array
+    pivot_m: Array
+    degrees: float
+    residual_rms_m: float
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Points of the model, shape (..., 3), in the robot's base."""
@@ -260,16 +269,28 @@ def _explanations(model: Array, robot: Array) -> Iterator[tuple[str, Array, Arra
 
 
 class _Fit(NamedTuple):
-    """A solution of the touches."""
+    """A solution of the touches.
 
-    points: Array  # touches, carried into the model (n, 3)
-    levers: Array  # their motion by a small rotation about their middle, and a shift (n, 3, 6)
-    rows: Array  # derivatives of the distances (n, 6)
-    flatness: Array  # of the surface there, 1 for a plane (n,)
-    distances: Array  # from the surface, positive outside
-    weights: Array  # 0 for touches that slipped
-    normal: Array  # matrix of the normal equations (6, 6)
-    middle_m: float  # median distance from the nearest place: outliers do not matter
+    Attributes:
+        points: touches, carried into the model (n, 3).
+        levers: Their motion by a small rotation about their middle, and a shift (n, 3,
+            6).
+        rows: Derivatives of the distances (n, 6).
+        flatness: Of the surface there, 1 for a plane (n,).
+        distances: From the surface, positive outside.
+        weights: 0 for touches that slipped.
+        normal: Matrix of the normal equations (6, 6).
+        middle_m: Median distance from the nearest place: outliers do not matter.
+    """
+
+    points: Array
+    levers: Array
+    rows: Array
+    flatness: Array
+    distances: Array
+    weights: Array
+    normal: Array
+    middle_m: float
 
 
 def fit_surface(

@@ -36,12 +36,17 @@ class Surface:
 
     What `trimesh` says of it: ``mesh.volume`` [m^3], ``mesh.is_volume`` for closed and
     consistent.
+
+    Attributes:
+        vertices_m: (n, 3), LPS.
+        triangles: (m, 3) indices of vertices.
+        colour: red, green, blue from 0 to 1.
     """
 
     name: str
-    vertices_m: Array  # (n, 3), LPS
-    triangles: NDArray[np.integer]  # (m, 3) indices of vertices
-    colour: tuple[float, ...] = (0.7, 0.7, 0.7)  # red, green, blue from 0 to 1
+    vertices_m: Array
+    triangles: NDArray[np.integer]
+    colour: tuple[float, ...] = (0.7, 0.7, 0.7)
 
     @cached_property
     def mesh(self) -> "Trimesh":

@@ -68,11 +68,16 @@ the analytic torso's seeds below 1000, at 1 and 3 mm."""
 class Grid:
     """Where voxels lie: point = origin + axes @ index; whole indices are voxel
     centres.
+
+    Attributes:
+        shape: Voxels along each of three axes.
+        origin_m: (3,) centre of voxel 0, 0, 0 in LPS.
+        axes_m: (3, 3) columns: step from a voxel to the next along each axis.
     """
 
-    shape: tuple[int, ...]  # voxels along each of three axes
-    origin_m: Array  # (3,) centre of voxel 0, 0, 0 in LPS
-    axes_m: Array  # (3, 3) columns: step from a voxel to the next along each axis
+    shape: tuple[int, ...]
+    origin_m: Array
+    axes_m: Array
 
     @property
     def spacing_m(self) -> Array:
@@ -106,23 +111,35 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """A scan: one number per voxel, of a CT in Hounsfield units."""
+    """A scan: one number per voxel, of a CT in Hounsfield units.
 
-    values: NDArray[Any]  # (i, j, k)
+    Attributes:
+        values: (i, j, k).
+    """
+
+    values: NDArray[Any]
     grid: Grid
 
 
 @dataclass(frozen=True)
 class Structure:
-    """One labelled structure of a segmentation."""
+    """One labelled structure of a segmentation.
+
+    Attributes:
+        value: Of its voxels.
+        colour: red, green, blue from 0 to 1.
+        is_obstacle: Bone or cartilage.
+        volume: In which label volume it lies: segments that overlap need several.
+        box: Around its voxels.
+    """
 
     name: str
-    value: int  # of its voxels
-    colour: tuple[float, ...]  # red, green, blue from 0 to 1
-    is_obstacle: bool = False  # bone or cartilage
-    volume: int = 0  # in which label volume it lies: segments that overlap need several
+    value: int
+    colour: tuple[float, ...]
+    is_obstacle: bool = False
+    volume: int = 0
     voxels: int = 0
-    box: tuple[slice, ...] = ()  # around its voxels
+    box: tuple[slice, ...] = ()
 
     @classmethod
     def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
@@ -150,23 +167,36 @@ class Structure:
 class Layer:
     """A stretch of the path inside one structure; depths along the needle from the
     entry point.
+
+    Attributes:
+        name: Of the structure, or `UNLABELLED`.
+        entry_m: Depth at which the needle enters it.
+        exit_m: Depth at which it leaves it: the next layer's entry.
+        entry_std_m: Standard deviation of the former, 0 at the path's first point.
+        exit_std_m: Of the latter, 0 at the path's last point.
+        is_obstacle: Bone or cartilage.
     """
 
-    name: str  # of the structure, or `UNLABELLED`
-    entry_m: float  # depth at which the needle enters it
-    exit_m: float  # depth at which it leaves it: the next layer's entry
-    entry_std_m: float  # standard deviation of the former, 0 at the path's first point
-    exit_std_m: float  # of the latter, 0 at the path's last point
-    is_obstacle: bool  # bone or cartilage
+    name: str
+    entry_m: float
+    exit_m: float
+    entry_std_m: float
+    exit_std_m: float
+    is_obstacle: bool
 
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """A segmentation: label volumes on one grid, and what their values mean."""
+    """A segmentation: label volumes on one grid, and what their values mean.
 
-    volumes: Sequence[NDArray[np.integer]]  # each (i, j, k); 0 is no structure
+    Attributes:
+        volumes: Each (i, j, k); 0 is no structure.
+        structures: Those with voxels.
+    """
+
+    volumes: Sequence[NDArray[np.integer]]
     grid: Grid
-    structures: tuple[Structure, ...]  # those with voxels
+    structures: tuple[Structure, ...]
 
     @classmethod
     def of(

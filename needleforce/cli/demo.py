@@ -37,13 +37,15 @@ NEVER = "Simulation only: not a medical device."
 
 
 class Shown(NamedTuple):
-    """What a demonstration has to show."""
+    """What a demonstration has to show.
+
+    Attributes:
+        charts: Name of the file, the chart, its caption.
+    """
 
     title: str
     rows: tuple[tuple[str, str], ...]
-    charts: tuple[
-        tuple[str, Chart, str], ...
-    ]  # name of the file, the chart, its caption
+    charts: tuple[tuple[str, Chart, str], ...]
 
     def write(
         self, kind: str, folder: Path | None, first: Drawn = lambda _: []

@@ -62,27 +62,39 @@ LEAST_LAYER_m = (
 
 
 class Insertion(NamedTuple):
-    """What the demonstration has done."""
+    """What the demonstration has done.
+
+    Attributes:
+        entry_m: Of the plan, in the model.
+        rough: By landmarks.
+        fine: By touches.
+        truth: True rotation and shift from the model to the robot.
+        shift_m: By which everything lies deeper along the needle than planned.
+        depth_m: Of the tip below the planned entry, per row.
+        states: After each rupture: its depth, what is known.
+        stop_m: Depth at which the plan, corrected, has the target.
+        rows: As the scene takes them.
+        entry_in_base_m: Where the needle meets the planned entry.
+        axis: Of the needle there.
+    """
 
     labels: Labels
-    entry_m: Array  # of the plan, in the model
+    entry_m: Array
     target_m: Array
     plan: list[Layer]
-    rough: Registration  # by landmarks
-    fine: Registration  # by touches
-    truth: tuple[Array, Array]  # true rotation and shift from the model to the robot
-    shift_m: float  # by which everything lies deeper along the needle than planned
-    depth_m: Array  # of the tip below the planned entry, per row
+    rough: Registration
+    fine: Registration
+    truth: tuple[Array, Array]
+    shift_m: float
+    depth_m: Array
     force_N: Array
     tip_N: Array
-    states: list[
-        tuple[float, PlanState]
-    ]  # after each rupture: its depth, what is known
-    stop_m: float  # depth at which the plan, corrected, has the target
+    states: list[tuple[float, PlanState]]
+    stop_m: float
     robot: Robot
-    rows: Array  # as the scene takes them
-    entry_in_base_m: Array  # where the needle meets the planned entry
-    axis: Array  # of the needle there
+    rows: Array
+    entry_in_base_m: Array
+    axis: Array
 
     @property
     def length_m(self) -> float:

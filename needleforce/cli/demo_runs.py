@@ -40,11 +40,15 @@ SETTLE_S = 1.5
 
 
 class HandPlan(NamedTuple):
-    """Where the hand wants to be over time, and whether its pedal is down."""
+    """Where the hand wants to be over time, and whether its pedal is down.
+
+    Attributes:
+        scale: Needle travel per travel of the hand.
+    """
 
     needle_speed_m_s: float
     needle_travel_m: float
-    scale: float  # needle travel per travel of the hand
+    scale: float
 
     @property
     def strokes(self) -> int:
@@ -72,17 +76,23 @@ class HandPlan(NamedTuple):
 
 @dataclass(kw_only=True)
 class Teleinsertion:
-    """What happened while the hand drove the needle, one row per tick of 1 ms."""
+    """What happened while the hand drove the needle, one row per tick of 1 ms.
+
+    Attributes:
+        tip_N: True.
+        raw_N: As the virtual sensor measures it.
+        shown_N: What is sent to be felt.
+        energy_J: true, at the hand's port.
+        is_open: The clutch: the hand goes back.
+    """
 
     t_s: list[float] = field(default_factory=list)
     depth_m: list[float] = field(default_factory=list)
-    tip_N: list[float] = field(default_factory=list)  # true
-    raw_N: list[float] = field(
-        default_factory=list
-    )  # as the virtual sensor measures it
-    shown_N: list[float] = field(default_factory=list)  # what is sent to be felt
-    energy_J: list[float] = field(default_factory=list)  # true, at the hand's port
-    is_open: list[bool] = field(default_factory=list)  # the clutch: the hand goes back
+    tip_N: list[float] = field(default_factory=list)
+    raw_N: list[float] = field(default_factory=list)
+    shown_N: list[float] = field(default_factory=list)
+    energy_J: list[float] = field(default_factory=list)
+    is_open: list[bool] = field(default_factory=list)
     alarms_s: list[float] = field(default_factory=list)
     least_energy_J: float = 0.0
     drift_m: float = 0.0
@@ -194,12 +204,19 @@ def teleoperate(
 
 
 class RuptureFelt(NamedTuple):
-    """One rupture as it was shown."""
+    """One rupture as it was shown.
 
-    shown_drop: float  # fall of the shown force / force before
-    raw_drop: float  # the same of the measured force
-    error_N: float  # of the shown force before, against the true tip force
-    delay_s: float  # until the alarm; nan without one
+    Attributes:
+        shown_drop: Fall of the shown force / force before.
+        raw_drop: The same of the measured force.
+        error_N: Of the shown force before, against the true tip force.
+        delay_s: Until the alarm; nan without one.
+    """
+
+    shown_drop: float
+    raw_drop: float
+    error_N: float
+    delay_s: float
 
 
 BEFORE_TICKS = 100

@@ -178,13 +178,20 @@ def estimate_table(t_s: NDArray[np.float64], estimates: list[Estimate]) -> Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentificationResult:
-    """The outcome of a whole log, of bounded size however long the log."""
+    """The outcome of a whole log, of bounded size however long the log.
+
+    Attributes:
+        method: One of `METHODS`.
+        layers: traversed, as known at the end.
+        warnings: What was found wrong with signs and forces.
+        rows: For a figure: `depth_m`, `force_N` and the columns of `estimate_table`.
+    """
 
     log: str
-    method: str  # one of `METHODS`
-    layers: tuple[LayerEstimate, ...]  # traversed, as known at the end
-    warnings: tuple[str, ...]  # what was found wrong with signs and forces
-    rows: Rows  # for a figure: `depth_m`, `force_N` and the columns of `estimate_table`
+    method: str
+    layers: tuple[LayerEstimate, ...]
+    warnings: tuple[str, ...]
+    rows: Rows
 
     def text(self) -> str:
         """Return a text table, one line per layer; `?` marks what the data do not

@@ -46,11 +46,15 @@ Point = tuple[float, float, float]
 
 
 class Planned(NamedTuple):
-    """What a plan's file says."""
+    """What a plan's file says.
+
+    Attributes:
+        entry_in_base_m: None: depths count as the session's.
+    """
 
     scene: PlanScene
     match: PlanMatch
-    entry_in_base_m: np.ndarray | None  # None: depths count as the session's
+    entry_in_base_m: np.ndarray | None
 
 
 class _LayerOfFile(msgspec.Struct, forbid_unknown_fields=True):

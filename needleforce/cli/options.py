@@ -42,43 +42,51 @@ _COLUMN = Parameter(metavar="COLUMNS")
 class Columns:
     """Which columns are which channels; a field of a channel's name holds its
     columns.
+
+    Attributes:
+        time: Time stamp (s, ms, us, ns).
+        rate: Sample rate, when there is no time.
+        mapping: TOML file that says all this.
+        print_config: Print such a file for this log, to be edited, and stop.
     """
 
     time: Annotated[str | None, _COLUMN] = None
-    """Time stamp (s, ms, us, ns)."""
     rate: Annotated[float | None, Parameter(metavar="HZ")] = None
-    """Sample rate, when there is no time."""
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """TOML file that says all this."""
     print_config: bool = False
-    """Print such a file for this log, to be edited, and stop."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointColumns(Columns):
-    """Channels of `force`."""
+    """Channels of `force`.
+
+    Attributes:
+        q: Joint position (rad, deg).
+        dq: Joint velocity (rad/s, deg/s).
+        tau: Measured joint torque (Nm, mNm, Ncm, kNm).
+        tau_ext: External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm).
+    """
 
     q: Annotated[str | None, _COLUMN] = None
-    """Joint position (rad, deg)."""
     dq: Annotated[str | None, _COLUMN] = None
-    """Joint velocity (rad/s, deg/s)."""
     tau: Annotated[str | None, _COLUMN] = None
-    """Measured joint torque (Nm, mNm, Ncm, kNm)."""
     tau_ext: Annotated[str | None, _COLUMN] = None
-    """External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DepthColumns(Columns):
-    """Channels of `identify`."""
+    """Channels of `identify`.
+
+    Attributes:
+        depth: Travel of the needle tip along its axis, growing into the tissue (m, cm,
+            mm, um, inch).
+        speed: Rate of depth (m/s, cm/s, mm/s, um/s).
+        force: Axial force, positive when tissue pushes back (N, mN, kN, lbf).
+    """
 
     depth: Annotated[str | None, _COLUMN] = None
-    """Travel of the needle tip along its axis, growing into the tissue (m, cm, mm,
-    um, inch)."""
     speed: Annotated[str | None, _COLUMN] = None
-    """Rate of depth (m/s, cm/s, mm/s, um/s)."""
     force: Annotated[str | None, _COLUMN] = None
-    """Axial force, positive when tissue pushes back (N, mN, kN, lbf)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,64 +100,73 @@ Over = Literal["time", "depth"]
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """How long a log is read, and which files are written."""
+    """How long a log is read, and which files are written.
+
+    Attributes:
+        follow: Go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle.
+        idle: With --follow or a pipe: stop when nothing new has come for so many
+            seconds.
+        output: Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2
+            bag), or - for CSV on standard output.
+        figure: Figure: .png, .svg or .pdf.
+        over: Draw the figure over time (default), or over the depth of the needle.
+        start: Start of the figure on its own axis, in seconds or, with --over depth,
+            millimetres.
+        end: End of the figure, likewise.
+        report: Folder for a page with charts, results, warnings and settings.
+    """
 
     follow: Annotated[bool, Parameter(group=LOG)] = False
-    """Go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle."""
     idle: Annotated[float | None, Parameter(metavar="SECONDS", group=LOG)] = None
-    """With --follow or a pipe: stop when nothing new has come for so many seconds."""
     output: Annotated[
         str | None,
         Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True),
     ] = None
-    """Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2 bag), or
-    - for CSV on standard output."""
     figure: Annotated[
         Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
     ] = None
-    """Figure: .png, .svg or .pdf."""
     over: Over = "time"
-    """Draw the figure over time (default), or over the depth of the needle."""
     start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
-    """Start of the figure on its own axis, in seconds or, with --over depth,
-    millimetres."""
     end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
-    """End of the figure, likewise."""
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
-    """Folder for a page with charts, results, warnings and settings."""
 
 
 @Parameter(name="*", group=ROBOT)
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
-    """The robot on which the log was recorded."""
+    """The robot on which the log was recorded.
+
+    Attributes:
+        robot: A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10,
+            ur10e, xarm7.
+        urdf: URDF of any other robot.
+        tool_frame: Link that carries the payload and whose z axis is the insertion
+            direction (default: that of the known arm; of a URDF the last link, if there
+            is one only).
+        tip_offset: Where the tool is mounted in that frame [m], without editing the
+            URDF.
+        without: Links to leave out with all that they carry, such as panda_hand where
+            the hand is off.
+        lock: With --urdf: joints that are not in the log, held at a position in rad or
+            m (default: 0).
+        payload: What is on the flange: a TOML file; the paper's 304 g force sensor and
+            needle (default of the LWR); or nothing (default of other robots). It
+            overrides the mapping.
+    """
 
     robot: Annotated[str | None, Parameter(metavar="NAME")] = None
-    """A known arm: lwr (KUKA LWR 4+, default), panda, ur3, ur5, ur5e, ur10, ur10e,
-    xarm7."""
     urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """URDF of any other robot."""
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
-    """Link that carries the payload and whose z axis is the insertion direction
-    (default: that of the known arm; of a URDF the last link, if there is one only)."""
     tip_offset: Annotated[
         tuple[float, float, float] | None, Parameter(metavar="X Y Z")
     ] = None
-    """Where the tool is mounted in that frame [m], without editing the URDF."""
     without: Annotated[
         tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)
     ] = ()
-    """Links to leave out with all that they carry, such as panda_hand where the hand
-    is off."""
     lock: Annotated[
         tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
     ] = ()
-    """With --urdf: joints that are not in the log, held at a position in rad or m
-    (default: 0)."""
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
-    """What is on the flange: a TOML file; the paper's 304 g force sensor and needle
-    (default of the LWR); or nothing (default of other robots). It overrides the
-    mapping."""
 
     def __post_init__(self) -> None:
         if (
@@ -161,41 +178,46 @@ class RobotOptions:
 @Parameter(name="*", group=SENSOR)
 @dataclass(frozen=True, kw_only=True)
 class SensorOptions:
-    """How joint signals become a force."""
+    """How joint signals become a force.
+
+    Attributes:
+        gain: Observer gain K in 1/s (lag 1/K; default: 70).
+        alignment: Torques are commands held until the next sample (hold), or a sensor's
+            samples (trapezoid, default).
+        mode: Contact: force along the needle (axial), 3-D force at the tip (point,
+            default), 6-D wrench (full).
+        insertion_axis: Insertion direction in the tool frame (default: its z axis, 0 0
+            1).
+        published: Use the settings of the published method.
+        config: TOML file of further settings.
+        friction: TOML file of joint friction and rotor inertia.
+        gravity_compensated: Gravity is already subtracted from the measured torque, as
+            some drivers do.
+        external_torque: Read the external torque that the robot estimates itself
+            (tau_ext) instead of tau.
+        tare: Motion without contact, in seconds of the log's clock, or (+0:+4) from its
+            first stamp.
+        no_tare: Do not tare: the forces keep the errors of model and torque sensors.
+        force_tare: Tare even where contact is seen.
+    """
 
     gain: Annotated[float | None, Parameter(metavar="K")] = None
-    """Observer gain K in 1/s (lag 1/K; default: 70)."""
     alignment: Literal["hold", "trapezoid"] | None = None
-    """Torques are commands held until the next sample (hold), or a sensor's samples
-    (trapezoid, default)."""
     mode: Literal["axial", "point", "full"] | None = None
-    """Contact: force along the needle (axial), 3-D force at the tip (point, default),
-    6-D wrench (full)."""
     insertion_axis: Annotated[
         tuple[float, float, float] | None, Parameter(metavar="X Y Z")
     ] = None
-    """Insertion direction in the tool frame (default: its z axis, 0 0 1)."""
     published: bool = False
-    """Use the settings of the published method."""
     config: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """TOML file of further settings."""
     friction: Annotated[str | None, Parameter(metavar="FILE")] = None
-    """TOML file of joint friction and rotor inertia."""
     gravity_compensated: bool = False
-    """Gravity is already subtracted from the measured torque, as some drivers do."""
     external_torque: bool = False
-    """Read the external torque that the robot estimates itself (tau_ext) instead of
-    tau."""
     tare: Annotated[
         str | None,
         Parameter(metavar="START:END", allow_leading_hyphen=True, group=TARE),
     ] = None
-    """Motion without contact, in seconds of the log's clock, or (+0:+4) from its
-    first stamp."""
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
-    """Do not tare: the forces keep the errors of model and torque sensors."""
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
-    """Tare even where contact is seen."""
 
 
 Method = Literal["multilayer", "published", "published-kv"]
@@ -204,33 +226,40 @@ Method = Literal["multilayer", "published", "published-kv"]
 @Parameter(name="*", group=SENSOR)
 @dataclass(frozen=True, kw_only=True)
 class IdentificationOptions:
-    """How forces become layers."""
+    """How forces become layers.
+
+    Attributes:
+        method: Ours (multilayer, default), or as published with the multi-layer or
+            Kelvin-Voigt model.
+        ignore_status: Also use rows that `needleforce force` has marked as not tared,
+            initializing or doubtful.
+    """
 
     method: Method = "multilayer"
-    """Ours (multilayer, default), or as published with the multi-layer or
-    Kelvin-Voigt model."""
     ignore_status: bool = False
-    """Also use rows that `needleforce force` has marked as not tared, initializing
-    or doubtful."""
 
 
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class SimulationOptions:
-    """What is simulated, and where it goes."""
+    """What is simulated, and where it goes.
+
+    Attributes:
+        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
+        truth: Ground truth, which the robot does not know: forces, depth, layers,
+            ruptures.
+        plant: Plant model: how good arm and sensors are (default: clean).
+        seed: Seed of everything that is drawn at random (default: 0).
+        list: Print the scenarios and stop.
+    """
 
     output: Annotated[
         Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
     ] = None
-    """Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag."""
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    """Ground truth, which the robot does not know: forces, depth, layers, ruptures."""
     plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
-    """Plant model: how good arm and sensors are (default: clean)."""
     seed: Annotated[int, Parameter(metavar="N")] = 0
-    """Seed of everything that is drawn at random (default: 0)."""
     list: bool = False
-    """Print the scenarios and stop."""
 
 
 app = App(

@@ -366,11 +366,16 @@ class CommandStatus(StrEnum):
 
 
 class Command(NamedTuple):
-    """Joint velocities for the coming cycle."""
+    """Joint velocities for the coming cycle.
 
-    dq_rad_s: Array  # to be sent to the arm, shape (n,)
+    Attributes:
+        dq_rad_s: To be sent to the arm, shape (n,).
+        reason: Why it was skipped; empty otherwise.
+    """
+
+    dq_rad_s: Array
     status: CommandStatus
-    reason: str = ""  # why it was skipped; empty otherwise
+    reason: str = ""
 
 
 class Controller:

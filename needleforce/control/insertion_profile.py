@@ -58,16 +58,26 @@ _SETTLED_S = 0.1  # So long after its last change a command is steady: late forc
 class InsertionPlan:
     """What to do, along the needle, inwards positive; `SettingError` for numbers
     that cannot be.
+
+    Attributes:
+        speed_m_s: Of insertion and withdrawal.
+        depth_m: Where the insertion ends at the latest, from the place of the tare.
+        layer: After whose rupture it ends; None for the depth.
+        approach_m: Way to the place of the tare, in free air.
+        tare_stroke_m: Length of the stroke back and forth before the tare.
+        stroke_s: Time of the approach, and of the stroke each way.
+        dwell_s: Time at the end of the insertion.
+        acceleration_m_s2: Of starts and of planned ends.
     """
 
-    speed_m_s: float  # of insertion and withdrawal
-    depth_m: float  # where the insertion ends at the latest, from the place of the tare
-    layer: int | None = None  # after whose rupture it ends; None for the depth
-    approach_m: float = 0.0  # way to the place of the tare, in free air
-    tare_stroke_m: float = 0.06  # length of the stroke back and forth before the tare
-    stroke_s: float = 3.0  # time of the approach, and of the stroke each way
-    dwell_s: float = 1.0  # time at the end of the insertion
-    acceleration_m_s2: float = 0.1  # of starts and of planned ends
+    speed_m_s: float
+    depth_m: float
+    layer: int | None = None
+    approach_m: float = 0.0
+    tare_stroke_m: float = 0.06
+    stroke_s: float = 3.0
+    dwell_s: float = 1.0
+    acceleration_m_s2: float = 0.1
 
     def __post_init__(self) -> None:
         if not isinstance(self.layer, Integral | None):
@@ -184,10 +194,15 @@ class RuptureCount:
 
 
 class Step(NamedTuple):
-    """What to do in the coming cycle."""
+    """What to do in the coming cycle.
 
-    speed_m_s: float  # along the needle, inwards
-    event: str = ""  # to request of the manager
+    Attributes:
+        speed_m_s: Along the needle, inwards.
+        event: To request of the manager.
+    """
+
+    speed_m_s: float
+    event: str = ""
 
 
 class InsertionProfile:

@@ -51,12 +51,17 @@ _PLACED = MOVING - {State.GUIDANCE}  # States whose motions depend on the depth
 
 
 class Rule(NamedTuple):
-    """In which states an event leads to another one, and what must hold for it."""
+    """In which states an event leads to another one, and what must hold for it.
+
+    Attributes:
+        target: "same": nothing changes, and that is no refusal.
+        guards: Of `REFUSALS`.
+    """
 
     event: str
     sources: str
-    target: str  # "same": nothing changes, and that is no refusal
-    guards: str = ""  # of `REFUSALS`
+    target: str
+    guards: str = ""
 
 
 TABLE = (
@@ -135,15 +140,24 @@ def transition(state: State, event: str, facts: Collection[str]) -> tuple[State,
 class LoggedEvent(
     msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}
 ):
-    """One event, a refused one included."""
+    """One event, a refused one included.
 
-    seq: int  # counts from 0
-    t_s: float  # on the manager's clock
-    origin: str  # state before it; "from" in the file
+    Attributes:
+        seq: Counts from 0.
+        t_s: On the manager's clock.
+        origin: State before it; "from" in the file.
+        target: State after it; "to" in the file.
+        refused: Why it was refused; empty if it was not.
+        data: What came with it, and the facts it met.
+    """
+
+    seq: int
+    t_s: float
+    origin: str
     event: str
-    target: str  # state after it; "to" in the file
-    refused: str  # why it was refused; empty if it was not
-    data: dict[str, Any]  # what came with it, and the facts it met
+    target: str
+    refused: str
+    data: dict[str, Any]
 
 
 MCAP_TOPIC = "/needleforce/events"
@@ -229,14 +243,19 @@ def replay(events: Iterable[LoggedEvent]) -> list[State]:
 
 
 class Situation(NamedTuple):
-    """What the manager knows after a sample."""
+    """What the manager knows after a sample.
+
+    Attributes:
+        state_s: Time in this state.
+        reason: Why it was stopped, faulted or refused last; empty if it never was.
+    """
 
     state: State
-    state_s: float  # time in this state
+    state_s: float
     time_s: (
         float  # sum of the time steps, a step over 0.1 s counted as the one before it
     )
-    reason: str  # why it was stopped, faulted or refused last; empty if it never was
+    reason: str
     estimate: "SessionEstimate"
 
     @property

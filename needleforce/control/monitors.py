@@ -25,19 +25,26 @@ if TYPE_CHECKING:
 class SafetyLimits:
     """What a motion must not exceed; `SettingError` for a limit that is no positive
     number.
+
+    Attributes:
+        axial_N: Force against the motion along the needle.
+        lateral_N: Force across the needle.
+        lost_s: Time of bad samples beyond that of valid ones.
+        late_s: Longest time without a sample.
+        refused_s: Time of refused commands.
     """
 
-    axial_N: float  # force against the motion along the needle
-    lateral_N: float = 0.5  # force across the needle
+    axial_N: float
+    lateral_N: float = 0.5
     lateral_s: float = (
         0.04  # for which it may act; a force twice that limit, half as long
     )
     free_N: float = (
         15.0  # change of the axial force in free air, where it may not be tared yet
     )
-    lost_s: float = 0.006  # time of bad samples beyond that of valid ones
-    late_s: float = 0.03  # longest time without a sample
-    refused_s: float = 0.005  # time of refused commands
+    lost_s: float = 0.006
+    late_s: float = 0.03
+    refused_s: float = 0.005
     device_s: float = (
         0.05  # longest time without news of the haptic device in teleoperation
     )
@@ -53,14 +60,20 @@ class SafetyLimits:
 
 
 class Beside(NamedTuple):
-    """What came beside a sample of the arm."""
+    """What came beside a sample of the arm.
 
-    accepted: bool = True  # whether the arm took the last command
-    command_rad_s: Array | None = None  # that command, shape (n,)
+    Attributes:
+        accepted: Whether the arm took the last command.
+        command_rad_s: That command, shape (n,).
+        has_device: Whether the haptic device has sent something new.
+    """
+
+    accepted: bool = True
+    command_rad_s: Array | None = None
     axial_N: float | None = (
         None  # of an F/T sensor, its bias and the needle's weight removed
     )
-    has_device: bool = False  # whether the haptic device has sent something new
+    has_device: bool = False
 
 
 NOTHING = Beside()

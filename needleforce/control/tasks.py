@@ -82,9 +82,13 @@ class ToolState:
 
 
 class Task(Protocol):
-    """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s."""
+    """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s.
 
-    size: int  # number of rows m
+    Attributes:
+        size: Number of rows m.
+    """
+
+    size: int
 
     @abstractmethod
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:

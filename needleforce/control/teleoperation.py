@@ -79,21 +79,32 @@ _MOST = 100.0  # no handle is further away [m], or quicker [m/s]
 
 
 class HandPacket(NamedTuple):
-    """From the device to the needle."""
+    """From the device to the needle.
+
+    Attributes:
+        speed_m_s: Its rate, scaled.
+        energy_J: That the hand has put in.
+        is_coupled: Whether the hand moves the needle, which stands otherwise.
+    """
 
     travel_m: (
         float  # of the handle along the needle while coupled, scaled to the needle
     )
-    speed_m_s: float  # its rate, scaled
-    energy_J: float  # that the hand has put in
-    is_coupled: bool  # whether the hand moves the needle, which stands otherwise
+    speed_m_s: float
+    energy_J: float
+    is_coupled: bool
 
 
 class NeedlePacket(NamedTuple):
-    """From the needle to the device."""
+    """From the needle to the device.
 
-    force_N: float  # to be shown, scaled to the hand
-    energy_J: float  # that the tissue has given back, scaled to the hand
+    Attributes:
+        force_N: To be shown, scaled to the hand.
+        energy_J: That the tissue has given back, scaled to the hand.
+    """
+
+    force_N: float
+    energy_J: float
 
 
 class Line(Protocol[Packet]):
@@ -293,10 +304,15 @@ class NeedleSide:
 
 
 class TeleopCommand(NamedTuple):
-    """What to do until the next tick."""
+    """What to do until the next tick.
 
-    speed_m_s: float  # of the needle along its axis, positive inwards
-    force_N: Array  # to render at the device, shape (3,), in its axes
+    Attributes:
+        speed_m_s: Of the needle along its axis, positive inwards.
+        force_N: To render at the device, shape (3,), in its axes.
+    """
+
+    speed_m_s: float
+    force_N: Array
 
 
 class Teleoperation:

@@ -29,15 +29,22 @@ Window = tuple[float, float]  # Start and end [s] since the first packet
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faults:
-    """What goes wrong on the wire: probabilities per packet, and windows of time."""
+    """What goes wrong on the wire: probabilities per packet, and windows of time.
+
+    Attributes:
+        late: By three packets: it comes out of order.
+        garbage: A datagram of random bytes and length goes before.
+        silent: Nothing is sent.
+        bad_quality: The controller rates the connection as bad.
+    """
 
     lost: float = 0.0
-    late: float = 0.0  # by three packets: it comes out of order
+    late: float = 0.0
     repeated: float = 0.0
     truncated: float = 0.0
-    garbage: float = 0.0  # a datagram of random bytes and length goes before
-    silent: tuple[Window, ...] = ()  # nothing is sent
-    bad_quality: tuple[Window, ...] = ()  # the controller rates the connection as bad
+    garbage: float = 0.0
+    silent: tuple[Window, ...] = ()
+    bad_quality: tuple[Window, ...] = ()
     seed: int = 0
 
 
@@ -167,18 +174,26 @@ class FriSettings:
 
     Rows of the signals are sent in turn, one a cycle; commands move only the reported
     command.
+
+    Attributes:
+        port: To which it sends.
+        q_rad: Shape (m, 7).
+        tau_Nm: Shape (m, 7).
+        cycles: Then it ends.
+        in_real_time: Whether it asks the system for real-time priority.
+        command_from_s: When it goes from monitor to command mode.
     """
 
-    port: int  # to which it sends
-    q_rad: Array  # shape (m, 7)
-    tau_Nm: Array  # shape (m, 7)
+    port: int
+    q_rad: Array
+    tau_Nm: Array
     period_s: float = 1e-3
-    cycles: int | None = None  # then it ends
-    in_real_time: bool = False  # whether it asks the system for real-time priority
+    cycles: int | None = None
+    in_real_time: bool = False
     patience_s: float = (
         0.0  # so much longer a cycle lasts until it is answered; a real one never
     )
-    command_from_s: float = float("inf")  # when it goes from monitor to command mode
+    command_from_s: float = float("inf")
     faults: Faults = field(default_factory=Faults)
 
 
@@ -234,12 +249,17 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
 class RdtSettings:
     """What the emulated sensor does: rows of wrenches are sent over and over once it
     is asked.
+
+    Attributes:
+        wrench: Force [N] and torque [Nm], shape (m, 6).
+        scale: Counts per N and per Nm.
+        records: To a datagram in buffered mode.
     """
 
-    wrench: Array  # force [N] and torque [Nm], shape (m, 6)
+    wrench: Array
     rate_hz: float = 7000.0
-    scale: tuple[float, float] = (1e6, 1e6)  # counts per N and per Nm
-    records: int = 40  # to a datagram in buffered mode
+    scale: tuple[float, float] = (1e6, 1e6)
+    records: int = 40
     faults: Faults = field(default_factory=Faults)
 
 

@@ -87,15 +87,25 @@ class ArmSample(NamedTuple):
 
 @dataclass(slots=True)
 class LinkReport:
-    """Counts of what a link has received since it was opened."""
+    """Counts of what a link has received since it was opened.
 
-    used: int = 0  # valid, passed on
-    missed: int = 0  # cycles of which nothing valid came
-    malformed: int = 0  # wrong size, type or checks, or numbers that are not finite
-    stale: int = 0  # the same as the one before, or older
-    foreign: int = 0  # from another address than the device's
-    outages: int = 0  # silences longer than the time that the link waits
-    longest_gap_s: float = 0.0  # between two valid ones
+    Attributes:
+        used: valid, passed on.
+        missed: Cycles of which nothing valid came.
+        malformed: Wrong size, type or checks, or numbers that are not finite.
+        stale: The same as the one before, or older.
+        foreign: From another address than the device's.
+        outages: Silences longer than the time that the link waits.
+        longest_gap_s: Between two valid ones.
+    """
+
+    used: int = 0
+    missed: int = 0
+    malformed: int = 0
+    stale: int = 0
+    foreign: int = 0
+    outages: int = 0
+    longest_gap_s: float = 0.0
 
     def use(self, cycles: int, gap_s: float) -> None:
         """Count a sample that came so many cycles, and so long, after the one
@@ -115,12 +125,19 @@ class LinkReport:
 
 
 class MasterSample(NamedTuple):
-    """What a haptic device reports."""
+    """What a haptic device reports.
 
-    t_s: float  # on its own clock
-    position_m: Array  # of the handle, shape (3,), in the device's axes
-    velocity_m_s: Array  # shape (3,)
-    clutch: bool  # True while the hand moves the needle
+    Attributes:
+        t_s: On its own clock.
+        position_m: Of the handle, shape (3,), in the device's axes.
+        velocity_m_s: Shape (3,).
+        clutch: True while the hand moves the needle.
+    """
+
+    t_s: float
+    position_m: Array
+    velocity_m_s: Array
+    clutch: bool
 
 
 def paced(arm: Iterable[ArmSample]) -> Iterator[ArmSample]:

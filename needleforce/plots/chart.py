@@ -64,12 +64,15 @@ class LineStyle:
 class Curve:
     """One line of a panel, arrays of one shape (n,); a value that is not finite is
     not drawn.
+
+    Attributes:
+        label: In the legend; None for none there, as for the band.
     """
 
     style: LineStyle
     x: Array
     y: Array
-    label: str | None = None  # in the legend; None for none there, as for the band
+    label: str | None = None
     std: Array | None = (
         None  # standard deviations: a band of two to either side is shaded
     )
@@ -128,19 +131,25 @@ on a page."""
 class Chart:
     """Panels below each other over one x axis, with one legend below them; at least
     one panel.
+
+    Attributes:
+        title: First line: what is shown, in bold; further lines: of which run.
+        panels: From above.
+        shadings: Marked in every panel, as the next.
+        x_limits: None for what the curves need.
+        x_ticks: Places and what stands there; none for numbers.
+        height_in: Without the legend.
     """
 
-    title: str  # first line: what is shown, in bold; further lines: of which run
+    title: str
     x_label: str
-    panels: tuple[Panel, ...]  # from above
-    shadings: tuple[Shading, ...] = ()  # marked in every panel, as the next
+    panels: tuple[Panel, ...]
+    shadings: tuple[Shading, ...] = ()
     instants: tuple[Instants, ...] = ()
-    x_limits: Span | None = None  # None for what the curves need
-    x_ticks: tuple[
-        tuple[float, str], ...
-    ] = ()  # places and what stands there; none for numbers
+    x_limits: Span | None = None
+    x_ticks: tuple[tuple[float, str], ...] = ()
     width_in: float = WIDTH_IN
-    height_in: float = 3.0  # without the legend
+    height_in: float = 3.0
 
     def __post_init__(self) -> None:
         if not self.panels:

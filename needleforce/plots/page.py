@@ -17,27 +17,38 @@ PAGE = "index.html"  # in the folder of a report
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageFigure:
-    """A figure of a page."""
+    """A figure of a page.
 
-    path: Path  # SVG or PNG; its content goes into the page
-    alt: str  # what it shows, for those who cannot see it
-    caption: str  # text between backticks becomes code, as everywhere on a page
-    wide: Path | None = None  # the same for wide screens and print, alone in its row
+    Attributes:
+        path: SVG or PNG; its content goes into the page.
+        alt: What it shows, for those who cannot see it.
+        caption: Text between backticks becomes code, as everywhere on a page.
+        wide: The same for wide screens and print, alone in its row.
+    """
+
+    path: Path
+    alt: str
+    caption: str
+    wide: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageTable:
     """A table of a page; raises `ChartError` where a row is longer or shorter than
     the head.
+
+    Attributes:
+        caption: Stands above.
+        head: Of the columns; empty texts for none.
+        numeric: columns, from 0, whose cells line up on the right.
+        note: Stands below.
     """
 
-    caption: str  # stands above
-    head: tuple[str, ...]  # of the columns; empty texts for none
+    caption: str
+    head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    numeric: frozenset[int] = (
-        frozenset()
-    )  # columns, from 0, whose cells line up on the right
-    note: str = ""  # stands below
+    numeric: frozenset[int] = frozenset()
+    note: str = ""
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -50,14 +61,21 @@ class PageTable:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Section:
-    """A part of a page."""
+    """A part of a page.
+
+    Attributes:
+        anchor: Id within the page.
+        notices: Text that must not be overlooked.
+        command: As typed.
+        figures: Side by side where there is room.
+    """
 
     heading: str
-    anchor: str  # id within the page
+    anchor: str
     paragraphs: tuple[str, ...] = ()
-    notices: tuple[str, ...] = ()  # text that must not be overlooked
-    command: str = ""  # as typed
-    figures: tuple[PageFigure, ...] = ()  # side by side where there is room
+    notices: tuple[str, ...] = ()
+    command: str = ""
+    figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
 
 

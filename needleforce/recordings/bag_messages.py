@@ -32,11 +32,16 @@ _PARTS = 8  # one chunk or message of a bag may take this fraction (1/8) of the 
 
 
 class BagTopic(NamedTuple):
-    """A topic of a bag, with the definition of its message type if the bag holds it."""
+    """A topic of a bag, with the definition of its message type if the bag holds it.
+
+    Attributes:
+        kind: Such as sensor_msgs/msg/JointState.
+        encoding: Cdr for ROS 2.
+    """
 
     name: str
-    kind: str  # such as sensor_msgs/msg/JointState
-    encoding: str  # cdr for ROS 2
+    kind: str
+    encoding: str
     definition: str = ""
 
 

@@ -93,12 +93,19 @@ def _require_plain(types: Mapping[str, Any]) -> None:
 
 
 class Content(NamedTuple):
-    """What a message holds."""
+    """What a message holds.
 
-    stamp_ns: int | None  # of the source; 0 if never set, None if the type has none
-    names: tuple[str, ...]  # of joints
-    values: dict[str, Any]  # by column; none for arrays that are empty or long
-    named: frozenset[str]  # columns with one number for each name
+    Attributes:
+        stamp_ns: Of the source; 0 if never set, None if the type has none.
+        names: Of joints.
+        values: By column; none for arrays that are empty or long.
+        named: Columns with one number for each name.
+    """
+
+    stamp_ns: int | None
+    names: tuple[str, ...]
+    values: dict[str, Any]
+    named: frozenset[str]
 
 
 def size_of(value: Any) -> int | None:

@@ -54,16 +54,22 @@ WORTHLESS = {
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One quantity of a log."""
+    """One quantity of a log.
 
-    name: str  # how mappings and options call it, such as `q`
-    key: str  # in a `Log`, with the SI unit, such as `q_rad`
+    Attributes:
+        name: How mappings and options call it, such as `q`.
+        key: In a `Log`, with the SI unit, such as `q_rad`.
+        per_joint: One column per joint (2-D) rather than one value (1-D).
+        spellings: Usual column names, without unit and number and in lower case.
+        meaning: One phrase for help texts.
+    """
+
+    name: str
+    key: str
     units: Units
-    per_joint: bool  # one column per joint (2-D) rather than one value (1-D)
-    spellings: tuple[
-        str, ...
-    ]  # usual column names, without unit and number and in lower case
-    meaning: str  # one phrase for help texts
+    per_joint: bool
+    spellings: tuple[str, ...]
+    meaning: str
 
     @property
     def where(self) -> str:
@@ -137,14 +143,20 @@ _ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 
 
 class ColumnName(NamedTuple):
-    """A column name taken apart."""
+    """A column name taken apart.
 
-    stem: str  # lower case, without path, number and unit: `q` in `/robot/q_3_rad`
+    Attributes:
+        stem: Lower case, without path, number and unit: `q` in `/robot/q_3_rad`.
+        number: The trailing one (a joint's).
+        unit: That the name carries.
+    """
+
+    stem: str
     family: (
         str  # the name with its number blanked; the columns of one signal have the same
     )
-    number: int | None  # the trailing one (a joint's)
-    unit: str | None  # that the name carries
+    number: int | None
+    unit: str | None
 
 
 def parse_column_name(name: str, units: Units) -> ColumnName:

@@ -34,17 +34,22 @@ _CHECKED_TAIL = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowOptions:
-    """How long more is waited for, and who hears of it."""
+    """How long more is waited for, and who hears of it.
 
-    follow: bool = False  # a file is read on when its end is reached, because it grows
+    Attributes:
+        follow: A file is read on when its end is reached, because it grows.
+        should_stop: Asked before more is read.
+        progress: Gets the fraction read, where it is known.
+        warn: Gets in words what is waited for.
+    """
+
+    follow: bool = False
     idle_s: float | None = (
         None  # stop when nothing came for this long; None to wait for ever
     )
-    should_stop: Callable[[], bool] = lambda: False  # asked before more is read
-    progress: Callable[[float], None] = lambda _: (
-        None
-    )  # gets the fraction read, where it is known
-    warn: Callable[[str], None] = lambda text: None  # gets in words what is waited for
+    should_stop: Callable[[], bool] = lambda: False
+    progress: Callable[[float], None] = lambda _: None
+    warn: Callable[[str], None] = lambda text: None
 
 
 def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:

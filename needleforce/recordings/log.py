@@ -45,14 +45,18 @@ class Log:
     reported in the `warnings` of a log that was read; the online steps skip them.
     Channels have names with their SI unit: `q_rad`, `dq_rad_s`, `tau_Nm`, `tau_ext_Nm`,
     `depth_m`, `speed_m_s`, `force_N`. Arrays are read-only.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), finite; on the file's clock, not rebased.
+        channels: By name, shape (n,) or (n, joints).
+        warnings: What is wrong with the recording, one sentence each.
+        start_ns: The instant of t_s = 0, see `Table`.
     """
 
-    t_s: FloatArray  # time stamps, shape (n,), finite; on the file's clock, not rebased
-    channels: Mapping[str, FloatArray]  # by name, shape (n,) or (n, joints)
-    warnings: tuple[
-        str, ...
-    ] = ()  # what is wrong with the recording, one sentence each
-    start_ns: int = 0  # the instant of t_s = 0, see `Table`
+    t_s: FloatArray
+    channels: Mapping[str, FloatArray]
+    warnings: tuple[str, ...] = ()
+    start_ns: int = 0
 
     def __post_init__(self) -> None:
         """Copy, freeze and check the data.
@@ -115,14 +119,20 @@ _STEPS = ((1e5, "ns"), (200.0, "us"))  # so many units belong to logs of 10 Hz t
 class _Signal:
     """A channel: where in a table it stands, how its values become SI, and what is
     odd in them.
+
+    Attributes:
+        factors: To SI, one for each value of a row.
+        is_sure: The unit is stated, or was doubted before.
+        rows: Looked at so far.
+        size: The largest value, of time the median step.
     """
 
     channel: Channel
     columns: tuple[str, ...]
-    factors: FloatArray  # to SI, one for each value of a row
-    is_sure: bool  # the unit is stated, or was doubted before
-    rows: int = 0  # looked at so far
-    size: float = 0.0  # the largest value, of time the median step
+    factors: FloatArray
+    is_sure: bool
+    rows: int = 0
+    size: float = 0.0
     any_finite: bool = False
     faults: Faults = field(default_factory=Faults)
 
@@ -215,10 +225,14 @@ def _find_signal(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LogChunk:
-    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`."""
+    """Consecutive rows of a log, `t_s` and `channels` as in a `Log`.
+
+    Attributes:
+        dt_s: Since the latest row that advanced, shape (n,), see `RowClock`.
+    """
 
     t_s: FloatArray
-    dt_s: FloatArray  # since the latest row that advanced, shape (n,), see `RowClock`
+    dt_s: FloatArray
     channels: Mapping[str, FloatArray]
 
 

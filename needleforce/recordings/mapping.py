@@ -42,11 +42,12 @@ class ColumnSpec:
 
     The scale, one for all columns or one each, is applied after conversion to SI; a
     negative one turns a sign.
+
+    Attributes:
+        columns: Name or pattern, as `q{1..7}` or `q_*`, or several, by joint.
     """
 
-    columns: (
-        str | tuple[str, ...]
-    )  # name or pattern, as `q{1..7}` or `q_*`, or several, by joint
+    columns: str | tuple[str, ...]
     unit: str | None = (
         None  # in the file; None to take it from the column's name, else SI
     )
@@ -104,16 +105,19 @@ class ColumnMapping:
 
     The last three are for a bag, whose joint signals are put into the order of `joints`
     by name, and for the command that needs to know what hangs on the robot.
+
+    Attributes:
+        channels: By keys of `CHANNELS`.
+        joints: The robot's, in its order.
+        reference_topic: Whose messages are the rows of the log.
     """
 
-    channels: Mapping[str, ColumnSpec] = field(
-        default_factory=dict
-    )  # by keys of `CHANNELS`
+    channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = (
         None  # of a file without time stamps; it replaces a time column
     )
-    joints: tuple[str, ...] = ()  # the robot's, in its order
-    reference_topic: str | None = None  # whose messages are the rows of the log
+    joints: tuple[str, ...] = ()
+    reference_topic: str | None = None
     payload: Any = None
 
     def __post_init__(self) -> None:

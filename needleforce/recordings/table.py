@@ -28,17 +28,19 @@ class Table:
     round, as nanoseconds since 1970 are, as int64. `start_ns` is the instant of t = 0
     on the clock that stamped the file, in ns: zero, unless stamps are too large for
     seconds in float64 to resolve nanoseconds.
+
+    Attributes:
+        columns: By name, shape (n,) or (n, k).
+        warnings: What the reader had to leave out or guess.
+        joint_names: Of (n, k) columns.
+        seconds: Columns of time stamps, whatever unit the name says.
     """
 
-    columns: Mapping[str, np.ndarray]  # by name, shape (n,) or (n, k)
-    warnings: tuple[str, ...] = ()  # what the reader had to leave out or guess
-    joint_names: Mapping[str, tuple[str, ...]] = field(
-        default_factory=dict
-    )  # of (n, k) columns
+    columns: Mapping[str, np.ndarray]
+    warnings: tuple[str, ...] = ()
+    joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
-    seconds: frozenset[str] = (
-        frozenset()
-    )  # columns of time stamps, whatever unit the name says
+    seconds: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns; `FormatError` or `LogError` if they are none
@@ -104,12 +106,17 @@ class Labels:
     Bags carry all of it, the other formats `start_ns`, see `Table`, if it is not zero.
     A bag written from a log that was read from one has the source's stamps, to the
     nanosecond.
+
+    Attributes:
+        joint_names: In the order of the columns of joint signals.
+        frame: In which forces are given.
+        prefix: How the topics of a bag begin that hold estimates.
     """
 
     start_ns: int = 0
-    joint_names: tuple[str, ...] = ()  # in the order of the columns of joint signals
-    frame: str = ""  # in which forces are given
-    prefix: str = "/needleforce"  # how the topics of a bag begin that hold estimates
+    joint_names: tuple[str, ...] = ()
+    frame: str = ""
+    prefix: str = "/needleforce"
 
 
 def flat_columns(columns: Columns) -> dict[str, np.ndarray]:

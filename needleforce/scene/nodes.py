@@ -29,15 +29,20 @@ NEEDLE_RADIUS_m = 0.8e-3
 
 
 class PlanScene(NamedTuple):
-    """Anatomy and plan as the viewer shows them."""
+    """Anatomy and plan as the viewer shows them.
 
-    surfaces: Sequence[
-        Any
-    ] = ()  # with `name`, `colour`, `vertices_m`, `triangles`, in the model
-    layers: Sequence[Any] = ()  # with `name`, `exit_m`, `is_obstacle`
-    entry_m: Array | None = None  # in the model
+    Attributes:
+        surfaces: With `name`, `colour`, `vertices_m`, `triangles`, in the model.
+        layers: With `name`, `exit_m`, `is_obstacle`.
+        entry_m: In the model.
+        rotation: From the model to the robot's base.
+    """
+
+    surfaces: Sequence[Any] = ()
+    layers: Sequence[Any] = ()
+    entry_m: Array | None = None
     target_m: Array | None = None
-    rotation: Array = np.eye(3)  # from the model to the robot's base
+    rotation: Array = np.eye(3)
     translation_m: Array = np.zeros(3)
 
     def to_robot(self, points_m: ArrayLike) -> Array:

@@ -35,13 +35,18 @@ AT = {name: column for column, name in enumerate(FIELDS)}
 
 
 class Mark(NamedTuple):
-    """A detected rupture in the scene."""
+    """A detected rupture in the scene.
+
+    Attributes:
+        number: Of the layer that ruptured.
+        until_s: When it was taken back.
+    """
 
     time_s: float
-    number: float  # of the layer that ruptured
+    number: float
     text: str
     handles: list[Any]
-    until_s: float = np.inf  # when it was taken back
+    until_s: float = np.inf
 
 
 class _Seen(SimpleNamespace):
