@@ -12,13 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from insertion_run import short_run, tare_index
-from residual_command_log import write_insertion
 
 from benchmarks.signals import JointSignals
 from needleforce import InsertionSession
 from needleforce.cli import main
 from residual import VirtualForceSensor
+from tests.insertion_run import short_run, tare_index
+from tests.needleforce.cli.residual_command_log import write_insertion
 
 ROOT = Path(__file__).resolve().parents[1]
 PRODUCT = ("urdf", "residual", "identification", "groundtruth", "needleforce")

@@ -14,8 +14,6 @@ from types import ModuleType
 import numpy as np
 import pinocchio as pin
 import pytest
-from insertion_run import simulated
-from residual_signals import pose_of
 
 import urdf
 from needleforce import InsertionSession
@@ -24,6 +22,8 @@ from residual import SensorWarning, Status, TareError
 from residual.config import DEFAULT
 from residual.estimate import UNSEEN_STD
 from residual.velocity_estimator import VelocityEstimator
+from tests.insertion_run import simulated
+from tests.residual.residual_signals import pose_of
 from urdf import MissingPackageError, example_robot_path
 
 ROOT = Path(__file__).parents[1]

@@ -66,7 +66,11 @@ SOURCES = [path for path in project_files() if path.suffix == ".py"]
 PACKAGE_SOURCES = [
     path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES
 ]
-TESTS = [path for path in SOURCES if path.parent == ROOT / "tests"]
+TESTS = [
+    path
+    for path in SOURCES
+    if path.is_relative_to(ROOT / "tests") and path.name != "__init__.py"
+]
 
 
 def functions(tree):
@@ -246,7 +250,7 @@ def asserts(node, helpers):
     return False
 
 
-@pytest.mark.parametrize("path", TESTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", TESTS, ids=name_of)
 def test_every_test_asserts_something(path):
     found = {node.name: node for node in functions(syntax(path))}
     helpers = {

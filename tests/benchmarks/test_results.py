@@ -1,0 +1,396 @@
+"""Results: files, tables, pages, targets, and comparison of two runs."""
+
+import itertools
+import json
+import math
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks import ResultsError
+from benchmarks.cli import main
+from benchmarks.rows import (
+    METRICS,
+    metric,
+    read_merged,
+    read_results,
+    to_json,
+    write_results,
+)
+from benchmarks.runner import BENCHMARKS
+from benchmarks.tables import (
+    BEGIN,
+    END,
+    HEADLINES,
+    TABLES,
+    new_console,
+    result_tables,
+    summary_block,
+    summary_table,
+    target_table,
+)
+from benchmarks.targets import (
+    GELS,
+    STACKS,
+    TARGETS,
+    TISSUE,
+    Change,
+    Target,
+    compare_rows,
+    evaluate,
+)
+from tests.benchmarks.benchmark_cases import TEMPLATE, make_row
+
+
+def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
+    rows = [make_row(), make_row(seed=1, value=0.25, method="published")]
+    write_results(tmp_path / "a.json", rows)
+    assert read_results(tmp_path / "a.json") == rows
+    assert json.loads(to_json([make_row()])) == {"schema": 1, "rows": [TEMPLATE]}
+    assert (
+        json.loads(to_json([make_row(value=1.0 / 3.0)]))["rows"][0]["value"] == 0.333333
+    )
+    (tmp_path / "a.json").write_text(
+        json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": 1}]})
+    )
+    assert read_results(tmp_path / "a.json")[0].value == 1.0
+    for value in (math.nan, math.inf, -math.inf):
+        write_results(tmp_path / "a.json", [make_row(value=value)])
+        assert json.loads((tmp_path / "a.json").read_text())["rows"][0]["value"] is None
+        assert math.isnan(read_results(tmp_path / "a.json")[0].value)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "is not JSON"),
+        ('{"schema": 2, "rows": []}', "is not a file of results: Invalid enum value 2"),
+        (
+            json.dumps({"schema": 1, "rows": [{"scenario": "a"}]}),
+            "missing required field `plant`",
+        ),
+        (
+            json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": "1"}]}),
+            "got `str` - at .*value",
+        ),
+        (json.dumps({"schema": 1, "rows": [TEMPLATE, TEMPLATE]}), "more than one row"),
+    ],
+)
+def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(
+    tmp_path, content, message
+):
+    path = tmp_path / "a.json"
+    path.write_text(content)
+    with pytest.raises(ResultsError, match=message):
+        read_results(path)
+    with pytest.raises(ResultsError, match=r"cannot read .*nothing\.json"):
+        read_results(tmp_path / "nothing.json")
+    with pytest.raises(ResultsError, match="cannot write"):
+        write_results(tmp_path / "no" / "a.json", [])
+
+
+def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
+    first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
+    more = [
+        make_row(plant="clean", value=0.02),
+        make_row(plant="clean", value=0.04, seed=1),
+    ]
+    write_results(tmp_path / "first.json", first)
+    write_results(tmp_path / "more.json", more)
+    found = read_merged([tmp_path / "first.json", tmp_path / "more.json"])
+    assert found == [first[0], *more, first[2]]
+
+
+def test_every_metric_is_shown_in_its_own_table_or_stands_in_the_results_only():
+    rows = {
+        k: make_row(metric=k.name, unit=k.unit, plant="needle")
+        for k in METRICS.values()
+    }
+    assert {kind.table for kind in rows} <= {*TABLES, "none"}
+    for name, make in TABLES.items():
+        assert not make([row for kind, row in rows.items() if kind.table != name]).lines
+        assert all(
+            make([row]).lines for kind, row in rows.items() if kind.table == name
+        )
+
+
+def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
+    def cell(column, name, *values):
+        rows = [
+            make_row(metric=name, unit="1", seed=k, value=v)
+            for k, v in enumerate(values)
+        ]
+        return TABLES["ruptures"](rows).lines[0][column]
+
+    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
+    assert cell(5, "rupture_precision", math.nan) == "–"
+    assert cell(5, "rupture_precision", math.nan, 0.5) == "0.50"
+    assert result_tables([]) == []
+
+
+def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_first():
+    rows = [
+        make_row(scenario="gel-70-constant", plant="clean", value=0.02),
+        make_row(
+            scenario="gel-70-constant", plant="clean", value=0.1, method="published"
+        ),
+        make_row(scenario="stack-constant", plant="clean", value=math.nan),
+        make_row(scenario="free-motion", plant="clean", value=0.01),
+    ]
+    bad, *good = TABLES["force"](rows).lines
+    assert (bad[0], bad[5], bad[-1]) == ("stack-constant", "not finite", "missed")
+    assert good[0][:4] == ("gel-70-constant", "clean", "–", "0.100")
+    assert good[0][4:9] == ("–", "0.020", "0.20", "–", "0.2444")
+    assert [line[-1] for line in good] == ["met", "–"]
+    with (console := new_console()).capture() as printed:
+        console.print(TABLES["force"](rows).rich())
+    assert "median [its 95 % interval" in " ".join(printed.get().split())
+    rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
+    assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
+
+
+def clean_rows():
+    return [
+        make_row(plant="clean", value=0.012),
+        make_row(plant="clean", value=0.151, method="published"),
+        make_row(plant="clean", value=0.08, method="published-best-K"),
+        make_row(plant="clean", value=0.03, seed=1),
+        make_row(plant="degraded", value=0.3),
+        make_row(plant="fri", metric="rupture_recall", unit="1", value=0.4),
+    ]
+
+
+def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
+    assert len(HEADLINES) <= 8
+    table = summary_table(clean_rows())
+    degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
+    expected = (
+        "ruptures found, fraction",
+        "tissue, fri",
+        "–",
+        "–",
+        "0.40",
+        "",
+        "1",
+        "missed",
+    )
+    assert recall == expected
+    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "", "1", "missed")
+    ours = ("0.021 [0.012, 0.030]", "0.030", "2", "met")
+    assert force[1:] == ("tissue, clean", "0.151", "0.080", *ours)
+
+
+def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
+    write_results(tmp_path / "a.json", clean_rows())
+    page = tmp_path / "results.md"
+    readme = tmp_path / "README.md"
+    readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
+    paths = ["--page", str(page), "--readme", str(readme)]
+    assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
+    assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
+    block = summary_block(
+        read_results(tmp_path / "a.json"), "python -m benchmarks results a.json"
+    )
+    assert (
+        readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
+    )
+    assert "python -m benchmarks results a.json" in block
+    text = page.read_text(encoding="utf-8")
+    assert str(tmp_path) not in text
+    titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
+    force = "Axial force against ground truth"
+    ruptures = "Online identification: ruptures"
+    assert titles == ["Targets", force, ruptures]
+    assert text.index("**missed**") < text.index("| met |")
+    none = str(tmp_path / "no" / "p.md")
+    assert main(["results", str(tmp_path / "a.json"), "--page", none]) == 2
+    assert capsys.readouterr().err.startswith("error: cannot read or write")
+    assert main(["results"]) == 2
+
+
+@pytest.mark.parametrize(
+    "text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN]
+)
+def test_a_page_without_its_marks_is_refused_and_stays(text, tmp_path, capsys):
+    write_results(tmp_path / "a.json", [make_row()])
+    page = tmp_path / "page.md"
+    page.write_text(text, encoding="utf-8")
+    assert main(["results", str(tmp_path / "a.json"), "--readme", str(page)]) == 2
+    assert "results:begin" in capsys.readouterr().err
+    assert page.read_text(encoding="utf-8") == text
+
+
+def goal(metric="wrench_rmse_N", **limits):
+    return Target(what="a goal", metric=metric, plant="degraded", **limits)
+
+
+LIMIT = goal(at_most=0.12)
+RATIO = goal(at_most=0.5, of_published=True)
+DELAY = goal("rupture_delay_ms", at_most=0.5, of_published=True, where_reported=True)
+VALUES = st.floats(-1e3, 1e3)
+
+
+def only(rows, target):
+    (found,) = evaluate(rows, [target])
+    return found
+
+
+def seeds(values, **changes):
+    return [make_row(seed=k, value=value, **changes) for k, value in enumerate(values)]
+
+
+def test_the_worst_run_or_a_statistic_of_all_decides_and_a_limit_may_be_touched():
+    found = only(seeds((0.1, 0.2, 0.11)), LIMIT)
+    assert (found.value, found.worst.seed, found.runs) == (0.2, 1, 3)
+    assert not found.is_met
+    assert only([make_row(value=0.12)], LIMIT).is_met
+    name = "wrench_coverage_2sigma"
+    for statistic, expected in (("mean", 0.95), ("median", 0.98)):
+        target = goal(name, at_least=0.9, at_most=0.99, statistic=statistic)
+        found = only(seeds((0.87, 0.98, 1.0), metric=name), target)
+        assert found.value == pytest.approx(expected)
+        assert found.is_met
+        assert found.worst.seed == 0
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("statistic", ["worst", "mean", "median"])
+def test_one_value_that_is_not_finite_misses_the_target(bad, statistic):
+    target = goal(at_most=0.12, statistic=statistic)
+    assert not only(seeds((0.1, bad, 0.1)), target).is_met
+
+
+def test_undefined_precision_does_not_count_unless_nothing_was_ever_detected():
+    target = goal("rupture_precision", at_least=1.0)
+    some = only(seeds((1.0, math.nan), metric="rupture_precision"), target)
+    assert (some.runs, some.is_met) == (1, True)
+    assert not only(
+        seeds((math.nan, math.nan), metric="rupture_precision"), target
+    ).is_met
+
+
+def test_a_ratio_is_to_the_published_value_of_the_same_run():
+    rows = [*seeds((0.1, 0.1)), *seeds((0.4, 0.125), method="published")]
+    found = only(rows, RATIO)
+    assert found.value == pytest.approx(0.8)
+    assert found.worst.seed == 1
+    # One to nothing is missed, or left out where the published method reports nothing.
+    for published in ([], [make_row(value=0.0, method="published")]):
+        assert not only([make_row(), *published], RATIO).is_met
+    rows = seeds((20.0, 30.0), metric="rupture_delay_ms")
+    rows += seeds((50.0,), metric="rupture_delay_ms", method="published")
+    found = only(rows, DELAY)
+    assert (found.runs, found.value) == (1, pytest.approx(0.4))
+    assert evaluate(rows[:1], [DELAY]) == []
+
+
+def test_every_target_names_metrics_and_benchmarks_that_exist():
+    assert len(TARGETS) == 83
+    for target in TARGETS:
+        assert target.metric in METRICS
+        assert set(target.scenarios) <= set(BENCHMARKS)
+        assert math.isfinite(target.at_most) or math.isfinite(target.at_least)
+    assert (len(GELS), len(STACKS)) == (6, 4)
+    assert "free-motion" not in TISSUE
+
+
+def test_the_limits_are_those_asked_for():
+    limits = {
+        "ft": [5.0, 10.0, 5.0, 40.0, 6.0],
+        "virtual": [10.0, 20.0, 10.0, 80.0, 12.0],
+    }
+    further = {"ft": [40.0, 12.0], "virtual": [80.0, 18.0]}
+    plants = {"clean": limits, "fri": further, "degraded": further}
+    for plant, source in itertools.product(plants, limits):
+        assert plants[plant][source] == [
+            item.at_most
+            for item in TARGETS
+            if (item.source, item.plant) == (source, plant)
+            and math.isfinite(item.at_most)
+            and not (
+                item.of_published
+                or "wrench" in item.metric
+                or "coverage" in item.metric
+            )
+        ]
+    plain = {
+        (item.metric, item.plant, item.statistic): item.at_most
+        for item in TARGETS
+        if item.metric.startswith(("wrench_", "residual_rms_Nm"))
+        and not item.of_published
+    }
+    assert plain == {
+        ("residual_rms_Nm", "ideal", "worst"): 1e-4,
+        ("wrench_rmse_N", "clean", "worst"): 0.05,
+        ("wrench_coverage_2sigma", "clean", "mean"): 0.99,
+        ("wrench_rmse_N", "fri", "median"): 0.06,
+        ("wrench_rmse_N", "fri", "worst"): 0.1,
+        ("wrench_coverage_2sigma", "fri", "mean"): 0.99,
+        ("wrench_rmse_N", "degraded", "worst"): 0.12,
+    }
+    assert {item.at_most for item in TARGETS if item.of_published} == {0.5}
+    joints = [
+        item.at_most for item in TARGETS if item.metric.startswith("residual_rms_J")
+    ]
+    assert joints == pytest.approx([0.38, 0.77, 0.38, 0.40, 0.15, 0.11, 0.07])
+
+
+def change(old, new, name="wrench_rmse_N"):
+    (found,) = compare_rows(
+        [make_row(value=old, metric=name)], [make_row(value=new, metric=name)]
+    )
+    return found.change
+
+
+@given(old=VALUES, new=VALUES, name=st.sampled_from(sorted(METRICS)))
+def test_what_is_worse_one_way_is_not_worse_the_other(old, new, name):
+    assert not change(old, new, name) is change(new, old, name) is Change.WORSE
+    assert change(old, old, name) is Change.SAME
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "expected"),
+    [
+        ("wrench_rmse_N", 0.10, 0.12, Change.WORSE),
+        ("wrench_rmse_N", 0.12, 0.10, Change.BETTER),
+        ("wrench_rmse_N", 0.100, 0.101, Change.SAME),
+        ("wrench_bias_N", -0.01, 0.05, Change.WORSE),
+        ("wrench_coverage_2sigma", 0.95, 0.80, Change.WORSE),
+        ("wrench_coverage_2sigma", 0.95, 1.00, Change.WORSE),
+        ("wrench_coverage_2sigma", 0.80, 0.94, Change.BETTER),
+        ("a metric nobody knows", 1.0, 0.999, Change.WORSE),
+        ("wrench_rmse_N", math.nan, 0.1, Change.BETTER),
+        ("rupture_precision", math.nan, math.nan, Change.SAME),
+        ("rupture_precision", math.nan, math.inf, Change.NOT_FINITE),
+        ("rupture_precision", 1.0, math.nan, Change.NOT_FINITE),
+    ],
+)
+def test_direction_and_tolerance_are_those_of_the_metric(name, old, new, expected):
+    assert change(old, new, name) is expected
+
+
+def test_a_missing_row_fails_and_a_new_one_does_not_matched_by_everything_that_names_them():
+    gone, come = compare_rows([make_row(seed=0)], [make_row(seed=1)])
+    assert (gone.change, gone.is_failure) == (Change.MISSING, True)
+    assert (come.change, come.is_failure) == (Change.NEW, False)
+    for field in ("scenario", "plant", "source", "method", "metric"):
+        found = compare_rows([make_row()], [make_row(**{field: "other"})])
+        assert [item.change for item in found] == [Change.MISSING, Change.NEW]
+
+
+def test_a_metric_has_the_unit_that_its_name_ends_with_and_the_catalogues_tolerance():
+    bare = [item.name for item in METRICS.values() if item.unit == "1"]
+    assert [
+        name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)
+    ] == []
+    assert metric("friction_bound_pct").relative_tolerance == 1.0
+    assert (metric("rupture_recall").tolerance, metric("rupture_recall").best) == (
+        1e-3,
+        1.0,
+    )
+    assert (metric("wrench_rmse_N").tolerance, metric("force_up_loaded_N").best) == (
+        1e-3,
+        -27.5,
+    )

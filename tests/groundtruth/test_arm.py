@@ -1,0 +1,222 @@
+"""The arm: its link tables, its path and control, and its physics in MuJoCo."""
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from groundtruth.arm_control import drive
+from groundtruth.arm_motion import (
+    LWR_POSTURE_rad,
+    insertion_path,
+    joint_excitation,
+    needle_down,
+    scenario_motion,
+    scenario_path,
+)
+from groundtruth.arm_plant import (
+    ArmPlant,
+    TissueContact,
+    arm_model,
+    blended_links,
+    lwr_bodies,
+)
+from groundtruth.errors import MotionError, PlantError, PlantModelError
+from groundtruth.plant_model import PLANT_MODELS, TICK_s
+from groundtruth.scenarios import SCENARIOS
+from groundtruth.tissue import Tissue, TissueForce
+from tests.residual.residual_signals import (
+    external_torque_of,
+    gravity_of,
+    jacobian_of,
+    pose_of,
+)
+from urdf import NeedleTool, load_lwr
+
+_, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
+EVERY_PLANT = pytest.mark.parametrize("name", PLANT_MODELS)
+GRAVITY = 9.80665
+PUSH_N = 2.5
+REACH_M = 0.24
+BARE = load_lwr()
+ROBOT = load_lwr(payload=NeedleTool())
+START = needle_down(ROBOT, np.array(LWR_POSTURE_rad))
+# Fact sheet, section 2.6: static force bias at the flange in this posture, per CAD
+# fraction.
+POSTURE = np.array([0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0])
+FLANGE_BIAS_N = {0.1: 0.31, 0.2: 0.61, 0.3: 0.92, 1.0: 3.07}
+
+
+def test_blend_ends_at_the_two_tables_and_not_beyond():
+    for link in blended_links(BARE.model, 0.3):
+        assert (
+            np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(link).toMatrix()).min()
+            > 0.0
+        )
+    nominal = blended_links(BARE.model, 0.0)
+    for mine, known in zip(nominal, BARE.model.inertias[1:], strict=True):
+        assert mine.isApprox(known, 1e-12)
+    cad = blended_links(BARE.model, 1.0)
+    assert [link.mass for link in cad] == pytest.approx(
+        [2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3]
+    )
+    np.testing.assert_allclose(cad[0].lever, [0.00134, 0.02622, 0.11222], atol=1e-15)
+    assert cad[5].inertia[2, 2] == pytest.approx(0.003413)
+    for fraction in (-0.1, 1.1, float("nan")):
+        with pytest.raises(PlantModelError, match="cad_fraction"):
+            blended_links(BARE.model, fraction)
+
+
+def test_blend_biases_the_flange_force_as_published():
+    (known,) = gravity_of(BARE, [POSTURE])
+    jacobian = jacobian_of(BARE, POSTURE)
+    for fraction, bias_N in FLANGE_BIAS_N.items():
+        model = BARE.model.copy()
+        for i, link in enumerate(blended_links(BARE.model, fraction), start=1):
+            model.inertias[i] = link
+        gravity = pin.computeGeneralizedGravity(model, model.createData(), POSTURE)
+        wrench = np.linalg.pinv(jacobian.T) @ (gravity - known)
+        assert abs(wrench[2]) == pytest.approx(bias_N, abs=0.011)
+
+
+def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_the_clean_one():
+    tool = NeedleTool()
+    rng = np.random.default_rng(0)
+    shifts = [lwr_bodies(tool, DEGRADED, rng).needle.lever for _ in range(60)]
+    spread = np.std(np.array(shifts) - tool.beyond_sensor.com_m)
+    # 180 draws: 5 % standard error of the standard deviation
+    assert spread == pytest.approx(DEGRADED.payload_com_spread_m, rel=0.2)
+    noise = np.array(FRI.torque_noise_std_Nm)
+    np.testing.assert_allclose(DEGRADED.torque_noise_std_Nm, 2.0 * noise)
+    for name in ("joint_coulomb", "torque_nonlinearity", "position_noise_std_rad"):
+        assert getattr(DEGRADED, name) > getattr(FRI, name) > getattr(CLEAN, name)
+    assert DEGRADED.payload_error > CLEAN.payload_error > 0.0
+
+
+def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_singularities():
+    start = pose_of(ROBOT, START)
+    np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
+    in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
+    np.testing.assert_allclose(start.translation, in_place, atol=1e-10)
+    spline, line = insertion_path(ROBOT, START, (0.0, REACH_M))
+    for travel in np.linspace(0.0, REACH_M, 97):
+        q = spline(travel)
+        moved = line.actInv(pose_of(ROBOT, q))
+        np.testing.assert_allclose(moved.translation, [0.0, 0.0, travel], atol=2e-9)
+        np.testing.assert_allclose(moved.rotation, np.eye(3), atol=2e-9)
+        margin = np.minimum(ROBOT.position_upper_rad - q, q - ROBOT.position_lower_rad)
+        assert margin.min() > np.radians(20.0)
+        assert np.linalg.cond(jacobian_of(ROBOT, q)) < 12.0
+    for scenario in SCENARIOS.values():
+        assert 0.0 < scenario.motion.deepest_m - scenario.motion.start_m <= REACH_M
+
+
+def test_a_line_that_the_arm_cannot_follow_is_refused():
+    with pytest.raises(MotionError, match="no posture reaches"):
+        insertion_path(ROBOT, START, (0.0, 2.0))
+    with pytest.raises(MotionError, match="limits of lwr_joint_6 are exceeded"):
+        insertion_path(ROBOT, START, (-0.3, 0.0))
+    with pytest.raises(MotionError, match="nearly singular"):
+        needle_down(ROBOT, np.array([0.0, 1.57, 0.0, -0.02, 0.0, 1.57, 0.0]))
+
+
+def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_rest_to_rest():
+    gel = SCENARIOS["gel-25-constant"]
+    insertion = scenario_motion(scenario_path(ROBOT, gel), gel)
+    for q_rad, dq_rad_s in (insertion, joint_excitation(START, 12.0)):
+        numeric = (q_rad[2:] - q_rad[:-2]) / (2.0 * TICK_s)
+        np.testing.assert_allclose(dq_rad_s[1:-1], numeric, atol=2e-6)
+    q_rad, dq_rad_s = joint_excitation(START, 20.0)
+    peak = np.abs(dq_rad_s).max(axis=0)
+    assert ((peak > 0.3) & (peak < 0.6)).all()
+    assert (q_rad > ROBOT.position_lower_rad).all()
+    assert (q_rad < ROBOT.position_upper_rad).all()
+    np.testing.assert_array_equal(dq_rad_s[[0, -1]], 0.0)
+    assert np.abs(np.diff(dq_rad_s, axis=0)).max() / TICK_s < 2.0
+    free = SCENARIOS["free-motion"]
+    whole, _ = scenario_motion(scenario_path(ROBOT, free), free)
+    assert len(whole) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
+    assert np.abs(np.diff(whole, axis=0)).max() < 1e-3
+
+
+def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
+    bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
+    plant = plant_in(Tissue(()), bodies)
+    motion = joint_excitation(START, 10.0)
+    trace = drive(plant, bodies.model(), motion)
+    assert np.abs(trace.q_rad - motion[0][:-1]).max() < 1e-6
+    assert not trace.external_torque_Nm.any()
+    jump = np.repeat([START, START + 1.0], (500, 502), axis=0)
+    with pytest.raises(PlantError, match="off its motion at tick 500"):
+        drive(plant, bodies.model(), (jump, np.zeros_like(jump)))
+
+
+class Push:
+    """Tissue that pushes back with a constant force, whatever the needle does."""
+
+    layers = (object(),)
+    interfaces = ()
+
+    def __init__(self, force_N):
+        self.force_N = force_N
+
+    def step(self, depth_m, speed_m_s, dt_s):
+        return TissueForce(self.force_N, self.force_N, 0.0, 1, (0.0,))
+
+
+def bodies_of(name):
+    return lwr_bodies(NeedleTool(), PLANT_MODELS[name], np.random.default_rng(3))
+
+
+def plant_in(law, bodies):
+    down = np.array([0.0, 0.0, -1.0])
+    contact = TissueContact(law=law, surface_in_base_m=np.zeros(3), axis_in_base=down)
+    return ArmPlant(bodies, contact)
+
+
+@EVERY_PLANT
+def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
+    bodies = bodies_of(name)
+    model = bodies.model()
+    physics = arm_model(bodies, TICK_s)
+    assert physics.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    assert physics.ngeom == 0
+    for other in ("jnt_limited", "dof_damping", "dof_armature", "dof_frictionloss"):
+        assert not getattr(physics, other).any()
+    state = mujoco.MjData(physics)
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        q, dq, ddq = rng.uniform(-1.5, 1.5, (3, 7))
+        state.qpos = q
+        state.qvel = dq
+        state.qacc = ddq
+        mujoco.mj_inverse(physics, state)
+        expected = pin.rnea(model, model.createData(), q, dq, ddq)
+        np.testing.assert_allclose(state.qfrc_inverse, expected, atol=1e-9)
+
+
+@EVERY_PLANT
+@pytest.mark.parametrize("push_N", [0.0, PUSH_N])
+def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tissue(
+    name, push_N
+):
+    """The push is balanced at the joints through the tip, so nothing moves."""
+    bodies = bodies_of(name)
+    model = bodies.model()
+    needle = bodies.needle
+    rng = np.random.default_rng(2)
+    for q in (START, *rng.uniform(-1.5, 1.5, (5, 7))):
+        plant = plant_in(Push(push_N), bodies)
+        plant.place(q, np.zeros(7))
+        gravity = pin.computeGeneralizedGravity(model, model.createData(), q)
+        needle_axis = pose_of(bodies.robot, q).rotation[:, 2]
+        lever_m = external_torque_of(bodies.robot, q, needle_axis)
+        plant.tick(gravity + push_N * lever_m)
+        np.testing.assert_allclose(plant.axial_jacobian, lever_m, atol=1e-9)
+        np.testing.assert_allclose(plant.dq_rad_s, 0.0, atol=1e-12)
+        assert plant.mean_axial_N == push_N
+        sensor = pose_of(bodies.robot, q, "ft_sensor")
+        weight = sensor.rotation.T @ np.array([0.0, 0.0, -GRAVITY * needle.mass])
+        assert name != "ideal" or needle.mass == pytest.approx(0.068, abs=1e-7)
+        expected = [*weight, *np.cross(needle.lever, weight)] - push_N * np.eye(6)[2]
+        np.testing.assert_allclose(plant.ft_wrench, expected, atol=1e-9)

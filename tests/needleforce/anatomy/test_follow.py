@@ -1,0 +1,290 @@
+"""A session that follows a plan: what it reports, and what stopping and false alarms
+do to it."""
+
+import copy
+import json
+import pickle
+import re
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from identification import Identifier, Rupture
+from needleforce import InsertionError, InsertionSession, read_snapshot, write_snapshot
+from needleforce.anatomy import Layer, PlanMatch
+from needleforce.anatomy.plan_match import OUTSIDE
+from needleforce.cli import live, main
+from needleforce.devices.proxy import ReadOnlyArm
+from needleforce.plan_follower import PlanFollower
+from tests.insertion_run import (
+    following,
+    same,
+    samples,
+    short_run,
+    stopped_after,
+    tare_index,
+)
+
+RUN = short_run()
+TARE = tare_index(RUN)
+SURFACE_m = float(-RUN.truth.depth_m[TARE])
+"""Depth of the gel's surface from where the session counts."""
+GEL_m = RUN.scenario.layers[0].thickness_m
+SHIFT_m = 2e-3
+
+
+def layers(*names):
+    """Gel, planned some millimetres too thin, and 50 mm of what lies behind."""
+    edges = [0.0, GEL_m - SHIFT_m, GEL_m + 0.05]
+    return [
+        Layer(n, edges[k], edges[k + 1], 0.5e-3, 0.5e-3, False)
+        for k, n in enumerate(names)
+    ]
+
+
+MATCH = PlanMatch(layers("gel", "behind"), 3e-3)
+ZERO = stopped_after(TARE).zero
+ENTRY_m = ZERO.start_in_base_m + SURFACE_m * ZERO.axis_in_base
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """Estimates of the insertion, and snapshots above, in and behind the gel."""
+    session = InsertionSession(RUN.robot)
+    found = []
+    kept = {}
+    session.follow(MATCH, ENTRY_m)
+    for k, row in samples(RUN):
+        if k == TARE:
+            session.tare()
+        found.append(session.update(*row))
+        if k in (TARE - 50, TARE + 4000, TARE + 16_500):
+            kept[k] = session.snapshot()
+        if k == TARE + 17_500:
+            return found, kept
+
+
+def test_estimates_name_the_layer_the_next_boundary_and_the_offset(whole):
+    found, kept = whole
+    assert found[TARE - 1].plan is None
+    (alarm,) = [k for k, e in enumerate(found) if e.identification.rupture is not None]
+    above = found[TARE + 200]
+    before = found[alarm - 1000]
+    after = found[alarm + 200]
+    assert (above.plan.name, above.plan.next_name) == (OUTSIDE, "gel")
+    assert kept[TARE - 50].plan.contact_m is None
+    assert kept[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
+    assert above.plan.next_m == pytest.approx(SURFACE_m, abs=1e-3)
+    assert (before.plan.name, before.plan.next_name) == ("gel", "behind")
+    assert before.plan.next_m == pytest.approx(
+        SURFACE_m + GEL_m, abs=3.0 * before.plan.next_std_m
+    )
+    assert (after.plan.name, after.plan.matched, after.plan.next_name) == (
+        "behind",
+        1,
+        "",
+    )
+    assert after.plan.offset_m == pytest.approx(SHIFT_m, abs=1e-3)
+    assert after.plan.offset_std_m < before.plan.offset_std_m
+    assert min(e.plan.probability for e in (above, before, after)) > 0.8
+
+
+@pytest.mark.parametrize("where", ["file", "pickle", "copy"])
+def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
+    found, kept = whole
+    for cut, snapshot in kept.items():
+        session = InsertionSession(RUN.robot)
+        session.follow(MATCH, ENTRY_m)
+        if where == "file":
+            write_snapshot(snapshot, tmp_path / "s")
+            snapshot = read_snapshot(tmp_path / "s")
+        session.restore(snapshot)
+        if where != "file":
+            again = (
+                copy.deepcopy
+                if where == "copy"
+                else lambda s: pickle.loads(pickle.dumps(s))
+            )
+            session = again(session)
+        for k, row in enumerate(following(cut, 800), cut + 1):
+            if k == TARE:
+                session.tare()
+            assert same(session.update(*row), found[k]), (cut, k)
+
+
+def test_another_plan_or_none_is_refused_and_changes_nothing(whole):
+    _, kept = whole
+    snapshot = kept[TARE + 4000]
+    for plan, entry, given, why in [
+        (None, None, snapshot, "with another plan or entry: follow"),
+        (PlanMatch(layers("gel", "bone"), 3e-3), ENTRY_m, snapshot, "another plan"),
+        (PlanMatch(layers("gel", "behind"), 2e-3), ENTRY_m, snapshot, "another plan"),
+        (MATCH, None, snapshot, "another plan or entry"),
+        (MATCH, ENTRY_m, stopped_after(TARE), r"without a plan: follow\(None\)"),
+        (
+            *(MATCH, ENTRY_m),
+            snapshot._replace(
+                plan=snapshot.plan._replace(ruptures=((2.0, 0.03), (1.0, 0.01)))
+            ),
+            "damaged",
+        ),
+    ]:
+        session = InsertionSession(RUN.robot)
+        session.follow(plan, entry)
+        before = session.snapshot()
+        with pytest.raises(InsertionError, match=why):
+            session.restore(given)
+        assert same(session.snapshot(), before)
+
+
+def test_what_is_no_plan_or_no_entry_is_refused():
+    session = InsertionSession(RUN.robot)
+    with pytest.raises(InsertionError, match="plan is a list, expected a PlanMatch"):
+        session.follow(layers("gel", "behind"))
+    for entry in ([0.0, 1.0], [np.nan] * 3):
+        with pytest.raises(InsertionError, match=r"entry_in_base_m is .* 3 finite"):
+            session.follow(MATCH, entry)
+
+
+def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
+    unmet = Identifier()
+    quiet = unmet.snapshot().last
+    numbers = {
+        "layer": 1,
+        "alarm_s": 5.0,
+        "time_s": 5.0,
+        "force_N": 1.0,
+        "speed_m_s": 4e-3,
+    }
+    numbers |= {"probability": 0.95, "contact_depth_m": 0.0}
+    alarm = Rupture(depth_m=0.012, alarm_depth_m=0.0125, **numbers)
+    wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
+    for follower in (wrong, right):
+        follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        follower.follow(quiet, 0.0125, unmet)
+    unmoved = right.state
+    wrong.follow(quiet._replace(rupture=alarm), 0.0125, unmet)
+    assert wrong.memory.ruptures == ((5.0, 0.012),)
+    assert wrong.state != unmoved
+    # The depth may have been counted anew since.
+    wrong.follow(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, unmet)
+    assert (wrong.memory, wrong.state) == (right.memory, unmoved)
+    # Above a rupture there is no other one: the needle has been pushed in again.
+    wrong.follow(quiet._replace(rupture=alarm), 0.0125, unmet)
+    shallow = SimpleNamespace(depth_m=0.005)
+    wrong.follow(quiet._replace(rupture=shallow), 0.005, unmet)
+    assert wrong.memory.ruptures == ((5.0, 0.012),)
+    assert wrong.memory.deepest_m == 0.0125
+
+
+def test_a_needle_that_is_withdrawn_is_in_the_layers_it_has_crossed():
+    ruptures = (GEL_m,)
+    assert MATCH.state(GEL_m + 0.01, ruptures).name == "behind"
+    for depth, name in ((GEL_m + 5e-3, "behind"), (0.01, "gel"), (-0.01, OUTSIDE)):
+        assert MATCH.state(depth, ruptures, deepest_m=GEL_m + 0.02).name == name
+
+
+@pytest.fixture
+def arm(monkeypatch):
+    """The simulated arm of `needleforce live`, as fast as it can."""
+    monkeypatch.setattr(live, "simulate", lambda *_, **__: RUN)
+    monkeypatch.setattr(live, "paced", lambda arm: arm)
+    return "sim:gel-25-constant"
+
+
+TWO = [{"name": "fat", "exit_m": 0.1}, {"name": "liver", "exit_m": 0.2}]
+
+
+def written(folder, **plan):
+    path = folder / "plan.json"
+    path.write_text(json.dumps(plan))
+    return str(path)
+
+
+def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
+    ends = (SURFACE_m + GEL_m - SHIFT_m, SURFACE_m + GEL_m + 0.05)
+    named = [
+        {"name": n, "exit_m": end}
+        for n, end in zip(("gel", "behind"), ends, strict=True)
+    ]
+    path = written(tmp_path, start_m=SURFACE_m, layers=named)
+    assert main(["live", arm, "--plan", path, "--tare", str(TARE * 1e-3)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(
+        r"rupture of layer 1 at 3\d\.\d mm \(\d+ %\), by the plan into behind", said
+    )
+    assert re.search(
+        r"in outside \(\d+ %\), gel at .*in gel \(\d+ %\), behind at .* offset",
+        said,
+        re.S,
+    )
+
+
+def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
+    class Sensor(ReadOnlyArm):
+        def __init__(self, host):
+            assert host == "127.0.0.9"
+            super().__init__()
+            self.weight = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
+            self.k = -1
+
+        def read(self):
+            self.k += 1
+            is_lost = self.k % 100 == 0 or self.k > TARE + 15_000
+            return None if is_lost else RUN.signals.ft_wrench[self.k] + self.weight
+
+    monkeypatch.setattr(live, "NetFT", Sensor)
+    options = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
+    assert main(["live", arm, *options]) == 0
+    said = capsys.readouterr()
+    assert "(reference nan N, rms difference nan N)" in said.out.splitlines()[0]
+    last = re.findall(
+        r"reference nan N, rms difference (.*) N of (\d+) ticks", said.err
+    )[0]
+    assert 0.005 < float(last[0]) < 0.05
+    assert 14_000 < int(last[1]) < 15_000
+
+
+@pytest.mark.parametrize(
+    ("plan", "why"),
+    [
+        ({}, "neither layers nor entry_m and target_m"),
+        (
+            {"entry_m": [0, 0, 0], "target_m": [0, 0, 1]},
+            "no layers in it, nor labels.nii.gz",
+        ),
+        ({"layers": [{"name": "fat"}]}, "missing required field `exit_m`"),
+        (
+            {"layers": [{"name": "fat", "exit_m": 0.0}]},
+            "'fat' ends at 0.0 m, not below",
+        ),
+        ({"layers": [{"name": "fat", "exit_m": 0.1}]}, "1 layers: expected two"),
+        ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "no mirror image"),
+        (
+            {"entry_m": [0, 0, 0], "target_m": [0, 0, 0], "layers": TWO},
+            "the same point",
+        ),
+        ({"layers": [TWO[0], TWO[1] | {"exit_m": 50}]}, "boundaries at"),
+        ({"layers": [TWO[0] | {"exit_std_m": -1}, TWO[1]]}, "boundaries at"),
+        (
+            {"entry_m": [0, 0, 0], "layers": TWO},
+            "one of entry_m and target_m in it: expected both",
+        ),
+        (
+            {"translation_m": [600, 0, 300], "layers": TWO},
+            "expected metres, not millimetres",
+        ),
+        ({"entry_mm": [0, 0, 0]}, "unknown field `entry_mm`"),
+        (
+            {"entry_m": [0, 0]},
+            "expected `array` of length 3|Expected `array` of length 3",
+        ),
+    ],
+)
+def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys):
+    assert main(["live", arm, "--plan", written(tmp_path, **plan)]) == 2
+    said = capsys.readouterr().err
+    assert re.search(why, said)
+    assert "docs/scene.md" in said

@@ -1,0 +1,152 @@
+"""The pages on the commands say what they do: their commands run, their tables are
+the code's."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from groundtruth import insert_needle
+from needleforce.cli import main
+from needleforce.cli.force_replay import AUTOMATIC_S, STATUS_CODES
+from needleforce.cli.log import MOST_ROWS
+from needleforce.cli.terminal import FAILED, INTERRUPTED, READER_GONE, TERMINATED
+from needleforce.recordings import read_table, write_table
+from residual import SensorConfig, SensorWarning
+from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertion
+from urdf import MissingPackageError, example_robot_path, load_urdf
+
+ROOT = Path(__file__).parents[3]
+FORCE, IDENTIFY = (
+    (ROOT / "docs" / name).read_text(encoding="utf-8")
+    for name in ("force.md", "identify.md")
+)
+FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
+FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
+FILES = dict(
+    re.findall(r"^```toml\n# (\S+)\n(.*?)^```$", FORCE, re.DOTALL | re.MULTILINE)
+)
+COMMANDS = re.findall(r"^needleforce (.*)$", FORCE, re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def folder(lwr, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    for name, content in FILES.items():
+        (folder / name).write_text(content, encoding="utf-8")
+    (folder / "arm.urdf").write_text(SMALL_ARM)
+    arm = load_urdf(folder / "arm.urdf", tool_frame="tip", locked_joints=["gripper"])
+    write_insertion(folder / "arm.npz", arm)
+    write_insertion(folder / "insertion.csv", lwr)
+    write_insertion(folder / "panda.npz", lwr)
+    write_insertion(
+        folder / "own_estimate.npz", lwr, only=("t_s", "q_rad", "tau_ext_Nm")
+    )
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _in_folder(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_of_the_page_runs(command, capsys):
+    if "--figure" in command or "report" in command:
+        pytest.importorskip("matplotlib")
+    if "--robot panda" in command:
+        try:
+            example_robot_path("panda")
+        except MissingPackageError as error:
+            pytest.skip(str(error))
+    assert main(shlex.split(command)) == 0
+    # Of a report: forces from before the tare are not used for the layers.
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if not command.startswith("report")] == []
+    assert all("--ignore-status takes them" in line for line in said)
+
+
+def test_the_pipe_of_the_page_runs_to_its_end():
+    (line,) = re.findall(r"^cat .*$", FORCE, re.MULTILINE)
+    line = line.replace(
+        "needleforce ", f"{shlex.quote(sys.executable)} -m needleforce "
+    )
+    where = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        line, shell=True, capture_output=True, text=True, check=False, env=where
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(read_table("layers.csv").columns["t_s"]) == 4000
+
+
+def test_files_codes_and_numbers_of_the_page_are_the_codes():
+    assert len(COMMANDS) == 12
+    assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
+    codes = FORCE.split("## Exit codes")[1]
+    assert [int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)] == [
+        *(0, FAILED, INTERRUPTED, READER_GONE, TERMINATED)
+    ]
+    assert f"at most {MOST_ROWS // 1000} {MOST_ROWS % 1000:03d}" in FORCE
+    words = {
+        "settling": "filters settle",
+        "initializing": "filters settle",
+        "skipped": "rejected",
+    }
+    for status, code in STATUS_CODES.items():
+        assert f"{code} {words.get(status.value, status.value)}" in FORCE
+    for warning in SensorWarning:
+        assert f"{warning.value} {warning.name.lower().replace('_', ' ')}" in FORCE
+    assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in FORCE
+    known = {item.name for item in fields(SensorConfig)}
+    settings = FILES["settings.toml"].split("[prior]")[0]
+    assert set(re.findall(r"^(\w+) =", settings, re.MULTILINE)) <= known
+
+
+def test_the_summary_has_the_lines_that_the_page_shows(capsys):
+    pytest.importorskip("matplotlib")
+    main(shlex.split(COMMANDS[0]))
+    shown = FORCE.split("```text\n")[1].split("```")[0].splitlines()
+    printed = capsys.readouterr().out.splitlines()
+    assert [line[:13] for line in printed] == [line[:13] for line in shown]
+    exact = ("robot", "rejected", "gaps", "warnings")
+    chosen = [line for line in printed if line.startswith(exact)]
+    assert chosen == [line for line in shown if line.startswith(exact)]
+
+
+@pytest.mark.parametrize("mode", ["axial", "point", "full"])
+def test_the_table_of_forces_is_the_codes(mode):
+    main(["force", "insertion.csv", "--mode", mode, "--no-tare", "-o", "table.csv"])
+    table = FORCE.split("## The table of forces")[1].split("\n## ")[0]
+    shown = []
+    for cells, modes in re.findall(r"^\| (`.*?) \|.*\| (.*) \|$", table, re.MULTILINE):
+        if modes.startswith("all") or f"`{mode}`" in modes:
+            names = re.findall(r"`(.*?)`", cells)
+            if "…" in cells:
+                names = [names[0].replace("_x_", f"_{xyz}_") for xyz in "xyz"]
+            shown += names
+    assert shown == list(read_table("table.csv").columns)
+
+
+def test_the_page_on_identification_runs_and_names_the_columns(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
+    columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
+    write_table("forces.csv", columns)
+    (line,) = re.findall(r"^needleforce (.*)$", IDENTIFY, re.MULTILINE)
+    assert main(shlex.split(line)) == 0
+    assert "friction N" in capsys.readouterr().out
+    table = IDENTIFY.split("| column | what |")[1].split("\n\n")[0]
+    cells = [row.split("|")[1] for row in table.splitlines()[2:]]
+    names = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+    assert names == list(read_table("estimates.csv").columns)
+    found = {}
+    exec(IDENTIFY.split("```python\n")[1].split("```")[0], found)
+    assert found["estimate"].status.is_used
+    assert found["identifier"].layers == ()

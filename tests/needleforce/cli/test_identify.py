@@ -1,0 +1,230 @@
+"""`needleforce identify`: from a recording to layers, a table and a figure."""
+
+import re
+
+import numpy as np
+import pytest
+
+from groundtruth import insert_needle
+from identification import replay
+from needleforce import session
+from needleforce.cli import main
+from needleforce.cli.simulate import signal_table
+from needleforce.recordings import write_table
+from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from residual import DEFAULT as SENSOR
+from residual import SensorWarning, Status
+from tests.chromium import PHONE, logged, measured, needs_chromium
+from tests.insertion_run import short_run
+
+
+@pytest.fixture(scope="module")
+def needle():
+    """Columns of an insertion from the end of the free motion until it has left the
+    gel."""
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
+    part = slice(
+        *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0))
+    )
+    names = ("t_s", "depth_m", "force_N", "speed_m_s")
+    return {name: getattr(run, name)[part] for name in names}
+
+
+@pytest.fixture
+def identify(needle, tmp_path, capsys):
+    """Run the command on the needle's columns; return table, printed layers and
+    complaints."""
+
+    def run(*options, **changes):
+        log = tmp_path / "log.csv"
+        out = tmp_path / "out.csv"
+        columns = {
+            name: values for name, values in (needle | changes).items() if len(values)
+        }
+        write_table(log, columns)
+        assert main(["identify", str(log), "-o", str(out), *options]) == 0
+        printed = capsys.readouterr()
+        names, *rows = (
+            re.split(r"  +", line.strip()) for line in printed.out.splitlines()
+        )
+        layers = [dict(zip(names, row, strict=True)) for row in rows]
+        return np.genfromtxt(out, delimiter=",", names=True), layers, printed.err
+
+    return run
+
+
+def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_path):
+    png = tmp_path / "o.png"
+    pdf = tmp_path / "depth.pdf"
+    table, (layer,), _ = identify("--png", str(png))
+    assert "±" in layer["friction N"]
+    assert len(table) == len(needle["t_s"])
+    assert np.count_nonzero(table["rupture"]) == 1
+    assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
+    assert np.all(table["used"] == 1)
+    assert png.read_bytes()[:4] == b"\x89PNG"
+    identify("--figure", str(pdf), "--over", "depth", "--to", "20")
+    assert pdf.read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize(
+    ("method", "start_s"),
+    [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
+)
+def test_every_method_gives_the_instant_of_the_alarm_on_the_logs_clock(
+    needle, identify, method, start_s
+):
+    rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)
+    assert float(layer["alarm s"]) == pytest.approx(
+        rows["t_s"][rows["rupture"] > 0][0], abs=0.006
+    )
+
+
+def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_path):
+    force_N = needle["force_N"]
+    *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
+    assert "flip its sign; a factor of -1 after the unit does" in said
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+    assert "<p class=notice>Warning: " in page
+    assert "flip its sign" in page
+    assert "flip" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
+    for name, option in {"depth_m": "depth z:m", "speed_m_s": "speed v:m/s"}.items():
+        *_, said = identify(**{"speed_m_s": (), name: -needle[name]})
+        assert f"does, as in --{option}:-1" in said
+        assert "fz" not in said
+    in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
+    *_, said = identify(**in_mN)
+    rejected = int((np.abs(in_mN["force"]) > 200.0).sum())
+    assert f"rows that were rejected: {rejected} (force beyond any needle's" in said
+    assert "in SI; if the file is in mN, say unit = 'mN'" in said
+    assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
+
+
+def test_a_clock_that_was_set_back_hides_no_layer(needle, identify):
+    whole_s = needle["t_s"]
+    t_s = needle["t_s"].copy()
+    half = int(np.searchsorted(needle["depth_m"], 0.004))
+    t_s[half:] -= t_s[half]
+    rows, (layer,), said = identify(t_s=t_s, speed_m_s=())
+    assert "clock set back" in said
+    columns = {name: needle[name] for name in ("depth_m", "force_N")}
+    expected_s = replay(whole_s, **columns).layers[0].rupture.time_s - whole_s[half]
+    assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
+    np.testing.assert_array_equal(rows["t_s"], t_s)
+    assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
+
+
+def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
+    assert tuple(status.value for status in Status) == FORCE_STATUS
+    for word, bit in WORTHLESS.items():
+        assert SensorWarning[word.upper().replace(" ", "_")] == bit
+    assert sum(WORTHLESS.values()) == session._NOT_USED
+
+
+def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
+    needle, identify
+):
+    count = len(needle["t_s"])
+    status, warnings = np.zeros((2, count))
+    status[:4] = [0.0, 1.0, 2.0, 3.0]
+    warnings[4:6] = [5.0, 32.0 + 1.0]
+    rows, _, said = identify(force_status=status, force_warnings=warnings)
+    assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
+    assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]
+    assert len(identify(status=np.ones(count))[1]) == 1
+    marked = {"force_warnings": np.full(count, 32)}
+    _, layers, said = identify(**marked)
+    assert f"velocity) were left out: {count}" in said
+    assert layers == []
+    assert len(identify("--ignore-status", **marked)[1]) == 1
+    assert (
+        len(identify("--force", "force_N", **marked)[1]) == 1
+    )  # it may be another sensor's
+
+
+@pytest.fixture(scope="module")
+def insertion(tmp_path_factory):
+    """A simulated recording, its forces with a tare, and the layers in them, each
+    with a page."""
+    pytest.importorskip("matplotlib")
+    folder = tmp_path_factory.mktemp("report")
+    run = short_run()
+    rows = np.flatnonzero(run.signals.t_s < 34.0)[::2]
+    table = {name: values[rows] for name, values in signal_table(run).items()}
+    table["tau_Nm"][7500:7525] = np.nan
+    table["t_s"] += 1.7e9
+    write_table(folder / "log.npz", table)
+    tare = ["--tare", "+0:+13"]
+    assert (
+        main(["report", str(folder / "log.npz"), str(folder / "a" / "log"), *tare]) == 0
+    )
+    forces = str(folder / "forces.csv")
+    assert main(["force", str(folder / "log.npz"), *tare, "-o", forces]) == 0
+    assert main(["report", forces, str(folder / "layers")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize("name", ["a/log", "layers"])
+def test_no_figure_takes_the_place_of_a_chart_of_the_report(insertion, capsys, name):
+    charts = sorted((insertion / name).glob("*.svg"))
+    assert len(charts) == {"a/log": 6, "layers": 2}[name]
+    for chart in charts:
+        argv = [
+            "identify",
+            "no.csv",
+            "--figure",
+            str(chart),
+            "--report",
+            str(chart.parent),
+        ]
+        assert main(argv) == 2
+        assert (
+            f"--figure and --report ({chart.name}) both write to"
+            in capsys.readouterr().err
+        )
+
+
+def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
+    page, alone = (
+        (insertion / name / "index.html").read_text(encoding="utf-8")
+        for name in ("a/log", "layers")
+    )
+    assert "Forces from log.npz" in page
+    assert "Layers from forces.csv" in alone
+    for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
+        assert f"<td>{label}</td>" in page
+    assert f"<td>{SENSOR.gain_per_s:g}</td>" in page
+    assert "<code>prior.gear_ratio</code>" in page
+    for text in ("friction N", "<code>alarm_probability</code>"):
+        assert text in page
+        assert text in alone
+    tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
+    assert tables[0].group() == tables[1].group()
+    rows = "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n1,0.001,1,1,1,1,1\n"
+    (insertion / "two.csv").write_text(rows)  # whose joints are meant does not matter
+    assert main(["report", str(insertion / "two.csv"), str(insertion / "two")]) == 0
+    for text in (
+        "time since the first sample [s]",
+        "axial force [N]",
+        "tare",
+        "rejected",
+    ):
+        assert (
+            f"<!-- {text} -->"
+            in (insertion / "a" / "log" / "forces-over-time.svg").read_text()
+        )
+    for text in ("estimated rupture time", "friction identified", "enhanced force"):
+        assert f"<!-- {text} -->" in (insertion / "layers" / "layers.svg").read_text()
+
+
+@needs_chromium
+def test_pages_open_on_a_phone(insertion):
+    for page in (insertion / name / "index.html" for name in ("a/log", "layers")):
+        assert logged(page) == []
+        found = measured(page, PHONE)
+        assert found["content"] <= PHONE[0]
+        assert found["wide"] == []
+        assert len(found["images"]) == page.read_text(encoding="utf-8").count(
+            "<figcaption>"
+        )
+        assert min(found["images"]) > 150

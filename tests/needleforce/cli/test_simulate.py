@@ -1,0 +1,153 @@
+"""`needleforce simulate`: a simulated insertion as a recording, and the commands
+after it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from groundtruth import SCENARIOS
+from needleforce.cli import main
+from needleforce.cli import simulate as command
+from needleforce.cli.simulate import truth_table
+from needleforce.recordings import read_log, read_table
+from tests.insertion_run import cut, short_run
+from tests.needleforce.cli.residual_command_log import refusal
+
+ID = "gel-25-constant"
+
+
+@pytest.fixture(scope="module")
+def run():
+    """One simulated insertion at 500 Hz, without its withdrawal, for all tests."""
+    whole = short_run()
+    rows = slice(None, None, 2)
+    return replace(
+        whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows)
+    )
+
+
+@pytest.fixture
+def quick(run, monkeypatch, tmp_path):
+    """The command with the simulation done already, in an empty folder."""
+    asked = []
+
+    def simulated(chosen, *, plant, seed):
+        asked.append((chosen.id, plant, seed))
+        return run
+
+    monkeypatch.setattr(command, "simulate", simulated)
+    monkeypatch.chdir(tmp_path)
+    return asked
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
+def test_every_format_goes_through_both_commands_without_an_option(
+    quick, capsys, suffix, run
+):
+    assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
+    assert quick == [(ID, "clean", 0)]
+    printed = capsys.readouterr().out
+    assert "without contact until 13 s" in printed
+    assert f"needleforce force x{suffix} --tare 0:13 -o forces{suffix}" in printed
+    assert main(["force", f"x{suffix}", "--tare", "0:13", "-o", f"forces{suffix}"]) == 0
+    capsys.readouterr()
+    assert main(["identify", f"forces{suffix}"]) == 0
+    out, err = capsys.readouterr()
+    (layer,) = [line.split() for line in out.splitlines()[1:]]
+    true = run.truth.ruptures[0]
+    assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
+    friction_N, std_N = map(float, layer[7].split("±"))
+    assert friction_N == pytest.approx(true.layer_friction_N, abs=2.0 * std_N)
+    assert std_N < 0.2 * friction_N
+    assert "--ignore-status takes them" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
+    assert main(["simulate", ID, "-o", "x.mcap"]) == 0
+    log = read_log("x.mcap", required=["q", "tau"], optional=["dq"])
+    np.testing.assert_array_equal(log["q_rad"], run.signals.q_rad)
+    np.testing.assert_array_equal(log["tau_Nm"], run.signals.tau_Nm)
+    np.testing.assert_allclose(log.t_s, run.signals.t_s, atol=5e-10, rtol=0)
+    table = read_table("x.mcap")
+    assert set(table.columns) == {
+        "t_s",
+        *(f"/joint_states/{field}" for field in ("position", "velocity", "effort")),
+        *(f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")),
+    }
+    assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
+    wrench = np.hstack(
+        [table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")]
+    )
+    np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
+
+
+def test_the_truth_goes_into_a_file_of_its_own(quick, run):
+    assert main(["simulate", ID, "--truth", "truth.npz"]) == 0
+    columns = read_table("truth.npz").columns
+    np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
+    np.testing.assert_array_equal(
+        columns["layer_friction_N"], run.truth.layer_friction_N
+    )
+    (row,) = np.flatnonzero(columns["rupture"])
+    assert columns["t_s"][row] == pytest.approx(run.truth.rupture_s[0], abs=2e-3)
+    assert columns["rupture"][row] == 1.0
+    log = read_log("truth.npz", required=["depth", "speed", "force"])
+    np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
+
+
+def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run):
+    first = run.truth.ruptures[0]
+    together = tuple(replace(first, layer=number) for number in (0, 1, 2))
+    truth = replace(run.truth, ruptures=together)
+    columns = truth_table(replace(run, truth=truth))
+    assert columns["rupture"][columns["rupture"] > 0].tolist() == [1, 2]
+    assert np.count_nonzero(columns["surface_rupture"]) == 1
+
+
+def test_options_reach_the_simulation(quick):
+    for text in (
+        "stack-constant --plant degraded --seed 5",
+        "random-stack --plant ideal",
+    ):
+        assert main(["simulate", *text.split(), "-o", "x.npz"]) == 0
+    assert quick == [("stack-constant", "degraded", 5), ("random-stack", "ideal", 0)]
+
+
+def test_list_names_every_scenario(capsys):
+    assert main(["simulate", "--list"]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+    assert listed == [*SCENARIOS, "random-stack", "random-tissue"]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (ID, "nothing to write: name a file with -o FILE or --truth FILE"),
+        ("-o x.csv", "no scenario is named; --list prints them"),
+        ("gel-26 -o x.csv", "no scenario 'gel-26'; known: gel-25-constant"),
+        (f"{ID} -o x.xyz", "x.xyz has no known suffix; known are: .csv"),
+        (f"{ID} -o x.csv --seed -1", "expected a whole number from 0 up"),
+        (f"{ID} -o x.csv --truth hard.csv", "-o and --truth both write to x.csv"),
+    ],
+)
+def test_bad_requests_are_one_line_before_anything_is_simulated(
+    quick, capsys, options, said
+):
+    if "hard.csv" in options:
+        Path("x.csv").touch()
+        Path("hard.csv").hardlink_to("x.csv")
+    assert said in refusal(["simulate", *options.split()], capsys)
+    assert quick == []
+
+
+def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
+    message = refusal(
+        ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
+    )
+    assert message.startswith("error: the simulated arm needs")
+    assert "mujoco" in message
+    assert "pip install" in message

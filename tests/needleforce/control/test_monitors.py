@@ -1,0 +1,228 @@
+"""What stops a motion: forces, bad and late samples, silence, commands that are not
+followed."""
+
+from time import sleep
+
+import numpy as np
+import pytest
+
+from groundtruth.rig_arm import ArmSample
+from needleforce.control.errors import SettingError
+from needleforce.control.manager import State
+from needleforce.control.monitors import Beside, SafetyLimits
+from residual import SensorWarning, Status
+from tests.needleforce.control.managed_session import inserting, new_manager, run
+
+
+@pytest.mark.parametrize(
+    ("change", "state", "reason"),
+    [
+        ({"axial": 2.5}, State.STOPPED, "axial force 2.50 N"),
+        ({"lateral": 1.5}, State.STOPPED, "side force 1.50 N"),
+        (
+            {"warnings": SensorWarning.MODEL_MISMATCH, "message": "no fit"},
+            State.STOPPED,
+            "no fit",
+        ),
+        (
+            {"warnings": SensorWarning.FROZEN, "message": "repeats"},
+            State.FAULTED,
+            "repeats",
+        ),
+        ({"status": Status.REJECTED, "message": "NaN"}, State.FAULTED, "bad samples"),
+    ],
+)
+def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
+    manager, sensor = inserting()
+    sensor.reads(**change)
+    now = run(manager, 0.02)
+    assert now.state is state
+    assert reason in now.reason
+    assert not now.is_moving
+
+
+@pytest.mark.parametrize(
+    ("lateral", "step_s", "least_s", "most_s"),
+    [
+        (0.6, 1e-3, 0.025, 0.035),
+        (2.0, 1e-3, 0.006, 0.012),  # the larger the sooner
+        (2.0, 12e-3, 0.04, 0.06),  # a gap may have made it
+        (0.45, 1e-3, 1.0, 1.1),
+    ],
+)
+def test_a_side_force_must_last_and_longer_behind_a_gap(
+    lateral, step_s, least_s, most_s
+):
+    manager, sensor = inserting()
+    run(manager, 0.1)
+    sensor.reads(lateral=lateral)
+    run(manager, dt_s=step_s)
+    lasted_s = 1e-3
+    while lasted_s < 1.05 and run(manager).state is State.INSERTION:
+        lasted_s += 1e-3
+    assert least_s <= lasted_s <= most_s
+
+
+def test_a_rising_force_stops_before_it_is_there():
+    manager, sensor = inserting()
+    for k in range(100):
+        sensor.reads(axial=0.03 * k)
+        if run(manager).state is State.STOPPED:
+            break
+    assert 0.8 < 0.03 * k < 1.5
+
+
+def test_a_force_against_the_withdrawal_counts_there_and_the_other_does_not():
+    manager, sensor = inserting()
+    sensor.reads(axial=2.5, lateral=1.5)
+    assert run(manager, 0.01).state is State.STOPPED
+    assert manager.request("withdraw") == ""
+    assert run(manager, 0.1).state is State.WITHDRAW
+    sensor.reads(axial=-2.5)
+    assert run(manager, 0.1).state is State.STOPPED
+
+
+def test_what_spoils_the_force_stops_an_insertion_but_no_dwell_and_no_withdrawal():
+    manager, sensor = inserting()
+    manager.request("arrived")
+    sensor.reads(warnings=SensorWarning.TARE_EXPIRED, message="the tare has expired")
+    assert run(manager, 0.01).state is State.DWELL
+    assert manager.request("insert") == ""
+    assert run(manager, 0.01).state is State.STOPPED
+    assert manager.request("withdraw") == ""
+    assert run(manager, 0.1).state is State.WITHDRAW
+
+
+def test_an_approach_stops_at_the_axial_limit_once_the_force_is_tared():
+    for status, state in (
+        (Status.OK, State.STOPPED),
+        (Status.NOT_TARED, State.APPROACH),
+    ):
+        manager, sensor = new_manager()
+        run(manager)
+        assert manager.request("approach") == ""
+        run(manager)
+        sensor.reads(status, axial=2.5)
+        assert run(manager, 0.01).state is state
+
+
+def test_single_bad_samples_do_not_stop():
+    manager, sensor = inserting()
+    for _ in range(50):
+        sensor.reads(Status.REJECTED)
+        run(manager)
+        sensor.reads()
+        assert run(manager, 2e-3).state is State.INSERTION
+
+
+@pytest.mark.parametrize(
+    ("beside", "reason"),
+    [
+        (Beside(accepted=False), "refused commands"),
+        (Beside(command_rad_s=np.full(7, 0.05)), "does not follow its commands"),
+        (Beside(axial_N=3.0), "axial force 3.00 N"),
+    ],
+)
+def test_commands_and_a_sensor_beside_are_watched(beside, reason):
+    manager, _ = inserting()
+    now = run(manager, 0.1, beside)
+    assert not now.is_moving
+    assert reason in now.reason
+
+
+def test_a_late_sample_and_a_silent_program_stop():
+    manager, _ = inserting()
+    now = run(manager, 1e-3, dt_s=0.05)
+    assert now.state is State.FAULTED
+    assert "no sample for 50 ms" in now.reason
+    assert "fault persists" in manager.request("reset")
+    run(manager, 0.2)
+    assert manager.request("reset") == ""
+    assert manager.request("insert") == ""
+    for _ in range(150):
+        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+    assert now.state is State.STOPPED
+    assert "no heartbeat" in now.reason
+    assert "sign of life" in manager.request("withdraw")
+
+
+def test_the_time_that_a_tare_takes_is_no_lost_arm():
+    for late_s, state in ((0.05, State.IDLE), (0.5, State.FAULTED)):
+        manager, sensor = new_manager()
+        run(manager, 0.2)
+        assert manager.request("tare") == ""
+        sensor.tare = lambda sensor=sensor: (
+            sleep(0.05),
+            setattr(sensor, "tared", True),
+        )
+        assert manager.request("arrived") == ""
+        assert run(manager, 5e-3).state is State.IDLE  # what the arm has sent meanwhile
+        now = run(manager, dt_s=late_s)
+        assert (now.state, "no sample" in now.reason) == (state, state is State.FAULTED)
+        assert (
+            run(manager, dt_s=0.06).state is State.FAULTED
+        )  # that time has passed once
+
+
+def test_a_program_that_falls_silent_in_a_dwell_stops():
+    manager, _ = inserting()
+    assert manager.request("arrived") == ""
+    assert run(manager, 0.2).is_moving  # a stopped tip is held
+    for _ in range(150):
+        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+    assert (now.state, "no heartbeat" in now.reason) == (State.STOPPED, True)
+
+
+def test_a_clock_that_is_set_moves_no_time():
+    manager, _ = new_manager()
+    for dt_s in (-3600.0, np.nan, 0.0, 1e9, None, "x", np.ones(2), 10**400):
+        assert run(manager, dt_s=dt_s).time_s < 0.01
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf, "2", None, True, [2.0]])
+def test_limits_are_positive_numbers(value):
+    assert SafetyLimits(axial_N=np.float32(2.0)).axial_N == np.int64(2)
+    with pytest.raises(SettingError, match="axial_N is"):
+        SafetyLimits(axial_N=value)
+
+
+def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
+    manager, _ = inserting()
+    now = run(manager, 0.005, Beside(axial_N=np.nan))  # a few are skipped
+    assert now.state is State.INSERTION
+    now = run(manager, 0.01, Beside(axial_N=np.nan))
+    assert (now.state, "axial force of the sensor nan" in now.reason) == (
+        State.FAULTED,
+        True,
+    )
+    for command in (
+        np.full(7, np.nan),
+        np.zeros(6),
+        "x",
+        [[]] * 7,
+        [(0.0,), 0.0],
+        ["x"] * 7,
+    ):
+        manager, _ = inserting()
+        reason = run(manager, beside=Beside(command_rad_s=command)).reason
+        assert "expected 7 finite numbers" in reason
+    assert (
+        run(inserting()[0], beside=Beside(command_rad_s=[0.0] * 7)).state
+        is State.INSERTION
+    )
+
+
+def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
+    stops = []
+    for bad in (False, True):
+        manager, _ = inserting()
+        for k in range(400):
+            axial_N = np.nan if bad and k == 50 else 0.01 * k
+            if (
+                run(manager, beside=Beside(axial_N=axial_N)).state
+                is not State.INSERTION
+            ):
+                break
+        stops.append(k)
+    assert stops[0] < 200
+    assert abs(stops[0] - stops[1]) <= 1

@@ -1,0 +1,177 @@
+"""Arms of vendors through the vendors' own clients, against emulators in other
+processes."""
+
+import fcntl
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from needleforce.cli import main
+from needleforce.devices import (
+    DeviceSettingError,
+    FrankaArm,
+    LinkError,
+    MissingClientError,
+    UrArm,
+    research_arms,
+)
+from needleforce.devices.emulators import Emulator
+from tests.needleforce.devices.vendor_emulators import (
+    ArmSettings,
+    emulate_franka,
+    emulate_ur,
+)
+
+
+def rows(joints, rate_hz, **settings):
+    rng = np.random.default_rng(0)
+    q, dq, effort = rng.normal(size=(3, 1000, joints))
+    return ArmSettings(q_rad=q, dq_rad_s=dq, effort=effort, rate_hz=rate_hz, **settings)
+
+
+def taken(arm, count):
+    found = []
+    for sample in arm:
+        found.append(sample)
+        if len(found) == count:
+            return found
+    return found
+
+
+@pytest.fixture(autouse=True)
+def _alone(tmp_path_factory):
+    """The vendors' ports are fixed: one of these tests at a time, whatever the
+    workers."""
+    with (tmp_path_factory.getbasetemp().parent / "vendors.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+
+
+def test_a_franka_arm_is_read_bit_for_bit():
+    pytest.importorskip("panda_py")
+    settings = rows(7, 1000.0)
+    with Emulator(emulate_franka, settings) as emulator, FrankaArm() as arm:
+        found = taken(arm, 1000)
+        assert emulator.stop()["sent"] >= 1000
+    assert len(found) == 1000
+    first = next(
+        k for k in range(1000) if np.array_equal(settings.q_rad[k], found[0].q_rad)
+    )
+    at = (
+        first + np.cumsum([sample.missed + 1 for sample in found]) - found[0].missed - 1
+    )
+    for name, wanted in (
+        ("q_rad", settings.q_rad),
+        ("dq_rad_s", settings.dq_rad_s),
+        ("tau_Nm", settings.effort),
+    ):
+        assert np.array_equal(
+            [getattr(sample, name) for sample in found], wanted[at % 1000]
+        )
+    assert not arm.send(np.zeros(7))
+
+
+def test_a_ur_arm_is_read_and_its_currents_become_torques():
+    pytest.importorskip("rtde_receive")
+    settings = rows(6, 500.0)
+    constants = np.arange(1.0, 7.0)
+    with Emulator(emulate_ur, settings) as emulator:
+        with UrArm(torque_constant_Nm_A=constants) as arm:
+            found = taken(arm, 500)
+        assert emulator.stop()["sent"] >= 500
+    assert len(found) == 500
+    for sample in found[::50]:
+        row = np.flatnonzero((settings.q_rad == sample.q_rad).all(axis=1))
+        assert row.size == 1
+        assert np.array_equal(sample.tau_Nm, constants * settings.effort[row[0]])
+    assert sum(sample.missed for sample in found) == arm.report.missed
+
+
+@pytest.mark.parametrize("has_constants", [True, False])
+def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
+    has_constants, tmp_path, capsys
+):
+    pytest.importorskip("rtde_receive")
+    settings = rows(6, 500.0)
+    constants = np.arange(1.0, 7.0)
+    path = tmp_path / "ur.npz"
+    given = ["--motor-constants", *map(str, constants)] if has_constants else []
+    with Emulator(emulate_ur, settings):
+        ur = ["ur:127.0.0.1", "--seconds", "0.4", *given]
+        assert main(["record", *ur, "-o", str(path)]) == 0
+        assert has_constants or main(["live", *ur]) == 2
+    said = capsys.readouterr().err
+    table = np.load(path)
+    assert "'ur10e'; --robot or --urdf names another" in said
+    assert len(table["current_A"]) > 50
+    assert ("give --motor-constants" in said) != has_constants
+    if has_constants:
+        assert np.array_equal(table["tau_Nm"], constants * table["current_A"])
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["sim:gel-25-constant", "--robot", "panda"], "simulates an LWR 4+"),
+        (["fri", "--motor-constants", *"123456"], "describes a ur:ADDRESS, not fri"),
+    ],
+)
+def test_options_that_an_arm_would_not_read_are_refused(options, why, capsys):
+    assert main(["live", *options]) == 2
+    assert why in capsys.readouterr().err
+
+
+class DoubtfulUr:
+    """Stands in for the vendor's client: its second current is none."""
+
+    def __init__(self, *_):
+        self.time_s = 0.0
+
+    def isConnected(self):
+        self.time_s += 2e-3
+        return self.time_s < 7e-3
+
+    def getTimestamp(self):
+        return self.time_s
+
+    def getActualQ(self):
+        return [0.1] * 6
+
+    getActualQd = getActualQ
+
+    def getActualCurrent(self):
+        return [np.nan if 3e-3 < self.time_s < 5e-3 else 1.0] * 6
+
+    def disconnect(self):
+        pass
+
+
+def test_a_current_that_is_no_number_is_counted_and_not_handed_on(monkeypatch):
+    library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
+    monkeypatch.setattr(research_arms, "client", lambda *_: library)
+    with UrArm() as arm:
+        found = list(arm)
+        assert (len(found), arm.report.malformed, found[1].missed) == (2, 1, 1)
+        assert np.isfinite([sample.current_A for sample in found]).all()
+
+
+def test_an_arm_that_is_not_there_is_said_so():
+    pytest.importorskip("panda_py")
+    pytest.importorskip("rtde_receive")
+    with pytest.raises(LinkError, match="no Franka arm"):
+        FrankaArm()
+    with pytest.raises(LinkError, match="no UR arm"):
+        UrArm()
+    with pytest.raises(DeviceSettingError, match="six positive"):
+        UrArm(torque_constant_Nm_A=[1.0])
+
+
+def test_a_client_that_is_not_installed_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "panda_py.libfranka", None)
+    monkeypatch.setitem(sys.modules, "rtde_receive", None)
+    with pytest.raises(MissingClientError, match="pip install panda-python"):
+        FrankaArm()
+    with pytest.raises(MissingClientError, match="pip install ur_rtde"):
+        UrArm()

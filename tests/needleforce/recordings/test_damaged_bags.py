@@ -1,0 +1,251 @@
+"""ROS 2 bags that are cut, damaged or stored in other ways."""
+
+import shutil
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from needleforce.recordings import (
+    FormatError,
+    RecordingError,
+    read_log,
+    read_table,
+    write_table,
+)
+from needleforce.recordings.bag_messages import read_messages
+from needleforce.recordings.errors import MAX_BYTES
+from needleforce.recordings.table import to_nanoseconds
+from tests.needleforce.recordings.bag_samples import (
+    START_NS,
+    STEP_NS,
+    TYPES,
+    data_file,
+    insertion_rows,
+    joint_state,
+    write_bag,
+)
+
+COUNT = 6000
+KINDS = {
+    "mcap": ("mcap", None),
+    "zstd": ("mcap", "STORAGE"),
+    "sqlite3": ("sqlite3", None),
+}
+MCAP = ("mcap", "zstd")
+
+
+def messages_in(path):
+    faults = []
+    found = [(m.topic.name, m.log_ns) for m in read_messages(path, faults, MAX_BYTES)]
+    return found, faults
+
+
+@pytest.fixture(scope="module")
+def bags(tmp_path_factory):
+    """One of each kind, of several chunks or pages: name and bytes of its file, its
+    messages."""
+    folder = tmp_path_factory.mktemp("bags")
+    made = {}
+    for kind, (storage, compression) in KINDS.items():
+        rows = insertion_rows(COUNT)
+        path = data_file(
+            write_bag(folder / kind, rows, storage=storage, compression=compression)
+        )
+        found, faults = messages_in(path)
+        assert faults == []
+        assert len(found) == 2 * COUNT + COUNT // 5
+        made[kind] = path.name, path.read_bytes(), found
+    return made
+
+
+@pytest.mark.parametrize("kind", MCAP)
+@pytest.mark.parametrize("fraction", [0.0002, 0.2, 0.5, 0.95])
+def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, fraction):
+    name, data, whole = bags[kind]
+    (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
+    found, faults = messages_in(tmp_path / name)
+    # In a compressed chunk the last block of 128 KiB cannot be unpacked in part.
+    slack = 0.15 if kind == "zstd" else 0.03
+    assert len(found) >= (fraction - slack) * len(whole)
+    assert faults == [f"{name} is cut short"]
+
+
+def test_messages_that_a_killed_recorder_left_beside_the_file_are_reported(tmp_path):
+    folder = write_bag(tmp_path / "bag", insertion_rows(20), storage="sqlite3")
+    writer = sqlite3.connect(data_file(folder))
+    writer.execute("PRAGMA journal_mode=WAL")
+    writer.execute(
+        "INSERT INTO messages SELECT 1000, topic_id, timestamp, data FROM messages LIMIT 1"
+    )
+    writer.commit()
+    shutil.copytree(folder, tmp_path / "killed")
+    writer.close()
+    found, faults = messages_in(tmp_path / "killed")
+    assert len(found) == 44
+    assert "bag.db3-wal that are not read" in faults[0]
+    assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in faults[0]
+
+
+@settings(max_examples=30)
+@given(
+    kind=st.sampled_from(tuple(KINDS)),
+    where=st.floats(0.0, 1.0, exclude_max=True),
+    mask=st.integers(1, 255),
+    width=st.integers(1, 200),
+)
+def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
+    tmp_path_factory, bags, kind, where, mask, width
+):
+    name, data, _ = bags[kind]
+    start = int(where * len(data))
+    damaged = bytes(byte ^ mask for byte in data[start : start + width])
+    path = tmp_path_factory.mktemp("damaged") / name
+    path.write_bytes(data[:start] + damaged + data[start + width :])
+    try:
+        table = read_table(path)
+    except RecordingError:
+        return
+    assert np.isfinite(table.columns["t_s"]).all()
+
+
+def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
+    name, data, _ = bags["zstd"]
+    (tmp_path / name).write_bytes(data.replace(b"zstd", b"lzma", 1))
+    with pytest.raises(
+        FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"
+    ):
+        read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", MCAP)
+@pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 0.9])
+def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, fraction):
+    name, data, whole = bags[kind]
+    at = int(fraction * len(data))
+    (tmp_path / name).write_bytes(data[:at] + data[at + 1 :])
+    found, faults = messages_in(tmp_path / name)
+    assert found == whole[: len(found)] or len(found) < len(whole)
+    assert f"{name} is damaged at byte" in faults[-1]
+
+
+@pytest.mark.parametrize("place", [0, 1, 30])
+def test_a_damaged_message_costs_that_message_only(tmp_path, place):
+    rows = [("/j", k, joint_state(k * STEP_NS + 1, "ab", [k, k])) for k in range(60)]
+    path = write_bag(tmp_path / "bag", rows)
+    data = bytes(TYPES.serialize_cdr(rows[place][2], "sensor_msgs/msg/JointState"))
+    file = data_file(path)
+    assert file.read_bytes().count(data) == 1
+    file.write_bytes(
+        file.read_bytes().replace(data, data[:20] + b"\xff" * (len(data) - 20))
+    )
+    log = read_log(path, required=["q"])
+    assert len(log) == 59
+    assert "/j: messages that do not fit their type, left out: 1" in log.warnings
+
+
+@pytest.mark.parametrize(("storage", "compression"), KINDS.values())
+def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(
+    tmp_path, storage, compression
+):
+    folder = tmp_path / "it's x"
+    write_bag(folder, insertion_rows(50), storage=storage, compression=compression)
+    for path in (folder, data_file(folder)):
+        log = read_log(path, required=["q", "tau"], optional=["dq"])
+        np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(50.0))
+        np.testing.assert_array_equal(log["tau_Nm"], 2.0 * log["q_rad"])
+        assert "dq_rad_s" not in log
+        stamps_ns = to_nanoseconds(log.t_s, log.start_ns).tolist()
+        assert stamps_ns == [START_NS + k * STEP_NS for k in range(50)]  # the source's
+
+
+def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path):
+    rows = list(insertion_rows(5))
+    write_bag(tmp_path / "m", rows, storage="sqlite3", compression="MESSAGE")
+    with pytest.raises(
+        FormatError, match=r"is compressed message by message; .*ros2 bag convert"
+    ):
+        read_log(tmp_path / "m")
+    write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
+    with pytest.raises(FormatError, match=r"\.zstd must be unpacked: zstd -d"):
+        read_log(tmp_path / "f.db3")
+
+
+@pytest.mark.parametrize("is_set", [False, True])
+def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, is_set):
+    rows = [
+        ("/j", k * STEP_NS, joint_state(k * STEP_NS * is_set, "ab", [k, k]))
+        for k in (1, 2, 3)
+    ]
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
+    assert log.start_ns == 0
+    assert log.t_s.tolist() == [k * STEP_NS / 1e9 for k in (1, 2, 3)]
+    note = "/j: messages without a source time stamp; the recorder's was taken: 3"
+    assert log.warnings == () if is_set else (note,)
+
+
+@pytest.mark.parametrize(
+    "names", [("", "", ""), ("a", "a", "a"), ("a", "", "b"), "abc"]
+)
+def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, names):
+    rows = [
+        ("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)
+    ]
+    log = read_log(
+        write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"]
+    )
+    np.testing.assert_array_equal(
+        log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)]
+    )
+    words = "has the joints a, b, c, the robot x, y, z"
+    assert [words in warning for warning in log.warnings] == [True] * (names == "abc")
+
+
+@pytest.mark.parametrize("fraction", [0.001, 0.3, 0.99])
+def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, fraction):
+    name, data, _ = bags["sqlite3"]
+    (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
+    with pytest.raises(
+        FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"
+    ):
+        read_table(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "UPDATE messages SET data = 'text' WHERE id = 3",
+        "UPDATE messages SET timestamp = 'text' WHERE id < 3",
+        "DROP TABLE messages",
+        # A view could run any query, and without end.
+        "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
+        "SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
+    ],
+)
+def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
+    path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
+    with closing(sqlite3.connect(path)) as connection, connection:
+        connection.executescript(change)
+    with pytest.raises(
+        FormatError, match=r"damaged .*\.recover|no tables messages and topics"
+    ):
+        read_table(path)
+
+
+def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
+    path = tmp_path / "x.mcap"
+    q_rad = np.random.default_rng(0).normal(size=(5000, 7))
+    write_table(path, {"t_s": np.arange(5000) / 1000, "q_rad": q_rad})
+    whole = len(read_log(path))
+    data = bytearray(path.read_bytes())
+    data[len(data) * 6 // 10] ^= 1
+    path.write_bytes(data)
+    log = read_log(path)
+    assert 0 < len(log) < whole
+    assert (
+        "x.mcap has a chunk whose checksum is wrong, which was left out"
+        in log.warnings[0]
+    )

@@ -1,0 +1,381 @@
+"""From a file to a log: tables, channels, units, time, warnings; and real
+recordings."""
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from needleforce.recordings import (
+    ChannelRequest,
+    ColumnError,
+    ColumnSpec,
+    Log,
+    LogError,
+    MappingError,
+    Table,
+    read_log,
+    read_table,
+    write_log,
+    write_table,
+)
+from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings.log import LogStream
+from needleforce.recordings.table import (
+    RowClock,
+    start_of_clock,
+    to_nanoseconds,
+    to_seconds,
+)
+from tests.needleforce.recordings.bag_samples import START_NS, mapped
+
+T_S = np.arange(4) / 1000.0
+
+
+def test_log_stores_read_only_copies():
+    t_s = T_S.copy()
+    force_N = np.ones(4)
+    log = Log(t_s=t_s, channels={"force_N": force_N})
+    t_s[0] = force_N[0] = 99.0
+    assert (log.t_s[0], log["force_N"][0]) == (0.0, 1.0)
+    assert [v.flags.writeable for v in (log.t_s, log["force_N"])] == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("t_s", "channels", "message"),
+    [
+        (T_S, {}, "at least one channel"),
+        (
+            [0.0, np.nan, 1.0],
+            {"force_N": [0.0, 0.0, 0.0]},
+            "not finite: 1 .first: row 2",
+        ),
+        (T_S, {"force_N": T_S[:-1]}, r"force_N has shape \(3,\).*4 stamps"),
+        (T_S, {"force_N": ["a", "b", "c", "d"]}, "force_N is not an array of numbers"),
+    ],
+)
+def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
+    with pytest.raises(LogError, match=message):
+        Log(t_s=t_s, channels=channels)
+
+
+@example(np.array([3.0, 2.0, 1.0]))
+@example(np.ones(1))
+@given(
+    hnp.arrays(np.float64, st.integers(1, 30), elements=st.integers(-5, 5).map(float))
+)
+def test_every_stamp_advances_or_is_counted_and_where_none_does_the_log_is_refused(t_s):
+    advancing = int(np.count_nonzero(RowClock().update(t_s)[1:] > 0.0))
+    if not advancing:
+        with pytest.raises(
+            LogError, match=r"no usable time.* at least two time stamps must advance"
+        ):
+            log_of(t_s=t_s, force_N=np.zeros(t_s.size))
+        return
+    log = log_of(t_s=t_s, force_N=np.zeros(t_s.size))
+    faults = [warning for warning in log.warnings if "set back" not in warning]
+    counted = sum(int(warning.split(": ")[2].split()[0]) for warning in faults)
+    assert advancing + counted == t_s.size - 1
+
+
+def test_missing_values_are_counted_by_row_not_refused():
+    q_rad = np.zeros((4, 7))
+    q_rad[2, 3] = np.nan
+    q_rad[2, 4] = np.inf
+    log = log_of(t_s=T_S, q_rad=q_rad)
+    assert log.warnings == ("q_rad: rows with NaN or infinity: 1 (first: row 3)",)
+    np.testing.assert_array_equal(log["q_rad"], q_rad)
+
+
+RAMP_S = np.arange(1000) / 1000
+LATE_S = RAMP_S.copy()
+LATE_S[100::50] -= 0.02
+LATE_S[320] = LATE_S[319]
+
+
+def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
+    dt_s = RowClock().update(LATE_S)
+    assert np.count_nonzero(dt_s <= 0.0) == 19
+    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(LATE_S.max() - LATE_S[0])
+
+
+@pytest.mark.parametrize("back_s", [0.5, 3600.0])
+def test_a_clock_that_stays_back_is_followed_after_a_few_rows(back_s):
+    t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S + 0.001 - back_s))
+    dt_s = RowClock().update(t_s)
+    late = dt_s[1000:] <= 0.0
+    assert 3 <= np.count_nonzero(late) <= 105
+    assert not late[110:].any()
+    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(1.998, abs=0.002)
+
+
+@given(st.integers(1, 2500), st.integers(0, 900))
+def test_pieces_give_what_the_whole_gives(cut, late):
+    t_s = np.concatenate((RAMP_S, RAMP_S, RAMP_S + 2.0))
+    t_s[late] -= 0.3
+    clock = RowClock()
+    found = np.concatenate([clock.update(t_s[:cut]), clock.update(t_s[cut:])])
+    np.testing.assert_array_equal(found, RowClock().update(t_s))
+
+
+def test_a_log_shows_that_its_clock_was_set_back():
+    log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
+    assert (
+        "clock set back, from where it counts anew: 1 (first: row 1101"
+        in log.warnings[0]
+    )
+    assert (
+        "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)"
+        in log.warnings[1]
+    )
+
+
+@given(
+    first_ns=st.one_of(st.integers(0, 1 << 40), st.integers(1 << 60, (1 << 62) - 1)),
+    since_ns=st.lists(st.integers(0, 86_400 * 10**9), min_size=1, max_size=20),
+)
+def test_stamps_come_back_from_seconds(first_ns, since_ns):
+    stamps_ns = np.array([first_ns, *(first_ns + step for step in since_ns)])
+    start_ns = start_of_clock(first_ns)
+    assert (
+        to_nanoseconds(to_seconds(stamps_ns, start_ns), start_ns).tolist()
+        == stamps_ns.tolist()
+    )
+    assert start_ns in (0, first_ns)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "ragged.csv", "npz", "parquet"])
+def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
+    stamps_ns = START_NS + np.cumsum(np.arange(5000)) % 7 + 1_000_003 * np.arange(5000)
+    path = tmp_path / f"log.{suffix}"
+    write_table(path, {"time [ns]": stamps_ns, "force_N": np.ones(5000)})
+    if suffix == "ragged.csv":
+        lines = path.read_text().splitlines()
+        lines[3000:3000] = ["1,2,3", f"{START_NS}"]
+        path.write_text("\n".join(lines) + "\n")
+    else:
+        assert read_table(path).columns["time [ns]"].tolist() == stamps_ns.tolist()
+    log = read_log(path)
+    assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
+    write_log(tmp_path / "log.mcap", log)
+    again = read_log(tmp_path / "log.mcap")
+    assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
+
+
+def log_of(mapping=None, required=(), optional=(), **columns):
+    table = Table(columns=columns)
+    return LogStream(
+        [table], ChannelRequest(mapping or mapped(), required, optional)
+    ).joined()
+
+
+T = np.arange(3.0) / 100
+ONES = np.ones(3)
+
+
+def test_a_csv_with_usual_names_needs_no_mapping(tmp_path):
+    path = tmp_path / "LOG.CSV"
+    path.write_text(
+        "time [ms],q1_deg,q2_deg,effort_1,effort_2\n0,180,0,1,2\n1,90,0,3,4\n"
+    )
+    log = read_log(path, required=("q", "tau"), optional=("dq",))
+    np.testing.assert_allclose(log.t_s, [0.0, 0.001])
+    np.testing.assert_allclose(log["q_rad"], [[np.pi, 0.0], [np.pi / 2, 0.0]])
+    np.testing.assert_array_equal(log["tau_Nm"], [[1.0, 2.0], [3.0, 4.0]])
+    assert list(log.channels) == ["q_rad", "tau_Nm"]
+    assert log.warnings == ()
+
+
+@given(
+    st.sampled_from(
+        [(name, unit) for name, channel in CHANNELS.items() for unit in channel.units]
+    ),
+    st.floats(-4.0, 4.0).filter(lambda scale: abs(scale) > 0.01),
+)
+def test_units_and_scales_multiply(chosen, scale):
+    name, unit = chosen
+    channel = CHANNELS[name]
+    raw = np.array([1.0, 2.0, 4.0])
+    expected = raw * channel.units[unit] * scale
+    if name == "time":
+        scale = abs(scale)
+        expected = np.abs(expected)
+    mapping = mapped(**{name: ColumnSpec(columns="x", unit=unit, scale=scale)})
+    if name == "time":
+        values = log_of(mapping, ("force",), x=raw, force_N=ONES).t_s
+    else:
+        log = log_of(mapping, (name,), x=raw, t_s=T)
+        values = log[channel.key].reshape(-1)
+        assert log[channel.key].ndim == (2 if channel.per_joint else 1)
+    np.testing.assert_allclose(values, expected)
+
+
+CURRENT = np.arange(6.0).reshape(3, 2)
+WRENCH = np.arange(18.0).reshape(3, 6)
+
+
+@pytest.mark.parametrize(
+    ("spec", "columns", "key", "expected"),
+    [
+        (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
+        # A stated unit wins over the one in the name; each column has its own, and its
+        # own scale.
+        (
+            ColumnSpec(columns="depth_m", unit="mm"),
+            {"depth_m": ONES},
+            "depth_m",
+            ONES / 1000,
+        ),
+        (
+            ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
+            {"a_deg": 180.0 * ONES, "b_rad": ONES},
+            "q_rad",
+            np.array([[np.pi, -2.0]] * 3),
+        ),
+        (
+            ColumnSpec(columns="i", scale=(1.0, 2.0)),
+            {"i": CURRENT},
+            "tau_Nm",
+            CURRENT * [1, 2],
+        ),
+        (
+            ColumnSpec(columns="w[2]", scale=-1.0),
+            {"w": WRENCH},
+            "force_N",
+            -WRENCH[:, 2],
+        ),
+    ],
+)
+def test_columns_become_si(spec, columns, key, expected):
+    name = next(name for name, channel in CHANNELS.items() if channel.key == key)
+    log = log_of(mapped(**({name: spec} if spec else {})), t=T, **columns)
+    np.testing.assert_allclose(log[key], expected)
+
+
+def test_only_the_channels_asked_for_are_looked_at():
+    log = log_of(None, ("force",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
+    assert list(log.channels) == ["force_N"]
+    with pytest.raises(ColumnError, match="several"):
+        log_of(None, ("force",), ("depth",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
+
+
+def test_a_missing_channel_is_reported_with_usual_names_and_columns():
+    message = "no column found for tau .* tau, tau_j, effort, torque.*Columns are: t, q, moment"
+    with pytest.raises(ColumnError, match=message):
+        log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "required", "error", "message"),
+    [
+        (None, ("torque",), MappingError, "unknown channel 'torque'"),
+        (mapped(force="pull"), (), ColumnError, "no column 'pull'"),
+        (
+            mapped(force="pair"),
+            (),
+            ColumnError,
+            "force is one column, but pair gives 2",
+        ),
+        (
+            mapped(q=("a", "short")),
+            (),
+            LogError,
+            "q: the columns a, short differ in length",
+        ),
+        (mapped(depth="short"), (), LogError, "in rows: t_s 3, depth_m 2"),
+        (
+            mapped(q="pair", tau="a"),
+            (),
+            LogError,
+            "number of joints: q has 2 .*tau has 1",
+        ),
+        (mapped(depth="empty"), ("depth",), LogError, "depth_m has no finite value"),
+    ],
+)
+def test_what_forms_no_log_is_refused(mapping, required, error, message):
+    columns = {
+        "a": ONES,
+        "short": ONES[:2],
+        "pair": np.ones((3, 2)),
+        "empty": ONES * np.nan,
+    }
+    with pytest.raises(error, match=message):
+        log_of(mapping, required, t=T, **columns)
+
+
+def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_text(
+        "time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n"
+    )
+    with pytest.raises(
+        ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
+    ) as caught:
+        read_log(log, required=["tau"])
+    assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "columns", "t_s", "warning"),
+    [
+        (None, {"t": [0.0, np.nan, 0.02]}, [0.0, 0.02], "time: rows without a stamp, left "
+         "out: 1 (first: row 2)"),
+        (mapped(rate_hz=200.0), {"t": T}, [0.0, 0.005, 0.01], ""),
+    ],
+    ids=["column", "rate of the mapping"],
+)  # fmt: skip
+def test_time_comes_from_the_mappings_rate_or_a_column(mapping, columns, t_s, warning):
+    log = log_of(mapping, **columns, f=np.arange(3.0))
+    np.testing.assert_allclose(log.t_s, t_s)
+    assert log["force_N"].tolist() == ([0.0, 2.0] if len(t_s) == 2 else [0.0, 1.0, 2.0])
+    assert log.warnings == ((warning,) if warning else ())
+
+
+def test_an_optional_channel_without_values_is_left_out_and_reported():
+    log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
+    assert list(log.channels) == ["q_rad"]
+    assert "dq: its columns hold no finite value in the first rows" in log.warnings[0]
+
+
+def test_no_time_and_no_rate_is_refused():
+    with pytest.raises(
+        ColumnError, match="no time column found; say which one with --time"
+    ):
+        log_of(f=ONES)
+
+
+def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
+    names = {
+        "t": np.arange(3.0),
+        "q": 90.0 * ONES,
+        "depth": 85.0 * ONES,
+        "v": 3.0 * ONES,
+    }
+    hints = log_of(**names).warnings
+    assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
+    assert (
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm"
+        in hints
+    )
+    stated = {
+        "t_s": np.arange(3.0),
+        "q_rad": 90.0 * ONES,
+        "depth_m": 85.0 * ONES,
+        "v_m_s": ONES,
+    }
+    assert log_of(**stated).warnings == ()
+    assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
+
+
+def test_real_liver_log_holds_many_insertions_and_no_time(recordings_dir):
+    path = recordings_dir / "liver_dejong2017/insertions.npz"
+    with pytest.raises(
+        ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"
+    ):
+        read_log(path, required=("depth", "force"))
+    mapping = mapped(depth="depth_m_04", force="force_N_04", rate_hz=1000.0)
+    log = read_log(path, mapping, required=("depth", "force"))
+    assert log["depth_m"].max() == pytest.approx(0.085, abs=1e-3)
+    assert log.t_s[1] == pytest.approx(0.001)
+    assert log.warnings == ()

@@ -1,0 +1,574 @@
+"""The insertion in a browser page, beside a loop, and in 3D Slicer."""
+
+import errno
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from tests.chromium import PROGRAM
+from tests.insertion_run import short_run
+
+pytest.importorskip("viser")
+
+from needleforce import NeedleTool, load_lwr
+from needleforce.anatomy.plan_match import PlanState
+from needleforce.cli import main
+from needleforce.scene import (
+    PlanScene,
+    SceneError,
+    SlicerOutput,
+    StateRing,
+    Viewer,
+    open_viewer,
+)
+from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
+from urdf import example_robot_path, load_example
+
+HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
+needs_chromium = pytest.mark.skipif(
+    PROGRAM is None, reason="no chromium: apt-get install chromium"
+)
+
+
+def row(time_s, depth_m=0.0, rupture=0.0, q=HOME, **more):
+    values = dict.fromkeys(FIELDS, 0.0) | {
+        "time_s": time_s,
+        "depth_m": depth_m,
+        "is_good": 1.0,
+    }
+    values |= {f"plan_{name}": np.nan for name in PLAN_FIELDS}
+    values |= {"force_N": 20.0 * depth_m, "tip_N": 10.0 * depth_m, "force_std_N": 0.05}
+    values |= {
+        "rupture": rupture,
+        "rupture_depth_m": depth_m,
+        "layer": 1.0,
+        "tip_std_N": 0.1,
+    }
+    return (*((values | more)[name] for name in FIELDS), *q)
+
+
+def insertion(count=200):
+    return np.array(
+        [row(0.05 * k, 1e-4 * k, 1.0 if k == 120 else 0.0) for k in range(count)]
+    )
+
+
+def planned(layer, next_mm, matched=-1):
+    """What a plan says, as fields of a row."""
+    values = (layer, 0.93, 2e-3, 0.4e-3, 1e-3 * next_mm, 0.5e-3, matched, 0.97)
+    return {
+        f"plan_{name}": value for name, value in zip(PLAN_FIELDS, values, strict=True)
+    }
+
+
+def plan():
+    """Two boxes under the needle, and the way through them."""
+    box = (
+        np.array(
+            [[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float
+        )
+        * 0.05
+    )
+    triangles = np.array(
+        [[0, 1, 3], [0, 3, 2], [4, 7, 5], [4, 6, 7], [0, 4, 5], [0, 5, 1]]
+    )
+    surfaces = [
+        SimpleNamespace(
+            name=name, colour=color, vertices_m=box + shift, triangles=triangles
+        )
+        for name, color, shift in (
+            ("liver", (0.6, 0.2, 0.2), [-0.6, 0.0, 0.2]),
+            ("rib", (0.9, 0.9, 0.9), [-0.6, 0.0, 0.1]),
+        )
+    ]
+    layers = [
+        SimpleNamespace(name="fat", exit_m=0.02, is_obstacle=False),
+        SimpleNamespace(name="liver", exit_m=0.05, is_obstacle=False),
+        SimpleNamespace(name="rib", exit_m=0.08, is_obstacle=True),
+    ]
+    return PlanScene(
+        surfaces, layers, np.array([-0.6, 0.0, 0.3]), np.array([-0.6, 0.0, 0.2])
+    )
+
+
+@pytest.fixture
+def viewer():
+    page = Viewer(load_lwr(payload=NeedleTool()), plan(), port=8231)
+    yield page
+    page.stop()
+
+
+def test_a_ring_hands_over_rows_and_skips_what_was_overwritten():
+    with StateRing(7) as ring:
+        reader = StateRing(7, ring.name)
+        count, rows = reader.since(0)
+        assert (count, len(rows)) == (0, 0)
+        for k in range(10):
+            ring.put(row(0.001 * k))
+        count, rows = reader.since(count)
+        assert (count, len(rows)) == (10, 10)
+        assert np.allclose(rows[:, 0], 0.001 * np.arange(10))
+        assert np.allclose(rows[3, len(FIELDS) :], HOME)
+        for k in range(3 * ROWS):
+            ring.put(row(float(k)))
+        count, rows = reader.since(count)
+        assert count == 10 + 3 * ROWS
+        assert len(rows) == 3 * ROWS // 4
+        assert rows[-1, 0] == 3 * ROWS - 1
+        reader.close()
+
+
+def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(viewer):
+    rows = insertion()
+    for part in np.array_split(rows, 7):
+        viewer.append(part)
+    viewer.show()
+    (mark,) = viewer.marks
+    assert mark.text == "rupture 1 at 12.0 mm"
+    assert mark.time_s == pytest.approx(6.0)
+    assert all(handle.visible for handle in mark.handles)
+    viewer.show(3.0)
+    assert not any(handle.visible for handle in mark.handles)
+    viewer.show(7.0)
+    assert all(handle.visible for handle in mark.handles)
+    viewer.show(1.0)
+    later = insertion(260)[200:]
+    later[30, FIELDS.index("rupture")] = 2.0
+    viewer.append(later)  # while somebody looks at the past
+    viewer.show(1.0)
+    assert not any(handle.visible for handle in viewer.marks[1].handles)
+    viewer.append(np.array([row(13.001), row(13.002, 0.03, 3.0)]))  # in one slot
+    viewer.show()
+    assert all(handle.visible for handle in viewer.marks[2].handles)
+
+
+def test_before_the_tare_no_curve_is_shown(viewer):
+    viewer.append(np.vstack([row(0.0, is_good=0.0), insertion()[2:]]))
+    for time_s, points in ((None, 198), (0.0, 0)):
+        viewer.show(time_s)
+        assert all(len(plot.data[0]) == points for plot in viewer._plots.values())
+
+
+def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
+    viewer.append(
+        np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))])
+    )
+    viewer.show(0.5)
+    assert "in **outside** (93 %), fat at 2.0 ± 1.0 mm" in viewer._text.content
+    viewer.show()
+    assert "in **fat** (93 %), liver at 22.0 ± 1.0 mm" in viewer._text.content
+    assert "all lies +2.0 ± 0.8 mm deeper than planned" in viewer._text.content
+    ring, label = viewer._ahead
+    assert ring.visible
+    assert label.text == "liver, expected"
+    alarm = row(2.0, 0.0221, 1.0, **planned(1, 52.0, 1))
+    viewer.append(np.array([alarm, row(3.0, 0.03, retracted=1.0, **planned(0, 32.0))]))
+    viewer.append(np.array([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
+    viewer.show()
+    texts = [
+        "rupture 1 at 22.1 mm: into liver (97 %)",
+        "rupture 1 at 32.0 mm: a false alarm (97 %)",
+    ]
+    assert [mark.text for mark in viewer.marks] == texts
+    for time_s, shown in ((1.9, [0, 0]), (2.5, [1, 0]), (3.5, [0, 0]), (4.0, [0, 1])):
+        viewer.show(time_s)
+        assert [mark.handles[0].visible for mark in viewer.marks] == shown
+    assert "in **rib** (93 %)\n" in viewer._text.content
+    assert not ring.visible
+
+
+def test_a_row_holds_the_estimate_and_its_plan():
+    plan = PlanState(
+        1, "liver", 0.9, 2e-3, 1e-3, "rib", 0.05, 1e-3, 1, "liver", 0.8, True
+    )
+    rupture = SimpleNamespace(layer=1, depth_m=0.03)
+    found = SimpleNamespace(rupture=None, retracted=rupture, tip_force_N=0.5, layer=2)
+    found.tip_force_std_N = None
+    found.shaft_friction_N = 0.1
+    now = SimpleNamespace(
+        time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan
+    )
+    now.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
+    now.status = SimpleNamespace(value="ok")
+    made = dict(zip(FIELDS, view_row(now, HOME), strict=False))
+    assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
+    assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
+        1,
+        0.9,
+        2e-3,
+        1e-3,
+        0.05,
+        1e-3,
+        1,
+        0.8,
+    ]
+
+
+@needs_chromium
+def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
+    from tests.needleforce.scene.scene_page import open_page
+
+    viewer.append(insertion())
+    viewer.show()
+    with open_page(viewer.url) as page:
+        assert page.wait_for("document.querySelectorAll('canvas').length > 0")
+        assert page.wait_for("document.body.innerText.includes('tip force')")
+        assert page.wait_for("document.body.innerText.includes('rupture 1 at 12.0 mm')")
+        text = page.evaluate("document.body.innerText")
+        assert "not a medical device" in text
+        viewer.show(3.0)
+        assert page.wait_for(
+            "!document.body.innerText.includes('rupture 1 at 12.0 mm')"
+        )
+        assert page.wait_for("document.body.innerText.includes('3.0 s')")
+        time.sleep(3.0)  # the scene fades in
+        picture = page.picture(tmp_path / "scene.png")
+        assert picture.stat().st_size > 20_000
+        assert page.errors == []
+
+
+def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
+    robot = load_lwr(payload=NeedleTool())
+    wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
+    found = SimpleNamespace(
+        rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None
+    )
+    found.shaft_friction_N = 0.1
+    found.layer = 1
+    with open_viewer(robot, port=8241) as view:
+        assert view.url.startswith("http://127.0.0.1:")
+        for k in range(2000):
+            now = SimpleNamespace(
+                time_s=0.001 * k,
+                depth_m=0.0,
+                speed_m_s=0.0,
+                wrench=wrench,
+                identification=found,
+                status=SimpleNamespace(value="ok"),
+                plan=None,
+            )
+            view.put(now, HOME)
+        time.sleep(0.2)
+
+
+@needs_chromium
+def test_a_recording_becomes_one_page_that_needs_nothing_else(
+    tmp_path, monkeypatch, capsys
+):
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+    from tests.needleforce.scene.scene_page import open_page
+
+    monkeypatch.chdir(tmp_path)
+    run = short_run()
+    table = {name: values[::4] for name, values in signal_table(run).items()}
+    write_table(
+        "insertion.npz",
+        {name: table[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")},
+    )
+    options = [
+        "--payload",
+        "needle",
+        "--tare",
+        "13",
+        "--export",
+        "scene.html",
+        "--port",
+        "8251",
+    ]
+    assert main(["view", "insertion.npz", *options]) == 0
+    assert "scene.html" in capsys.readouterr().out
+    text = (tmp_path / "scene.html").read_text(encoding="utf-8")
+    assert len(text) > 100_000
+    with open_page((tmp_path / "scene.html").as_uri()) as page:
+        assert page.wait_for("document.querySelectorAll('canvas').length > 0")
+
+
+@pytest.mark.parametrize(
+    ("joints", "torque", "options", "code", "why"),
+    [
+        (
+            6,
+            1.0,
+            [],
+            2,
+            "error: the log has 6 columns per joint signal, the robot has 7 joints",
+        ),
+        (
+            7,
+            1.0,
+            ["--tare", "-3"],
+            2,
+            "error: --tare -3: expected seconds of free motion",
+        ),
+        (
+            7,
+            1.0,
+            ["--tare", "100"],
+            0,
+            r"warning: no tare in 2.001 s \(--tare 100 asks",
+        ),
+        (
+            7,
+            1e3,
+            [],
+            0,
+            "warning: samples rejected, 19..: 19.. x tau is at the effort limit",
+        ),
+        (
+            7,
+            -1.0,
+            ["--tare", "1"],
+            0,
+            "no tare at 1.0 s: .* wrong sign; negate it. Tare in free",
+        ),
+        (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
+    ],
+)
+def test_a_recording_that_cannot_be_tared_is_said_so(
+    joints, torque, options, code, why, tmp_path, monkeypatch, capsys
+):
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+
+    monkeypatch.chdir(tmp_path)
+    table = signal_table(short_run())
+    signals = {
+        name: table[name][:2001, :joints] for name in ("q_rad", "dq_rad_s", "tau_Nm")
+    }
+    signals["tau_Nm"] = torque * signals["tau_Nm"]
+    write_table("a.npz", {"t_s": table["t_s"][:2001], **signals})
+    assert (
+        main(["view", "a.npz", *options, "--export", "a.html", "--port", "8271"])
+        == code
+    )
+    said, warned = capsys.readouterr()
+    assert said == ("" if code else "a.html\n")
+    assert re.search(why, warned)
+    assert "ignore_contact" not in warned
+
+
+def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
+    from needleforce.cli.live_options import ViewOptions
+    from needleforce.cli.live_view import replayed
+    from needleforce.cli.simulate import signal_table
+    from needleforce.recordings import write_table
+    from needleforce.recordings.table import Labels
+
+    model = load_lwr()
+    order = [3, 1, 0, 2, 6, 5, 4]
+    table = signal_table(short_run())
+    signals = {
+        name: table[name][:1001] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    }
+    turned = {name: v[:, order] if v.ndim == 2 else v for name, v in signals.items()}
+    names = tuple(model.joint_names[k] for k in order)
+    write_table(
+        tmp_path / "a.mcap", signals, labels=Labels(joint_names=model.joint_names)
+    )
+    write_table(tmp_path / "b.mcap", turned, labels=Labels(joint_names=names))
+    one, other = (
+        replayed(tmp_path / name, model, ViewOptions()) for name in ("a.mcap", "b.mcap")
+    )
+    assert len(one) > 90
+    assert np.array_equal(one, other, equal_nan=True)
+
+
+def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
+    monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
+    assert (
+        main(
+            [
+                "live",
+                "sim:gel-25-constant",
+                "--view",
+                "--port",
+                "8261",
+                "--seconds",
+                "0.5",
+            ]
+        )
+        == 0
+    )
+    said, warned = capsys.readouterr()
+    assert "layer 0" in said
+    assert "http://127.0.0.1:8261 shows the scene" in warned
+
+
+def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
+    (tmp_path / "a.csv").write_text("t,q_1\n0,0\n")
+    assert main(["view", "a.csv", "--anatomy", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "plan.json: " in said
+    assert "docs/scene.md" in said
+
+
+def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
+    page = Viewer(
+        load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda"))
+    )
+    page.append(insertion(2))
+    page.show()
+    shapes = page._arm._shapes
+    assert np.allclose(shapes._urdf.cfg, [*HOME, 0.0])
+    page.stop()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (["--port", "70000"], "error: 127.0.0.1, port 70000: .*expected an address"),
+        (["--port", "-1"], "port -1: .*a port of 0 to 65535"),
+        (
+            ["--host", "nosuchhost.invalid"],
+            "nosuchhost.invalid, port 8080: .*expected an address",
+        ),
+        (["--host", "192.0." + "2.1"], "expected an address of this machine"),
+        (["--host", "::1", "--port", "70000"], "::1, port 70000"),
+    ],
+)
+def test_where_nothing_can_listen_is_said_in_one_line(options, why, tmp_path, capsys):
+    assert main(["view", str(tmp_path / "none.csv"), *options]) == 2
+    (said,) = capsys.readouterr().err.splitlines()
+    assert re.search(why, said)
+
+
+@pytest.mark.parametrize(
+    ("export", "why"),
+    [
+        ("log.csv", "--export log.csv: its name must end in .html"),
+        ("link.html", "cannot write link.html: it is the log itself"),
+        ("no/page.html", "there is no folder no"),
+    ],
+)
+def test_a_page_that_would_harm_the_log_or_has_no_place_is_refused_before_the_work(
+    export, why, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("no log")
+    Path("link.html").symlink_to("log.csv")
+    assert main(["view", "log.csv", "--export", export]) == 2
+    assert why in capsys.readouterr().err
+    assert Path("log.csv").read_text() == "no log"
+
+
+def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(
+    viewer, tmp_path, monkeypatch
+):
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    page = tmp_path / "page.html"
+    page.write_text("old")
+    viewer.append(insertion(2))
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(SceneError, match="No space left"):
+        viewer.export(page, frames=2)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
+
+
+def test_a_page_beside_a_loop_that_cannot_be_opened_is_said_so():
+    robot = load_lwr()
+    with pytest.raises(SceneError, match="port 70000"):
+        open_viewer(robot, port=70000)
+    place = np.zeros(3)
+    with pytest.raises(SceneError, match="expected two points"):
+        open_viewer(robot, PlanScene((), (), place, place), port=8291)
+
+
+RECEIVER = """
+import json, sys, time, pyigtl
+client = pyigtl.OpenIGTLinkClient("127.0.0.1", int(sys.argv[1]))
+client.start()
+found, end_s = {"poses": 0, "forces": 0, "ruptures": []}, time.monotonic() + 20.0
+print("ready", flush=True)
+while time.monotonic() < end_s and not found["ruptures"]:
+    for message in client.get_latest_messages():
+        if message.device_name == "NeedleToReference":
+            found["poses"] += 1
+            found["matrix"] = message.matrix.tolist()
+        elif message.device_name == "Force":
+            found["forces"] += 1
+        elif message.device_name == "Rupture":
+            found["ruptures"].append(json.loads(message.string))
+    time.sleep(0.005)
+print(json.dumps(found), flush=True)
+client.stop()
+"""
+
+
+def tick(time_s, force_N=1.0, rupture=None):
+    found = SimpleNamespace(tip_force_N=0.5, rupture=rupture)
+    wrench = SimpleNamespace(axial=force_N, axial_std=0.1)
+    return SimpleNamespace(
+        time_s=time_s, depth_m=0.02, wrench=wrench, identification=found
+    )
+
+
+def test_3d_slicer_is_not_left_alone_when_time_begins_anew(monkeypatch):
+    pytest.importorskip("pyigtl")
+    sent = []
+    with SlicerOutput(18978) as output:
+        monkeypatch.setattr(output, "_send", sent.append)
+        times = (0.0, 0.01, 60.0, 60.01, 0.5, 0.51, 0.52)
+        assert [output.put(tick(time_s), np.eye(4)) for time_s in times] == [
+            1,
+            0,
+            1,
+            0,
+            1,
+            0,
+            1,
+        ]
+        assert output.put(tick(1.0, np.float64(np.nan)), np.eye(4))
+        assert (
+            json.loads(sent[-1].string, parse_constant=pytest.fail)["force_N"] is None
+        )
+        for port in (18978, 70000):
+            with pytest.raises(SceneError, match=f"port {port}: .*expected a free one"):
+                SlicerOutput(port)
+
+
+def test_3d_slicer_gets_pose_force_and_ruptures():
+    pytest.importorskip("pyigtl")
+    port = 18977
+    with SlicerOutput(port) as output:
+        receiver = subprocess.Popen(
+            [sys.executable, "-c", RECEIVER, str(port)],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert receiver.stdout.readline().strip() == "ready"
+            end_s = time.monotonic() + 20.0
+            while not output.is_connected and time.monotonic() < end_s:
+                time.sleep(0.05)
+            assert output.is_connected
+            pose = np.eye(4)
+            pose[:3, 3] = 0.01, 0.02, 0.03
+            rupture = SimpleNamespace(
+                layer=1, depth_m=0.02, probability=0.9, time_s=1.0
+            )
+            sent = 0
+            for k in range(1000):
+                found = rupture if k == 999 else None
+                sent += output.put(tick(0.001 * k, rupture=found), pose)
+                time.sleep(0.001)
+            assert sent == pytest.approx(51, abs=1)
+            found = json.loads(receiver.communicate(timeout=30.0)[0])
+        finally:
+            receiver.kill()
+    assert found["poses"] > 5
+    assert found["forces"] > 5
+    assert found["ruptures"][0]["depth_mm"] == pytest.approx(20.0)
+    assert np.allclose(
+        np.array(found["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3
+    )

@@ -1,0 +1,341 @@
+"""The whole chain in one object: what it estimates, and what it uses for
+identification."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from benchmarks.signals import JointSignals, measured_travel
+from identification import MultilayerConfig, SampleStatus
+from identification.config import CheckConfig
+from needleforce import InsertionError, InsertionSession
+from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
+from residual.tool_kinematics import ToolKinematics
+from tests.insertion_run import (
+    insert,
+    resumed_after,
+    same,
+    samples,
+    short_run,
+    tare_index,
+    time_steps,
+)
+
+RUN = short_run()
+TARE = tare_index(RUN)
+INSIDE = int(np.argmax(RUN.truth.depth_m > 15e-3)) - 1
+"""The last sample before the middle of the gel."""
+Q = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
+
+
+def ruptures(found):
+    return [k for k, e in enumerate(found) if e.identification.rupture is not None]
+
+
+@pytest.fixture(scope="module")
+def whole():
+    """Until the needle has left the gel."""
+    session = InsertionSession(RUN.robot)
+    return session, insert(session, TARE + 17_500)
+
+
+def test_the_chain_finds_force_depth_and_layer(whole):
+    session, found = whole
+    touched = int(np.searchsorted(RUN.signals.t_s, RUN.truth.contact_s))
+    axial = np.array([e.wrench.axial for e in found])
+    error = (axial - RUN.truth.axial_N[: len(found)])[touched:]
+    assert np.sqrt(np.mean(error**2)) < 0.05
+    assert len(ruptures(found)) == len(session.layers) == 1
+    assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
+    assert found[-1].status is Status.OK
+    assert found[-1].used_for_identification
+    assert session.rejected == 0
+    assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
+
+
+@pytest.mark.parametrize("with_velocity", [True, False])
+def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocity):
+    last = TARE + 4000
+    sent = RUN.signals
+    found = whole[1]
+    if not with_velocity:
+        found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
+    dq = sent.dq_rad_s if with_velocity else None
+    signals = JointSignals(
+        t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm
+    )
+    offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
+    part = slice(TARE, last + 1)
+    depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in found[part]]).T
+    # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
+    tolerance_m = 2e-5 if with_velocity else 8e-5
+    np.testing.assert_allclose(depth, offline_m[part], atol=tolerance_m)
+    np.testing.assert_allclose(
+        speed, offline_m_s[part], atol=2e-6 if with_velocity else 1e-4
+    )
+    truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
+    np.testing.assert_allclose(depth, truth, atol=1e-4)
+
+
+def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
+    session = InsertionSession(RUN.robot)
+    lost = range(TARE + 100, TARE + 500)
+    estimate = None
+    for k, (q, dq, tau, dt_s) in samples(RUN):
+        if k == TARE:
+            assert not session.tared
+            session.tare()
+            tared_s = estimate.time_s
+        estimate = session.update(q, dq, tau * np.nan if k in lost else tau, dt_s)
+        if k < TARE:
+            assert estimate.status in (Status.INITIALIZING, Status.NOT_TARED)
+            assert not estimate.used_for_identification
+            assert estimate.identification.time_s == 0.0
+        if k == TARE + 499:
+            assert estimate.status is Status.REJECTED
+            assert not estimate.used_for_identification
+            assert estimate.identification.time_s - tared_s == pytest.approx(0.1)
+        if k == TARE + 500:
+            assert estimate.status is Status.INITIALIZING
+        if estimate.used_for_identification and k > TARE + 500:
+            break
+    # The time of what was not used has passed, and the identifier reports the gap.
+    assert estimate.identification.status is SampleStatus.TIME_GAP
+    assert estimate.identification.time_s == estimate.time_s
+    assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
+
+
+def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
+    session, (first, second) = resumed_after(TARE + 12_000, 2)
+    deep = session.update(*first)
+    with pytest.raises(TareError, match="start_tare_recording"):
+        session.tare()
+    assert session.snapshot().travel[0] == deep.depth_m > 5e-3
+    session.begin_insertion()
+    assert session.tared
+    assert session.layers == ()
+    again = session.update(*second)
+    assert again.depth_m == pytest.approx(0.0, abs=1e-4)
+    assert again.identification.layer == 0
+    session.start_tare_recording()
+    assert not session.tared
+    session.reset()
+    assert not session.tared
+    with pytest.raises(TareError):
+        session.tare()
+
+
+def test_the_robots_own_external_torque_gives_force_and_speed():
+    sent = RUN.signals
+    truth = RUN.truth
+    last = TARE + 5000
+    noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
+    torque = truth.external_torque_Nm + 0.3 + noise
+    for with_velocity in (True, False):
+        session = InsertionSession(RUN.robot)
+        for k, dt_s in enumerate(time_steps(RUN)[: last + 1]):
+            if k == TARE:
+                session.tare()
+            dq = sent.dq_rad_s[k] if with_velocity else None
+            estimate = session.update_external_torque(
+                sent.q_rad[k], dq, torque[k], dt_s
+            )
+            assert estimate.status is not Status.REJECTED
+        assert estimate.wrench.axial == pytest.approx(truth.axial_N[last], abs=0.1)
+        assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[last], abs=3e-4)
+
+
+def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
+    lost, other = (InsertionSession(RUN.robot, speed_lag_s=0.02) for _ in range(2))
+    moving = slice(TARE + 4001, TARE + 6001)
+    smooth = np.std([e.speed_m_s for e in insert(other, TARE + 6000)[moving]])
+    assert smooth < 0.5 * np.std([e.speed_m_s for e in whole[1][moving]])
+    lost.restore(other.snapshot())
+    rows = [sample for _, sample in samples(RUN)][TARE + 6001 : TARE + 7101]
+    for k, (q, dq, tau, dt_s) in enumerate(rows):
+        dq = dq * (3.0 if k >= 1000 else 1.0)
+        ours = lost.update(q, dq, tau * np.nan if k % 10 else tau, dt_s)
+        theirs = other.update(q, dq, tau, dt_s)
+        if k % 10 == 0 and k >= 1030:
+            assert ours.speed_m_s == pytest.approx(theirs.speed_m_s, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "match"),
+    [
+        (("arm.urdf",), {}, r"robot is a str, expected a Robot; .*load_urdf"),
+        ((RUN.robot, {"mode": "full"}), {}, r"sensor_config is a dict, .*SensorConfig"),
+        ((RUN.robot,), {"speed_lag_s": -1.0}, "speed_lag_s is -1.0, expected a finite"),
+        (
+            (RUN.robot,),
+            {"speed_lag_s": np.inf},
+            "speed_lag_s is inf, expected a finite",
+        ),
+        ((RUN.robot,), {"speed_lag_s": "x"}, "speed_lag_s is 'x', expected a finite"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused_with_a_sentence(
+    arguments, options, match
+):
+    with pytest.raises(InsertionError, match=match):
+        InsertionSession(*arguments, **options)
+
+
+def test_the_published_settings_run_through(lwr):
+    session = InsertionSession(lwr, PUBLISHED)
+    for _ in range(10):
+        estimate = session.update(Q, np.zeros(7), np.zeros(7), 1e-3)
+    assert estimate.wrench.covariance.shape == (6, 6)
+
+
+@pytest.mark.parametrize("dt_s", [-10.0, 1.8e9, np.nan, None])
+def test_a_clock_that_was_set_takes_no_time(dt_s):
+    session, rows = resumed_after(TARE, 52)
+    for row in rows[:50]:
+        before = session.update(*row)
+    assert before.used_for_identification
+    set_back = session.update(*rows[50][:3], dt_s)
+    assert set_back.status is Status.REJECTED
+    assert not set_back.used_for_identification
+    after = session.update(*rows[51])
+    assert after.used_for_identification
+    passed_s = after.identification.time_s - before.identification.time_s
+    assert passed_s == pytest.approx(rows[51][3])
+
+
+def test_a_force_that_the_identifier_rejects_was_not_used():
+    config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
+    session = InsertionSession(RUN.robot, identifier_config=config)
+    insert(session, TARE)
+    kinematics = ToolKinematics(RUN.robot)
+    found = []
+    for k, (q, dq, tau, dt_s) in enumerate(resumed_after(TARE, 400)[1]):
+        kinematics.update(q)
+        push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
+        found.append(session.update(q, dq, tau + push, dt_s))
+    assert all(e.used_for_identification for e in found[:100])
+    assert found[-1].status is Status.OK
+    assert found[-1].wrench.axial > 1.0
+    assert found[-1].identification.status is SampleStatus.FORCE_RANGE
+    assert not found[-1].used_for_identification
+
+
+# A push aside is no rupture; one on the elbow looks like one before its mismatch has
+# lasted.
+
+
+def pushed(rows, force_in_base_N, first, count, joint=None):
+    """Samples, so many of them with a force on the tip, or on a joint, beside the
+    tissue's."""
+    kinematics = ToolKinematics(RUN.robot)
+    data = RUN.robot.create_data()
+    for k, (q, dq, tau, dt_s) in enumerate(rows):
+        if first <= k < first + count:
+            kinematics.update(q)
+            lever = kinematics.pose[:3, :3] @ kinematics.jacobian[:3]
+            if joint is not None:
+                pin.computeJointJacobians(RUN.robot.model, data, q)
+                axes = pin.LOCAL_WORLD_ALIGNED
+                lever = pin.getJointJacobian(RUN.robot.model, data, joint, axes)[:3]
+            tau = tau - lever.T @ np.array(force_in_base_N)
+        yield q, dq, tau, dt_s
+
+
+@pytest.mark.parametrize("first", [100, 112])
+def test_a_push_aside_is_told_apart_from_the_axial_force(first):
+    session, rows = resumed_after(INSIDE, 400)
+    still, _ = resumed_after(INSIDE, 400)
+    found = [session.update(*row) for row in pushed(rows, (1.0, 0.0, 0.0), first, 400)]
+    alone = [still.update(*row) for row in rows]
+    assert ruptures(found) == []
+    assert all(e.used_for_identification for e in found)
+    error = [
+        one.wrench.axial - other.wrench.axial
+        for one, other in zip(found, alone, strict=True)
+    ]
+    assert np.abs(error).max() < 0.05
+    last = found[-1].wrench
+    sideways = np.linalg.norm(
+        np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
+    )
+    assert last.lateral == pytest.approx(sideways, abs=0.1)
+    assert last.lateral_std < 0.05
+
+
+@pytest.mark.parametrize("first", [100, 112])
+def test_a_push_on_the_elbow_raises_no_rupture(first):
+    session, rows = resumed_after(INSIDE, 400)
+    rows = pushed(rows, (0.0, 2.0, 0.0), first, 400, joint=4)
+    found = [session.update(*row) for row in rows]
+    assert ruptures(found) == []
+    flagged = [
+        k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings
+    ]
+    assert first < flagged[0] < first + 100
+    assert "do not fit" in found[flagged[0]].wrench.message
+    assert not any(found[k].used_for_identification for k in flagged)
+    assert all(e.status is Status.OK for e in found)
+
+
+@pytest.mark.parametrize(
+    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.4, 2.7))]
+)
+def test_a_push_too_small_for_a_mismatch_shows_in_how_torques_change(count, seconds):
+    session, rows = resumed_after(INSIDE, 5_000)
+    found = [
+        session.update(*row)
+        for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)
+    ]
+    flagged = [k for k, e in enumerate(found) if SensorWarning.ARM_PUSHED in e.warnings]
+    assert 500 < flagged[0] < 620
+    assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
+    assert not any(SensorWarning.MODEL_MISMATCH in e.warnings for e in found)
+    assert found[-1].used_for_identification
+    assert ruptures(found) == []
+
+
+def test_what_a_push_did_before_it_was_known_is_taken_back():
+    session, rows = resumed_after(INSIDE, 900)
+    still, _ = resumed_after(INSIDE, 900)
+    history = []
+    for row in rows:
+        still.update(*row)
+        history.append(still.snapshot().identifier.samples)
+    rows = pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4)
+    found = (
+        SensorWarning.MODEL_MISMATCH in session.update(*row).warnings for row in rows
+    )
+    k = next(k for k, is_known in enumerate(found) if is_known)
+    taken = session.snapshot().identifier.samples
+    same = [n for n, samples in enumerate(history) if np.array_equal(samples, taken)]
+    assert k - 520 < same[-1] <= k - 250  # as if nothing had come since
+    assert session.snapshot().unused_s == pytest.approx(1e-3 * (k - same[-1]), abs=2e-3)
+
+
+def test_a_push_that_begins_in_a_tick_that_is_not_used_is_taken_back_once():
+    session, rows = resumed_after(INSIDE, 900)
+    for row in rows[:700]:
+        session.update(*row)
+    used = session.snapshot()
+    wrench = session.update(*rows[700]).wrench._replace(status=Status.OK)
+    for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
+        session._follow(wrench._replace(warnings=warning))
+    found = session.snapshot()
+    assert same(found.identifier, used.earlier[0].identifier)
+    assert found.unused_s == pytest.approx(found.time_s - used.earlier[0].time_s)
+
+
+@pytest.mark.parametrize(
+    ("first", "count", "late"),
+    [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 2_150), (-400, 1_200, 1_500)],
+)
+def test_a_rupture_after_or_during_a_push_on_the_elbow_is_found(first, count, late):
+    session, rows = resumed_after(INSIDE, 9_000)
+    (there,) = ruptures([session.update(*row) for row in rows])
+    (layer,) = session.layers
+    session, rows = resumed_after(INSIDE, 9_000)
+    rows = pushed(rows, (0.0, 2.0, 0.0), there + first, count, joint=4)
+    (found,) = ruptures([session.update(*row) for row in rows])
+    # Blocks of the identifier begin elsewhere after the pause.
+    assert max(first + count, -10) < found - there < late
+    assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15
