@@ -8,10 +8,8 @@ force at the tip.
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
 Reading order: `identifier`, `sample_filter`; the published method in
-`published_identifier`; the multi-layer method, a switching filter, in
-`hypothesis_filter` (one history), `hypothesis_bank`, `switching_update` (every sample),
-`switching_identifier` (every block), `speed_trend`, `rupture_report`; known layers in
-`offline`.
+`published_identifier`; the multi-layer method in the package `multilayer`; known layers
+in `offline`.
 """
 
 from identification.config import (

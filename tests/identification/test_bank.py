@@ -4,11 +4,9 @@ them stay."""
 import numpy as np
 import pytest
 
-from identification import hypothesis_filter as law
-from identification import switching_update as samples
-from identification.disturbance_levels import DisturbanceLevels, transitions
-from identification.hypothesis_bank import CAPACITY, Bank, BankMemory, Place, first_bank
-from identification.rupture_report import (
+from identification.multilayer import force_model as law
+from identification.multilayer import force_split as samples
+from identification.multilayer.layer_report import (
     Evaluation,
     count_ruptures,
     evidence_of,
@@ -17,7 +15,15 @@ from identification.rupture_report import (
     rupture_of,
     speed_lag,
 )
-from identification.tissue_motion import TissueMotion
+from identification.multilayer.mixture import (
+    CAPACITY,
+    Bank,
+    BankMemory,
+    Place,
+    first_bank,
+)
+from identification.multilayer.noise_levels import DisturbanceLevels, transitions
+from identification.multilayer.tissue_motion import TissueMotion
 
 PLACE = Place(
     *(3.0, 0.01, 12.0, 4.0, 1.0, 0.9), usual_speed=4.0, noise=0.01, before=1.1

@@ -8,9 +8,14 @@ import pytest
 from groundtruth import insert_needle, scenario
 from groundtruth.scenarios import TissueMotion as TrueMotion
 from identification import Identifier
-from identification.hypothesis_bank import Place
-from identification.switching_update import contact_along
-from identification.tissue_motion import Fit, TissueMotion, displacement, turned
+from identification.multilayer.force_split import contact_along
+from identification.multilayer.mixture import Place
+from identification.multilayer.tissue_motion import (
+    Fit,
+    TissueMotion,
+    displacement,
+    turned,
+)
 
 HEART = ((0.2e-3, 1.3, 0.4), (0.08e-3, 2.6, 1.0))
 BREATH = ((1.2e-3, 0.28, 2.0), (0.3e-3, 0.56, 0.5))

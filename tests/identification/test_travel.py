@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from identification import Identifier, SampleStatus
+from identification.multilayer.speed_filter import NO_TREND, follow_speed
 from identification.sample_filter import (
     LEAST_DEPTHS,
     OF_DEPTH,
     SAMPLE_MEMORY,
     filter_travel,
 )
-from identification.speed_trend import NO_TREND, follow_speed
 
 
 def motion(seconds=10.0, rate_hz=1000.0, jitter=0.0, seed=0):

@@ -1,6 +1,6 @@
 """What every sample asks of the switching filter: shaft friction out of the force.
 
-All else is done once per block of samples, see `switching_identifier`.
+All else is done once per block of samples, see `method`.
 """
 
 import math

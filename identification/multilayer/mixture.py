@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import hypothesis_filter as law
 from identification.estimate import Array
+from identification.multilayer import force_model as law
 from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02  # least travel between new hypotheses

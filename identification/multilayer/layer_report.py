@@ -12,11 +12,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification import hypothesis_filter as law
 from identification.estimate import Array, LayerEstimate, Rupture
-from identification.hypothesis_bank import LEAST_MM, Bank, BankMemory, Place
-from identification.switching_update import COULOMB, IDENTIFIED, LEFT_COULOMB, NO_ANSWER
-from identification.tissue_motion import TissueMotion
+from identification.multilayer import force_model as law
+from identification.multilayer.force_split import (
+    COULOMB,
+    IDENTIFIED,
+    LEFT_COULOMB,
+    NO_ANSWER,
+)
+from identification.multilayer.mixture import LEAST_MM, Bank, BankMemory, Place
+from identification.multilayer.tissue_motion import TissueMotion
 from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
@@ -101,7 +106,7 @@ def answer_at(
     speed: float,
 ) -> Array:
     """Friction of the shaft at a place, for the samples that follow; see
-    `switching_update`.
+    `force_split`.
 
     `counts` are ruptures the hypotheses were reported to have, and layers left; the
     last rupture was at a speed [mm/s], 0 before the first. A rupture that is not

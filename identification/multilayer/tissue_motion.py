@@ -1,7 +1,7 @@
 """Motion of the tissue by itself, heartbeat and breathing, found in the force, and then
 used.
 
-`tissue_window` has the law of the force that it is found by, here is when it is looked
+`motion_fit` has the law of the force that it is found by, here is when it is looked
 for, taken for known, and given up. A unit of this work is done per block of samples.
 """
 
@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification import tissue_window as windows
 from identification.estimate import Array
-from identification.hypothesis_bank import Place
-from identification.tissue_window import Fit, Window, displacement, turned
+from identification.multilayer import motion_fit as windows
+from identification.multilayer.mixture import Place
+from identification.multilayer.motion_fit import Fit, Window, displacement, turned
 
 _LEAST_S = 2.5
 _MARGIN = 7

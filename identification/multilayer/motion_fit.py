@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.estimate import Array
-from identification.hypothesis_filter import COULOMB_SPEED, FRACTION, FRACTION_STD
-from identification.switching_update import contact_along
+from identification.multilayer.force_model import COULOMB_SPEED, FRACTION, FRACTION_STD
+from identification.multilayer.force_split import contact_along
 from needleforce.jit import Matrix, Vector, compiled
 
 # the window: means over so long, so many of them at most

@@ -268,7 +268,7 @@ def predict(
     store: Store, n: int, held: float, dt_s: float, colour: Vector, turns: Matrix
 ) -> None:
     """Move the unknowns of n hypotheses on by a block; see
-    `disturbance_levels.transitions`.
+    `noise_levels.transitions`.
 
     `held` is the variance added to the cutting force, `colour` the decay of the
     sensor's coloured noise over the block, and its variance.

@@ -13,16 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification import hypothesis_filter as law
-from identification import rupture_report as reports
-from identification import switching_update as samples
 from identification.config import MultilayerConfig
-from identification.disturbance_levels import (
-    BEATS,
-    COLOUR_S,
-    DisturbanceLevels,
-    transitions,
-)
 from identification.estimate import (
     Array,
     Events,
@@ -31,7 +22,10 @@ from identification.estimate import (
     RuptureState,
     Sample,
 )
-from identification.hypothesis_bank import (
+from identification.multilayer import force_model as law
+from identification.multilayer import force_split as samples
+from identification.multilayer import layer_report as reports
+from identification.multilayer.mixture import (
     KEPT,
     STEP_MM,
     Bank,
@@ -39,8 +33,14 @@ from identification.hypothesis_bank import (
     Place,
     first_bank,
 )
-from identification.speed_trend import NO_TREND, follow_speed
-from identification.tissue_motion import TissueMotion
+from identification.multilayer.noise_levels import (
+    BEATS,
+    COLOUR_S,
+    DisturbanceLevels,
+    transitions,
+)
+from identification.multilayer.speed_filter import NO_TREND, follow_speed
+from identification.multilayer.tissue_motion import TissueMotion
 from needleforce.jit import working_copy
 
 _MM = 1e3
@@ -88,10 +88,10 @@ class SwitchingState(NamedTuple):
     """All that the switching filter remembers; immutable.
 
     Attributes:
-        memory: What every sample changes, see `switching_update`.
-        answer: See `switching_update`.
+        memory: What every sample changes, see `force_split`.
+        answer: See `force_split`.
         tissue: Its motion by itself.
-        trend: Of the needle's own speed, see `speed_trend`.
+        trend: Of the needle's own speed, see `speed_filter`.
         place: Middle of the last block.
         stage: What is left to do for that block.
         deepest: Point so far [mm].

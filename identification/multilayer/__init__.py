@@ -1,0 +1,11 @@
+"""The multi-layer method: a Gaussian mixture over what may have ruptured, and where.
+
+Given a history of contacts and ruptures the axial force is linear in twenty unknowns:
+a Kalman filter estimates them. Each history is a component of the mixture, its weight
+how well it predicts the force.
+
+Reading order: `force_model` (the unknowns and their prior), `mixture` (the components),
+`force_split` (tip force of every sample), `method` (what happens when), `layer_report`;
+`noise_levels`, `speed_filter`; tissue that moves by itself: `tissue_motion`,
+`motion_fit`.
+"""
