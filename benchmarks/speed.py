@@ -25,7 +25,7 @@ from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedCon
 from needleforce import InsertionSession
 from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
-from residual.bias_estimator import BiasEstimator
+from residual.bias.estimator import BiasEstimator
 from urdf import Robot
 
 Update = Callable[[int], object]

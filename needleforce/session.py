@@ -29,7 +29,7 @@ from residual import (
     VirtualForceSensor,
     WrenchEstimate,
 )
-from residual.bias_model import Tare
+from residual.bias.model import Tare
 from residual.virtual_force_sensor import SensorState
 from urdf import Robot
 

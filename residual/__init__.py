@@ -1,13 +1,12 @@
 """Joint signals to external joint torque to wrench: the virtual force/torque sensor.
 
-Reading order: `momentum_observer` (the equation and the residual), `fault_detection`
-(what is no measurement), `sample_stream` (samples to residual), `bias_model`,
-`bias_fit` and `bias_estimator` (offset removal), `wrench_estimator` (equation 13),
-`consistency_checks` (when it may be wrong), `virtual_force_sensor` (all of it in two
-calls).
+Reading order: `momentum_observer` (the equation and the residual), `sample_stream`
+(samples to residual), `bias` (what the residual reads without contact),
+`wrench_estimator` (equation 13), `checks` (what is no measurement, and when an estimate
+may be wrong), `virtual_force_sensor` (all of it in two calls).
 """
 
-from residual.bias_model import BiasPrior
+from residual.bias.model import BiasPrior
 from residual.config import DEFAULT, HAND_DRIVEN, PUBLISHED, SensorConfig
 from residual.errors import (
     ConfigurationError,
@@ -19,7 +18,7 @@ from residual.errors import (
 from residual.estimate import SensorWarning, Status, WrenchEstimate
 from residual.joint_friction import FrictionModel, JointFriction, SigmoidFriction
 from residual.momentum_observer import MomentumObserver
-from residual.velocity_estimator import VelocityEstimator
+from residual.velocity_filter import VelocityEstimator
 from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 from residual.wrench_estimator import WrenchEstimator
 

@@ -5,9 +5,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from residual.bias_model import BiasPrior, TareKind
+from residual.bias.model import BiasPrior, TareKind
+from residual.checks.input import check_choice, check_positive, shown
 from residual.errors import ConfigurationError
-from residual.input_validation import check_choice, check_positive, shown
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import Alignment
 from residual.tool_kinematics import check_offset, unit_axis
@@ -57,7 +57,7 @@ class SensorConfig:
         prior: What the residual may be off by before data.
         contact_force_N: Smallest axial force for which a tare is refused [N].
         guard: Hold back spikes and frozen or saturated torques, see
-            `residual.fault_detection`.
+            `residual.checks.outliers`.
         max_gap_s: Longest time step that is integrated [s]; after a longer one filters
             restart.
 

@@ -5,8 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
+from residual.checks.input import check_positive
 from residual.errors import Array, ConfigurationError
-from residual.input_validation import check_positive
 from urdf.errors import InputError, finite_array
 
 _MOST_EXPONENT = (

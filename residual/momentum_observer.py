@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled, compiled_or, dot
-from residual.errors import Array, ConfigurationError
-from residual.input_validation import (
+from residual.checks.input import (
     MOST_PLAUSIBLE,
     check_choice,
     check_interval,
@@ -30,6 +29,7 @@ from residual.input_validation import (
     check_rows,
     read_rows,
 )
+from residual.errors import Array, ConfigurationError
 from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 

@@ -9,14 +9,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from residual.checks.input import ROUNDING_S, check_rows, read_rows
+from residual.checks.outliers import FaultDetector, GuardState
+from residual.checks.stuck_signals import MOST_SAMPLES, NoiseProbe, white_noise
 from residual.config import SensorConfig
 from residual.errors import Array, SampleError
-from residual.fault_detection import FaultDetector, GuardState
-from residual.input_validation import ROUNDING_S, check_rows, read_rows
 from residual.momentum_observer import MomentumObserver, MomentumState
-from residual.stuck_signals import MOST_SAMPLES, NoiseProbe, white_noise
 from residual.tool_kinematics import ToolKinematics
-from residual.velocity_estimator import VelocityEstimator, VelocityState
+from residual.velocity_filter import VelocityEstimator, VelocityState
 from urdf import Robot
 
 COARSE = 2.0  # times the white noise of positions: steps of an encoder last longer than a sample

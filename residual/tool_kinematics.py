@@ -8,8 +8,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from residual.checks.input import vector_of_three
 from residual.errors import Array, ConfigurationError
-from residual.input_validation import vector_of_three
 from urdf import Robot
 
 _LOCAL = pin.ReferenceFrame.LOCAL

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.jit import working_copy
-from residual.bias_estimator import BiasEstimator, BiasState
-from residual.bias_model import Tare
+from residual.bias.estimator import BiasEstimator, BiasState
+from residual.bias.model import Tare
+from residual.checks.input import SampleClock, long_step
+from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
-from residual.consistency_checks import ConsistencyMonitor, MonitorState
 from residual.errors import Array, SampleError, SnapshotError, TareError, VelocityError
 from residual.estimate import (
     INITIALIZING,
@@ -21,7 +22,6 @@ from residual.estimate import (
     Status,
     WrenchEstimate,
 )
-from residual.input_validation import SampleClock, long_step
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.snapshot import robot_digest, settings_text, try_out
 from residual.tool_kinematics import ToolKinematics

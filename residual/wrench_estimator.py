@@ -16,10 +16,10 @@ from needleforce.jit import (
     compiled,
     working_copy,
 )
+from residual.checks.input import check_joint_vector
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
 from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
-from residual.input_validation import check_joint_vector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 

@@ -21,7 +21,7 @@ from needleforce.snapshot import SNAPSHOT_FORMAT, SNAPSHOT_VERSION
 from residual import SensorWarning, Status, TareError
 from residual.config import DEFAULT
 from residual.estimate import UNSEEN_STD
-from residual.velocity_estimator import VelocityEstimator
+from residual.velocity_filter import VelocityEstimator
 from tests.insertion_run import simulated
 from tests.residual.residual_signals import pose_of
 from urdf import MissingPackageError, example_robot_path

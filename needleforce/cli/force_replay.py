@@ -12,10 +12,10 @@ from needleforce.cli.options import SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings.log import LogChunk
 from residual import SensorConfig, SensorWarning, Status, TareError, VirtualForceSensor
-from residual.bias_model import Tare
+from residual.bias.model import Tare
+from residual.checks.input import ROUNDING_S
 from residual.errors import VelocityError
 from residual.estimate import WrenchEstimate
-from residual.input_validation import ROUNDING_S
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 

@@ -5,7 +5,7 @@ exception.
 import math
 from collections.abc import Container, Mapping
 
-from residual.input_validation import as_float
+from residual.checks.input import as_float
 
 
 class ControlError(Exception):

@@ -29,8 +29,8 @@ from numpy.typing import ArrayLike
 from needleforce.control.errors import SettingError
 from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
-from residual.fault_detection import UNKNOWN_EFFORT_NM
-from residual.input_validation import MOST_PLAUSIBLE, as_float, known_limits
+from residual.checks.input import MOST_PLAUSIBLE, as_float, known_limits
+from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
 LAG_s = 0.02

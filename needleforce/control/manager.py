@@ -21,9 +21,9 @@ import msgspec
 from needleforce.control.errors import SettingError
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
+from residual.checks.input import as_float
 from residual.errors import TareError
 from residual.estimate import Status
-from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate

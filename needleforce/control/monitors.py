@@ -14,8 +14,8 @@ import numpy as np
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
 from needleforce.control.tasks import vector
+from residual.checks.input import as_float
 from residual.estimate import SensorWarning, Status
-from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate

@@ -25,8 +25,8 @@ from needleforce.control.passivity import (
 )
 from needleforce.control.ports import Array, MasterSample
 from needleforce.control.tasks import vector
+from residual.checks.input import as_float
 from residual.estimate import Status
-from residual.input_validation import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate

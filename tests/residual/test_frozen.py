@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from residual import SensorWarning, Status, VirtualForceSensor
-from residual.stuck_signals import LONGEST_REFUSAL_S
+from residual.checks.stuck_signals import LONGEST_REFUSAL_S
 from tests.residual.guarded_sensor import NOISE, feed, rows_of, tared
 from tests.residual.residual_signals import BIAS, MIDDLE, swing
 

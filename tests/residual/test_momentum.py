@@ -16,7 +16,7 @@ from residual import (
     VelocityEstimator,
 )
 from residual.momentum_observer import ROWS, set_step_weights
-from residual.velocity_estimator import lag_pair_coefficients
+from residual.velocity_filter import lag_pair_coefficients
 from tests.residual.guarded_sensor import feed, rows_of
 from tests.residual.residual_signals import JOINTS, external_torque_of, swing
 from urdf import Robot

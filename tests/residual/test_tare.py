@@ -9,11 +9,11 @@ import pytest
 from groundtruth.arm_plant import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
-from residual.bias_estimator import BiasEstimator, TareRecorder
-from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, TareBlocks
-from residual.joint_states import play_operator
-from residual.tare_check import check_free_of_contact
+from residual.bias.estimator import BiasEstimator, TareRecorder
+from residual.bias.fit import FreeMotionFit
+from residual.bias.joint_states import play_operator
+from residual.bias.model import BiasModel, TareBlocks
+from residual.bias.tare_check import check_free_of_contact
 from tests.residual.residual_signals import (
     BIAS,
     MIDDLE,

@@ -16,7 +16,7 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
-from residual.consistency_checks import first_match, velocity_fault, velocity_match_step
+from residual.checks.velocity import first_match, velocity_fault, velocity_match_step
 from tests.residual.guarded_sensor import feed, signals, tared
 from tests.residual.residual_signals import BIAS
 

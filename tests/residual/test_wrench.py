@@ -7,7 +7,7 @@ import pytest
 
 from needleforce.tip_travel import tip_motion
 from residual import PUBLISHED, ConfigurationError, SensorConfig, WrenchEstimator
-from residual.consistency_checks import unusual_change
+from residual.checks.pushed_arm import unusual_change
 from residual.estimate import UNSEEN_STD
 from residual.tool_kinematics import ToolKinematics
 from tests.residual.residual_signals import (

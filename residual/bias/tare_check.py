@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, TareBlocks
+from residual.bias.fit import FreeMotionFit
+from residual.bias.model import BiasModel, TareBlocks
 from residual.errors import Array, TareError, named_joints
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.optimize import nnls
 
-from residual.bias_model import BiasModel, Tare, TareBlocks
+from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.errors import Array
 
 LEARNT = ("links", "friction", "drift")

@@ -5,7 +5,7 @@ slower than the clock, samples that come twice. A repeat means something only wh
 noise of every joint stands out of the resolution, and only when all joints repeat
 together for far longer than they did while nothing was wrong. Of any other signal
 nothing is claimed: what a stuck torque does to the force is then left to
-`residual.consistency_checks` to notice.
+`residual.checks.monitor` to notice.
 """
 
 import math
@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from residual.checks.input import ROUNDING_S
 from residual.errors import Array
-from residual.input_validation import ROUNDING_S
 
 ORDER = 3  # of the differences: a smooth motion has almost none over three ticks
 # no shorter repeat counts as a stuck source, whatever the signal

@@ -48,7 +48,7 @@ def follow_joints(
     The memory is brought up to date: states of the torques' loops and of the bearings'
     elements, then torque [Nm] and position [rad] with their lags; shape (loops +
     elements + 2, n). The states are written, of the same shape: what
-    `residual.bias_model.BiasModel` has columns for, loops, elements, what friction has
+    `residual.bias.model.BiasModel` has columns for, loops, elements, what friction has
     more at low speed (see its prior), and speed [rad/s]. Half widths are those of loops
     [Nm] and elements [rad], shape (loops + elements, n).
     """

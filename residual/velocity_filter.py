@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
-from residual.errors import Array
-from residual.input_validation import (
+from residual.checks.input import (
     ROUNDING_S,
     check_choice,
     check_interval,
@@ -23,6 +22,7 @@ from residual.input_validation import (
     check_rows,
     read_rows,
 )
+from residual.errors import Array
 from residual.momentum_observer import Alignment
 
 ROWS = 4  # Rows of a step: outputs of the first and second lag, input at start and end

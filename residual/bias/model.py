@@ -17,8 +17,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from needleforce.jit import Matrix, Vector, compiled
+from residual.checks.input import check_choice, known_limits
 from residual.errors import Array, ConfigurationError
-from residual.input_validation import check_choice, known_limits
 from urdf import Robot
 
 TareKind = Literal["constant", "model"]
@@ -34,7 +34,7 @@ class BiasPrior:
     They are properties of a class of arms, not of one recording; fractions are of each
     joint's effort limit, the range of its torque sensor. The sizes of link errors,
     friction, drift and walk are where the tare starts from: the motion corrects them,
-    see `residual.bias_fit`.
+    see `residual.bias.fit`.
 
     Attributes:
         offset_fraction: Constant offset. 1 %: joint-torque sensors of the LWR kind
@@ -176,7 +176,7 @@ class BiasModel:
     and, where gear ratios are known, ripple. The constant kind has the first group
     only.
 
-    The states, shape (states, n), are what `residual.joint_states` follows: loops of
+    The states, shape (states, n), are what `residual.bias.joint_states` follows: loops of
     hysteresis, friction elements, their excess at low speed, and speed.
     """
 

@@ -9,14 +9,14 @@ from typing import Self
 import numpy as np
 import pinocchio as pin
 
-from residual.bias_fit import FreeMotionFit
-from residual.bias_model import BiasModel, Tare, TareBlocks
+from residual.bias.fit import FreeMotionFit
+from residual.bias.joint_states import follow_joints
+from residual.bias.model import BiasModel, Tare, TareBlocks
+from residual.bias.tare_check import check_free_of_contact
+from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
 from residual.errors import Array, TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
-from residual.input_validation import ROUNDING_S
-from residual.joint_states import follow_joints
-from residual.tare_check import check_free_of_contact
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
@@ -130,7 +130,7 @@ class BiasState:
 
     recorder: TareRecorder
     joint_memory: (
-        Array  # Memory of hysteresis and friction, see `residual.joint_states`
+        Array  # Memory of hysteresis and friction, see `residual.bias.joint_states`
     )
     states: Array
     torque_sum: Array

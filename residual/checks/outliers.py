@@ -14,11 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.jit import Vector, compiled
-from residual import stuck_signals as stuck
+from residual.checks import stuck_signals as stuck
+from residual.checks.input import ROUNDING_S, known_limits
+from residual.checks.stuck_signals import (
+    NoiseProbe,
+    SingleSignalDetector,
+    StuckSignalDetector,
+)
 from residual.errors import Array, SampleError, named_joints
 from residual.estimate import SensorWarning
-from residual.input_validation import ROUNDING_S, known_limits
-from residual.stuck_signals import NoiseProbe, SingleSignalDetector, StuckSignalDetector
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
