@@ -87,8 +87,8 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     head, colon, tail = names.rpartition(":")
     if colon:
         with suppress(ValueError):
-            names = head
             scale = float(tail)
+            names = head
     head, colon, tail = names.rpartition(":")
     if colon and (unit := find_unit(tail, channel.units)):
         names = head
