@@ -14,7 +14,7 @@ from benchmarks.identification_metrics import layer_spans, offline_fit, quiet_sp
 from benchmarks.methods import ForceReading, Identified
 from benchmarks.signals import Array, InsertionTruth, NeedleSignal
 from identification.config import Model
-from identification.offline import regression_matrix
+from identification.published.offline import regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
 
 MARGIN_s = 1.0

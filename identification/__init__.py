@@ -7,9 +7,8 @@ force at the tip.
     identifier = Identifier()                       # or Identifier(PUBLISHED)
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
-Reading order: `identifier`, `sample_filter`; the published method in
-`published_identifier`; the multi-layer method in the package `multilayer`; known layers
-in `offline`.
+Reading order: `identifier`, `sample_filter`; the multi-layer method in the package
+`multilayer`; the published method, online and offline, in `published`.
 """
 
 from identification.config import (
@@ -29,7 +28,7 @@ from identification.estimate import (
 )
 from identification.identifier import Identifier, Snapshot
 from identification.log_replay import Replay, replay
-from identification.offline import (
+from identification.published.offline import (
     LayerSpan,
     OfflineIdentification,
     OfflineLayer,

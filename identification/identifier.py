@@ -12,7 +12,7 @@ from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
 from identification.multilayer.method import SwitchingMethod, SwitchingState
-from identification.published_identifier import PublishedMethod, PublishedState
+from identification.published.online import PublishedMethod, PublishedState
 from needleforce.jit import working_copy
 
 _new = tuple.__new__  # makes an `Estimate` of a tuple in a third of the time

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
-from identification.offline import read_column
+from identification.published.offline import read_column
 
 _LEAST_TRAVEL_M = 1e-3
 _LARGEST_DEPTH_M = 1.0

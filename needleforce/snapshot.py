@@ -19,7 +19,7 @@ import numpy as np
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer.method import SwitchingState
-from identification.published_identifier import PublishedState
+from identification.published.online import PublishedState
 from needleforce.files import whole_file
 from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
 from residual.snapshot import arrays

@@ -157,7 +157,7 @@ def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
 def with_arrays():
     """Every dataclass of the estimators with a field that is an array."""
     for package in map(import_module, ("identification", "residual")):
-        for info in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
             module = None if "__main__" in info.name else import_module(info.name)
             for kind in vars(module).values() if module else ():
                 is_own = isinstance(kind, type) and kind.__module__ == info.name

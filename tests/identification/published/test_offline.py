@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from identification.errors import InvalidConfigError, InvalidLogError
-from identification.offline import LayerSpan, identify_offline, regression_matrix
+from identification.published.offline import (
+    LayerSpan,
+    identify_offline,
+    regression_matrix,
+)
 
 THICKNESS_M = 0.03
 STIFFNESS = 30.0

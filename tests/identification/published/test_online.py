@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.identifier import Identifier
-from identification.published_identifier import (
+from identification.published.online import (
     NO_SUMS,
     NO_WINDOWS,
     add_sample,
