@@ -1,15 +1,11 @@
 """Estimators against ground truth, on simulated insertions and on real recordings.
 
-Reading order: `runner` (what can be run), `benchmark` (a job and what it finds), `rows`
-(one number of the results, every metric). Then in the order in which numbers come
-about: `signals` (what estimators get, and the ground truth), `methods` (estimators on a
-signal, errors of a force), `identification_metrics` and `bounds` (how good they are,
-how good they could be), put together in `simulated`, `robustness` (in the worlds of
-`perturbations`) and `recorded`; `targets` and `tables` (what the numbers should be, and
-how they are shown); `campaign` with `campaign_workers` (who does the jobs, and what is
-kept of them) and `campaign_intervals`. Apart from these: `speed` and `long_runs` (what
-an update costs), `kdl_peer` (beside another library), `faults` and `fault_study` (what
-broken signals do), `control_study` (the needle in closed loop).
+Reading order: `catalogue` (what can be run), `jobs` (a piece of work and its result),
+`results` (rows, metrics, their file), `targets` (what the numbers should be). Then the
+rooms: `insertion` (force and identification against ground truth), `control` (the
+needle in closed loop), `anatomy` (CT, registration, paths), `faults` (what broken
+signals do), `performance` (what an update costs), `campaign` (who does the jobs, and
+what is kept of them), `report` (tables, figures, the page).
 
 Not part of the installed packages: run it from the repository, ``python -m benchmarks
 --help``. Every error message is one line for the person at the keyboard.

@@ -20,16 +20,16 @@ from cyclopts import App, Parameter
 from cyclopts.validators import Number
 
 from benchmarks import BenchmarkError, ResultsError
-from benchmarks.campaign_workers import Workers
+from benchmarks.campaign.workers import Workers
 from needleforce.cli.terminal import CommandError, progress_bar, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from benchmarks.benchmark import Outcome
-    from benchmarks.control_study import ControlRow
-    from benchmarks.rows import Row
-    from benchmarks.runner import Plan
+    from benchmarks.catalogue import Plan
+    from benchmarks.control.study import ControlRow
+    from benchmarks.jobs import Outcome
+    from benchmarks.results import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRAS = dict.fromkeys(
@@ -102,8 +102,8 @@ def progress_of(jobs: int) -> Iterator[Callable[[int, float], None]]:
 @app.command(name="list")
 def list_benchmarks() -> None:
     """What can be run."""
-    from benchmarks.runner import BENCHMARKS, PLANTS
-    from benchmarks.tables import ResultTable, new_console
+    from benchmarks.catalogue import BENCHMARKS, PLANTS
+    from benchmarks.report.tables import ResultTable, new_console
 
     needs = {True: "recordings", False: "simulation"}
     table = ResultTable(
@@ -169,7 +169,7 @@ def run(
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between
             several; may be given more than once. Default: clean; for drawn scenarios
             needle. Of robustness, names of perturbations
-            (benchmarks/perturbations.toml); default: all.
+            (benchmarks/insertion/perturbations.toml); default: all.
         seeds: Run so many seeds.
         first_seed: The first of them; default: 0, for control 1000. Methods are tuned
             on seeds below 1000.
@@ -180,9 +180,9 @@ def run(
         workers: Who does the runs.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.report import write_report
-    from benchmarks.runner import Request, make_plan
-    from benchmarks.tables import new_console
+    from benchmarks.catalogue import Request, make_plan
+    from benchmarks.report.page import write_report
+    from benchmarks.report.tables import new_console
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
@@ -239,8 +239,8 @@ def _run_apart(
     """Print the table of the closed loop or the anatomy, and return the rows with
     targets.
     """
-    from benchmarks.anatomy_study import run_anatomy, show_anatomy
-    from benchmarks.control_study import control_jobs, run_control, show_control
+    from benchmarks.anatomy.study import run_anatomy, show_anatomy
+    from benchmarks.control.study import control_jobs, run_control, show_control
 
     if any(name.startswith("anatomy") for name in ids):
         if workers.cluster:
@@ -258,7 +258,7 @@ def _run_apart(
 def _timed(
     plan: "Plan", workers: Workers, kept: Kept, console: "Console"
 ) -> tuple[list["Outcome"], list["Row"]]:
-    from benchmarks.campaign import run_jobs
+    from benchmarks.campaign.runs import run_jobs
 
     begin_s = perf_counter()
     with progress_of(len(plan.jobs)) as update:
@@ -278,7 +278,7 @@ def _print_outcomes(
     """Print tables, what failed and what was left out; returns whether anything
     failed.
     """
-    from benchmarks.tables import result_tables
+    from benchmarks.report.tables import result_tables
 
     for table in result_tables(rows):
         console.print(table.rich())
@@ -301,8 +301,8 @@ def compare(old: Path, new: Path) -> int:
         old: Results of the earlier run.
         new: Results of the later run.
     """
-    from benchmarks.rows import read_results
-    from benchmarks.tables import comparison_table, new_console
+    from benchmarks.report.tables import comparison_table, new_console
+    from benchmarks.results import read_results
     from benchmarks.targets import Change, compare_rows
 
     found = compare_rows(read_results(old), read_results(new))
@@ -337,8 +337,7 @@ def results(
         limits: Write the worst rows of robustness between the marks of that page
             (docs/limits.md).
     """
-    from benchmarks.rows import read_merged
-    from benchmarks.tables import (
+    from benchmarks.report.tables import (
         fill,
         new_console,
         results_page,
@@ -346,6 +345,7 @@ def results(
         summary_table,
         worst_rows,
     )
+    from benchmarks.results import read_merged
 
     rows = read_merged(files)
     # Folders of one machine mean nothing to a reader.
@@ -393,10 +393,10 @@ def time_updates(
         ticks: How many, with --soak.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.control_speed import control_speed_report
-    from benchmarks.long_runs import run_soak, soak_table
-    from benchmarks.speed import measure_speed, speed_report
-    from benchmarks.tables import new_console
+    from benchmarks.performance.control_speed import control_speed_report
+    from benchmarks.performance.long_runs import run_soak, soak_table
+    from benchmarks.performance.speed import measure_speed, speed_report
+    from benchmarks.report.tables import new_console
 
     with progress_bar("timing") as update:
         if soak:
@@ -404,12 +404,12 @@ def time_updates(
             tables = [soak_table(found, ticks)]
             is_met = found.is_met
         elif loop is not None:
-            from benchmarks.devices_loop import loop_table
+            from benchmarks.performance.device_loop import loop_table
 
             tables = [loop_table(loop, with_scene=scene, progress=update)]
             is_met = True
         elif kdl:
-            from benchmarks.kdl_peer import compare_with_kdl
+            from benchmarks.performance.kdl_peer import compare_with_kdl
 
             tables, is_met = compare_with_kdl(update)
         elif control:
@@ -432,8 +432,8 @@ def inject_faults(
         markdown: Print the table of docs/loop.md.
         strict: Exit with 1 if a fault is not recovered from, or a number is not finite.
     """
-    from benchmarks.fault_study import FaultStudy, fault_table
-    from benchmarks.tables import new_console
+    from benchmarks.faults.study import FaultStudy, fault_table
+    from benchmarks.report.tables import new_console
 
     with progress_bar("faults") as update:
         study = FaultStudy(
@@ -468,13 +468,13 @@ def stream_recordings(
         folder: Where the files lie meanwhile.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.long_runs import (
+    from benchmarks.performance.long_runs import (
         LEAST_SECONDS,
         RECORDINGS,
         measure_stream,
         stream_table,
     )
-    from benchmarks.tables import new_console
+    from benchmarks.report.tables import new_console
 
     if seconds < LEAST_SECONDS:
         raise BenchmarkError(

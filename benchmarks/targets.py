@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from benchmarks.rows import METRICS, Row, RowKey, metric, table_lines
+from benchmarks.results import METRICS, Row, RowKey, metric, table_lines
 from groundtruth import SCENARIOS
 from groundtruth.scenarios import RANDOM_STACK
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.signals import JointSignals
+from benchmarks.insertion.signals import JointSignals
 from needleforce import InsertionSession
 from needleforce.cli import main
 from residual import VirtualForceSensor

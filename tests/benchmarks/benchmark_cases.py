@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from benchmarks.rows import Row
+from benchmarks.results import Row
 from groundtruth import Scenario
 from groundtruth.materials import gel
 from groundtruth.motion import constant_motion

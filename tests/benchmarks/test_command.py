@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import DataError, runner
-from benchmarks.benchmark import Benchmark, Findings, Job
-from benchmarks.campaign import run_jobs
-from benchmarks.campaign_workers import Workers
+from benchmarks import DataError, catalogue
+from benchmarks.campaign.runs import run_jobs
+from benchmarks.campaign.workers import Workers
 from benchmarks.cli import main
-from benchmarks.rows import Measurement, read_results, write_results
+from benchmarks.jobs import Benchmark, Findings, Job
+from benchmarks.results import Measurement, read_results, write_results
 from tests.benchmarks.benchmark_cases import make_row
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
@@ -35,7 +35,7 @@ def _pretended(monkeypatch):
         id="panda-real", title="real", run=pretend, needs=("panda_gaz2019",)
     )
     monkeypatch.setattr(
-        runner, "BENCHMARKS", {item.id: item for item in (*items, real)}
+        catalogue, "BENCHMARKS", {item.id: item for item in (*items, real)}
     )
     monkeypatch.delenv("NEEDLEFORCE_DATA", raising=False)
 

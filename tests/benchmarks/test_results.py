@@ -10,17 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import ResultsError
+from benchmarks.catalogue import BENCHMARKS
 from benchmarks.cli import main
-from benchmarks.rows import (
-    METRICS,
-    metric,
-    read_merged,
-    read_results,
-    to_json,
-    write_results,
-)
-from benchmarks.runner import BENCHMARKS
-from benchmarks.tables import (
+from benchmarks.report.tables import (
     BEGIN,
     END,
     HEADLINES,
@@ -30,6 +22,14 @@ from benchmarks.tables import (
     summary_block,
     summary_table,
     target_table,
+)
+from benchmarks.results import (
+    METRICS,
+    metric,
+    read_merged,
+    read_results,
+    to_json,
+    write_results,
 )
 from benchmarks.targets import (
     GELS,

@@ -5,7 +5,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks.signals import JointSignals, measured_travel
+from benchmarks.insertion.signals import JointSignals, measured_travel
 from identification import MultilayerConfig, SampleStatus
 from identification.config import CheckConfig
 from needleforce import InsertionError, InsertionSession

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.guard_study import KINDS, held_back, sensed
+from benchmarks.faults.false_alarms import KINDS, held_back, sensed
 from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
 from tests.residual.guarded_sensor import feed, tared
 from tests.residual.residual_signals import MIDDLE, external_torque_of

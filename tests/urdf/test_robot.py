@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 import yourdfpy
 
-from benchmarks.recorded.panda import read_panda
+from benchmarks.insertion.recorded.panda import read_panda
 from tests.residual.residual_signals import pose_of
 from urdf import (
     InertiaError,

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks.anatomy_path import measure_path, random_path, scan_of
+from benchmarks.anatomy.path import measure_path, random_path, scan_of
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import Grid, Labels, Structure, VolumeError
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.anatomy_surface import distance_rms_m, label_ellipsoid
+from benchmarks.anatomy.surface import distance_rms_m, label_ellipsoid
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import Grid, Labels, Structure, Surface
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.anatomy_surface import (
+from benchmarks.anatomy.surface import (
     FORMATS,
     oblique_image,
     write_labels,

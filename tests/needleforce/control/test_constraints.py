@@ -8,11 +8,13 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import ResultsError, UnknownIdError, control_constraints, control_study
-from benchmarks.campaign_workers import Workers
+from benchmarks import ResultsError, UnknownIdError
+from benchmarks.campaign.workers import Workers
 from benchmarks.cli import main
-from benchmarks.control_constraints import CASES, measure
-from benchmarks.control_study import (
+from benchmarks.control import constraints as control_constraints
+from benchmarks.control import study as control_study
+from benchmarks.control.constraints import CASES, measure
+from benchmarks.control.study import (
     ControlRow,
     Figure,
     control_jobs,
@@ -68,7 +70,7 @@ def part(monkeypatch):
         yield Figure("reference", "", 5.0, "N")
 
     module = SimpleNamespace(CASES=("usual", "broken"), measure=values, __spec__="fake")
-    monkeypatch.setitem(sys.modules, "benchmarks.control_fake", module)
+    monkeypatch.setitem(sys.modules, "benchmarks.control.fake", module)
     monkeypatch.setattr(control_study, "PARTS", ("fake",))
 
 

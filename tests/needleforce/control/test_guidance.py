@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.control_guidance import GuidedArm
+from benchmarks.control.guidance import GuidedArm
 from needleforce.control import Guidance, SettingError
 from urdf import NeedleTool, load_lwr
 

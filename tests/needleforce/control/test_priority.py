@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from benchmarks import control_priority, control_speed
+from benchmarks.control import priority as control_priority
+from benchmarks.performance import control_speed
 from groundtruth.rig_arm import ArmSample
 from needleforce.control import (
     AxialSpeed,

@@ -1,0 +1,110 @@
+"""Time and memory of a scan at full size: 88 million voxels, 61 structures, in a fresh
+process.
+
+The structures are those of the real CT, four times as fine.
+"""
+
+import resource
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter
+
+import numpy as np
+
+from benchmarks import BenchmarkError
+from benchmarks.anatomy.study import CT_FOLDER, Figure
+from benchmarks.jobs import Progress
+from needleforce.anatomy import read_labels
+
+FINER = 4
+MOST_S = 60.0
+MOST_GB = 1.5
+
+
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+    """Yield time, memory and what the surfaces are like."""
+    del seed  # nothing is drawn
+    if data is None:
+        raise BenchmarkError("anatomy-fullsize needs the recordings: --data DIR")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "labels.nrrd"
+        voxels = _write_finer(data / CT_FOLDER / "labels.nii.gz", path)
+        command = [sys.executable, "-m", "benchmarks.anatomy.fullsize", str(path)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+            lines = []
+            for line in child.stdout or ():
+                lines.append(line.split())
+                if len(lines[-1]) == 1:
+                    progress(float(line))
+        if child.returncode:
+            raise BenchmarkError(
+                f"reading the full-size volume ended with {child.returncode}"
+            )
+    seconds, gigabytes, structures, closed, worst, triangles = map(float, lines[-1])
+    yield Figure("full size: voxels", "", 1e-6 * voxels, "million")
+    yield Figure("full size: structures", "", structures, "")
+    yield Figure("full size: reading and all surfaces", "", seconds, "s", MOST_S)
+    yield Figure("full size: peak memory", "", gigabytes, "GB", MOST_GB)
+    yield Figure(
+        "full size: watertight",
+        "",
+        100.0 * closed / structures,
+        "%",
+        100.0,
+        at_least=True,
+    )
+    yield Figure("full size: volume against voxels, worst", "", worst, "%", 0.1)
+    yield Figure("full size: triangles", "", 1e-6 * triangles, "million")
+
+
+def _write_finer(source: Path, path: Path) -> int:
+    """Write the labels with smaller voxels; boundaries by linear interpolation of
+    each mask.
+    """
+    import SimpleITK
+    from scipy.ndimage import zoom
+
+    labels = read_labels(source)
+    values = np.zeros([FINER * size for size in labels.grid.shape], np.uint8)
+    for item in labels.structures:
+        mask = np.pad(labels.mask(item.name), 1).astype(np.float32)
+        fine = zoom(mask, FINER, order=1, grid_mode=True, mode="nearest")[
+            (slice(FINER, -FINER),) * 3
+        ]
+        box = tuple(slice(FINER * part.start, FINER * part.stop) for part in item.box)
+        values[box][fine > 0.5] = item.value
+    image = SimpleITK.GetImageFromArray(values.T)
+    image.SetSpacing((1e3 * labels.grid.spacing_m / FINER).tolist())
+    SimpleITK.WriteImage(image, str(path), useCompression=True)
+    return values.size
+
+
+def _run(path: Path) -> None:
+    """Read and mesh in this process; writes fractions done, then the results in one
+    line.
+    """
+    begin = perf_counter()
+    labels = read_labels(path)
+    surfaces = labels.surfaces(progress=lambda fraction: _say(f"{fraction:.4f}"))
+    seconds = perf_counter() - begin
+    gigabytes = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
+    ratios = [
+        found.mesh.volume / (labels[name].voxels * labels.grid.voxel_m3)
+        for name, found in surfaces.items()
+    ]
+    closed = sum(found.mesh.is_volume for found in surfaces.values())
+    worst = 100.0 * max(abs(ratio - 1.0) for ratio in ratios)
+    triangles = sum(len(found.triangles) for found in surfaces.values())
+    _say(f"{seconds} {gigabytes} {len(surfaces)} {closed} {worst} {triangles}")
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    _run(Path(sys.argv[1]))

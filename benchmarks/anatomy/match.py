@@ -1,0 +1,198 @@
+"""The plan against the ruptures of random stacks, found through the virtual sensor.
+
+The plan lies off by 3 mm as a whole, its boundaries by 0.5 mm (standard deviations).
+Then the same with 30 % of the ruptures withheld, with the offset's deviation misstated
+twofold either way, and with a surface that lies where it was planned, as where organs
+have moved beneath the skin.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.anatomy.study import Figure
+from benchmarks.insertion.signals import JointSignals
+from benchmarks.jobs import Progress
+from groundtruth import simulate
+from groundtruth.scenarios import RANDOM_STACK, scenario
+from needleforce import InsertionSession
+from needleforce.anatomy import Layer, PlanMatch
+
+STACKS = 200
+PLANS = 5
+"""Insertions, and plans for each; it takes half an hour."""
+OFFSET_STD_m = 3e-3
+BOUNDARY_STD_m = 0.5e-3
+SAME_m = 3e-3
+"""A rupture is that of a boundary if its release began so close to it."""
+
+
+class Case(NamedTuple):
+    """What the match is given.
+
+    Attributes:
+        withheld: Part of the ruptures.
+        stated: Deviation of the offset, of the true one.
+        is_skin_right: Only what lies beneath the surface is off.
+    """
+
+    name: str
+    withheld: float = 0.0
+    stated: float = 1.0
+    is_skin_right: bool = False
+
+
+CASES = (
+    Case("as stated"),
+    Case("30 % withheld", withheld=0.3),
+    Case("deviation stated twice too large", stated=2.0),
+    Case("deviation stated half", stated=0.5),
+    Case("organs shifted beneath the skin", is_skin_right=True),
+)
+
+
+class Event(NamedTuple):
+    """A rupture that the session reported, or took back.
+
+    Attributes:
+        tip_m: Below the surface, at the alarm.
+        depth_m: Of the rupture.
+        layer: Into which it led, -1 for a false alarm.
+        contact_m: Depth at which the surface was found.
+    """
+
+    tip_m: float
+    depth_m: float
+    layer: int
+    is_retracted: bool
+    contact_m: float
+
+
+class Found(NamedTuple):
+    """The ruptures of one insertion.
+
+    Attributes:
+        boundaries_m: true, below the surface, the surface first.
+    """
+
+    boundaries_m: np.ndarray
+    events: list[Event]
+
+
+def ruptures_of(seed: int) -> Found:
+    """Push a needle through a drawn stack, and collect what the session reports."""
+    run = simulate(scenario(RANDOM_STACK, seed), "clean", seed)
+    session = InsertionSession(run.robot)
+    true = run.truth
+    tare = int(np.searchsorted(run.signals.t_s, run.tare_end_s))
+    zero = 0.0
+    events = []
+    for k, row in enumerate(JointSignals.of_run(run).samples()):
+        now = session.update(*row)
+        if k == tare:
+            session.tare()
+            zero = float(true.depth_m[k])
+        found = now.identification
+        for rupture in (found.rupture, found.retracted):
+            if k > tare and rupture is not None:
+                depth = rupture.depth_m + zero
+                near = min(
+                    true.ruptures,
+                    key=lambda one: abs(one.onset_m - depth),
+                    default=None,
+                )
+                is_same = near is not None and abs(near.onset_m - depth) < SAME_m
+                layer = near.layer if near is not None and is_same else -1
+                is_retracted = rupture is found.retracted
+                contact = rupture.contact_depth_m + zero
+                events.append(
+                    Event(now.depth_m + zero, depth, layer, is_retracted, contact)
+                )
+    thickness = [layer.thickness_m for layer in run.scenario.layers]
+    return Found(np.cumsum([0.0, *thickness]), events)
+
+
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+    """Yield the figures of every case."""
+    del data
+    found = []
+    for k in range(STACKS):
+        found.append(ruptures_of(seed + k))
+        progress((k + 1) / STACKS)
+    for case in CASES:
+        rng = np.random.default_rng([seed, 11])
+        offsets = []
+        right = []
+        inside = []
+        for one in found:
+            for _ in range(PLANS):
+                _matched(one, case, rng, (offsets, right, inside))
+        rms_mm = (
+            1e3 * float(np.sqrt(np.mean(np.square(offsets))))
+            if offsets
+            else float("nan")
+        )
+        cover = float(np.mean(inside))
+        least = 95.0 if case.withheld else 97.0
+        hits = 100.0 * float(np.mean(right))
+        yield Figure(
+            f"plan, {case.name}: offset after three ruptures, rms",
+            "",
+            rms_mm,
+            "mm",
+            0.8,
+        )
+        yield Figure(
+            f"plan, {case.name}: right boundary", "", hits, "%", least, at_least=True
+        )
+        yield Figure(
+            f"plan, {case.name}: 95 % interval covers",
+            "",
+            cover,
+            "",
+            0.93,
+            at_least=True,
+        )
+        yield Figure(
+            f"plan, {case.name}: 95 % interval covers, at most", "", cover, "", 0.98
+        )
+
+
+def _matched(
+    one: Found,
+    case: Case,
+    rng: np.random.Generator,
+    results: tuple[list[float], list[bool], list[bool]],
+) -> None:
+    """Match one insertion with a plan that is drawn, and append what came of it."""
+    offset = OFFSET_STD_m * float(rng.normal())
+    edges = (
+        one.boundaries_m
+        - offset
+        + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
+    )
+    if case.is_skin_right:
+        edges[0] += offset
+    if (np.diff(edges) <= 5e-4).any():
+        return
+    layers = [
+        Layer(str(k), start, end, BOUNDARY_STD_m, BOUNDARY_STD_m, False)
+        for k, (start, end) in enumerate(pairwise([*edges, edges[-1] + 0.05]))
+    ]
+    match = PlanMatch(layers, case.stated * OFFSET_STD_m)
+    ruptures = []
+    for event in one.events:
+        if event.is_retracted:
+            ruptures = [depth for depth in ruptures if depth != event.depth_m]
+        if event.is_retracted or rng.random() < case.withheld:
+            continue
+        ruptures.append(event.depth_m)
+        state = match.state(event.tip_m, ruptures, contact_m=event.contact_m)
+        low, high = match.interval_m(event.tip_m, ruptures, contact_m=event.contact_m)
+        results[1].append(state.matched == event.layer)
+        results[2].append(low <= offset <= high)
+        if len(ruptures) == 3:
+            results[0].append(state.offset_m - offset)

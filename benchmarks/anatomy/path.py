@@ -1,0 +1,204 @@
+"""Layers along 1,000 straight paths through analytic torsos, against the exact
+crossings.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby, pairwise
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.anatomy.study import Figure
+from benchmarks.jobs import Progress
+from groundtruth.torso import Stretch, Torso, analytic_torso
+from needleforce.anatomy import Grid, Labels, Layer, Structure
+from needleforce.anatomy.volume import UNLABELLED
+
+SPACINGS_MM = {
+    "3 mm": (3.0, 3.0, 3.0),
+    "1 mm": (1.0, 1.0, 1.0),
+    "0.98 x 0.98 x 2 mm": (0.98, 0.98, 2.0),
+}
+TORSOS = 5
+PATHS = 200
+HALF_M = np.array([0.20, 0.145, 0.19])
+"""Half the edges of the scan around the torso."""
+THICK_VOXELS = 1.5
+"""Layers thinner than this may be missed."""
+
+
+class Measured(NamedTuple):
+    """One path.
+
+    Attributes:
+        scores: Errors over the stated standard deviation.
+        is_right: The sequence of layers that are thick enough.
+        crossings: True ones.
+    """
+
+    errors_voxels: list[float]
+    scores: list[float]
+    is_right: bool
+    has_gaps: bool
+    crossings: int
+    seconds: float
+
+
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+    """Yield the figures of every spacing."""
+    del data
+    for number, (name, spacing_mm) in enumerate(SPACINGS_MM.items()):
+        found: list[Measured] = []
+        for turn in range(TORSOS):
+            rng = np.random.default_rng([seed, number, turn])
+            torso = analytic_torso(rng)
+            labels = scan_of(torso, spacing_mm, rng)
+            layers_of(labels, *random_path(torso, rng))  # the first call imports
+            found += [
+                measure_path(torso, labels, *random_path(torso, rng))
+                for _ in range(PATHS)
+            ]
+            progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
+        errors = np.array([error for one in found for error in one.errors_voxels])
+        scores = np.abs([score for one in found for score in one.scores])
+        right = float(100.0 * np.mean([one.is_right for one in found]))
+        slow_ms = 1e3 * float(np.median([one.seconds for one in found]))
+        yield Figure(
+            f"{name}: depth error, rms",
+            "",
+            float(np.sqrt(np.mean(errors**2))),
+            "voxel",
+            0.15,
+        )
+        yield Figure(
+            f"{name}: sequence right", "", float(right), "%", 99.0, at_least=True
+        )
+        yield Figure(
+            f"{name}: paths with gaps or overlaps",
+            "",
+            sum(m.has_gaps for m in found),
+            "",
+            0.0,
+        )
+        yield Figure(f"{name}: time of a path, median", "", slow_ms, "ms", 5.0)
+        yield Figure(
+            f"{name}: errors within 1.96 stated deviations",
+            "",
+            float(100.0 * np.mean(scores < 1.96)),
+            "%",
+        )
+        yield Figure(
+            f"{name}: errors within 1 stated deviation",
+            "",
+            float(100.0 * np.mean(scores < 1.0)),
+            "%",
+        )
+        found_percent = 100.0 * len(errors) / sum(one.crossings for one in found)
+        yield Figure(
+            f"{name}: true crossings found, of any thickness", "", found_percent, "%"
+        )
+
+
+def scan_of(
+    torso: Torso, spacing_mm: Sequence[float], rng: np.random.Generator
+) -> Labels:
+    """Label the torso on a grid that begins anywhere in a voxel."""
+    spacing = 1e-3 * np.array(spacing_mm)
+    shape = tuple(int(n) for n in np.ceil(2.0 * HALF_M / spacing))
+    grid = Grid(shape, -HALF_M + rng.uniform(size=3) * spacing, np.diag(spacing))
+    structures = [
+        Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)
+    ]
+    return Labels.of(
+        [torso.voxels(shape, grid.origin_m, grid.axes_m)], grid, structures
+    )
+
+
+def random_path(
+    torso: Torso, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return an entry in air, in front or on the right, and a target in the liver."""
+    liver = torso["liver"]
+    ball = rng.normal(size=3)
+    ball *= 0.8 * np.cbrt(rng.uniform()) / np.linalg.norm(ball)
+    target = liver.centre_m + liver.axes @ (ball * liver.radii_m)
+    turn = rng.uniform(-2.6, -0.8)
+    away = np.array([np.cos(turn), np.sin(turn), rng.uniform(-0.5, 0.5)])
+    return target + rng.uniform(0.12, 0.2) * away / np.linalg.norm(away), target
+
+
+def layers_of(labels: Labels, entry_m: NDArray, target_m: NDArray) -> list[Layer]:
+    """Return the layers of a path."""
+    return labels.layers_along(entry_m, target_m)
+
+
+def measure_path(
+    torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray
+) -> Measured:
+    """Compare one path with the truth: every crossing found between the same two
+    layers.
+    """
+    begin = perf_counter()
+    layers = layers_of(labels, entry_m, target_m)
+    seconds = perf_counter() - begin
+    truth = [
+        item._replace(name=item.name or UNLABELLED)
+        for item in torso.crossings(entry_m, target_m)
+    ]
+    voxel_m = float(np.cbrt(labels.grid.voxel_m3))
+    errors = []
+    scores = []
+    for error_m, std_m in matched(truth, layers):
+        errors.append(error_m / voxel_m)
+        scores.append(error_m / std_m)
+    ends = [layers[0].entry_m, *(layer.exit_m for layer in layers)]
+    begins = [
+        *(layer.entry_m for layer in layers),
+        float(np.linalg.norm(target_m - entry_m)),
+    ]
+    gaps = not np.allclose(ends, begins, rtol=0.0, atol=1e-12) or bool(
+        np.any(np.diff(ends) < 0.0)
+    )
+    is_right = in_order(truth, layers, THICK_VOXELS * voxel_m)
+    return Measured(errors, scores, is_right, gaps, len(truth) - 1, seconds)
+
+
+def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) -> bool:
+    """Whether thick true layers all appear in order, and thick layers found are all
+    true.
+
+    Where a thin layer may be missed, what lies on both of its sides counts once.
+    """
+
+    def appear(few: list[str], many: list[str]) -> bool:
+        rest = iter(many)
+        return all(name in rest for name in few)
+
+    def names(items: Sequence[Stretch] | Sequence[Layer], least_m: float) -> list[str]:
+        thick = (item.name for item in items if item.exit_m - item.entry_m > least_m)
+        return [name for name, _ in groupby(thick)]
+
+    return appear(names(truth, thick_m), names(layers, 0.0)) and appear(
+        names(layers, thick_m), names(truth, 0.0)
+    )
+
+
+def matched(
+    truth: Sequence[Stretch], layers: Sequence[Layer]
+) -> Iterator[tuple[float, float]]:
+    """Yield error and stated deviation, in metres, of crossings between the same two
+    layers.
+
+    Of several such crossings the nearest counts.
+    """
+    for before, after in pairwise(truth):
+        same = [
+            (follower.entry_m - after.entry_m, follower.entry_std_m)
+            for leader, follower in pairwise(layers)
+            if (leader.name, follower.name) == (before.name, after.name)
+        ]
+        if same:
+            yield min(same, key=lambda pair: abs(pair[0]))

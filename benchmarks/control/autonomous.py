@@ -1,0 +1,177 @@
+"""The needle by itself: how far it goes after a rupture, on bone, pushed aside, and
+signals lost.
+
+Positions, speeds and forces are the simulator's, at every tick. What stops the needle
+is the manager, with the session's force and identification, or the F/T sensor's.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from benchmarks.control.loop import STANDOFF_M, Insertion
+from benchmarks.control.study import Figure
+from groundtruth.rig_arm import Servo, SimulatedArm
+from groundtruth.rig_contacts import HandOnArm, Wall
+from needleforce.control import InsertionPlan, SafetyLimits
+
+SERVOS: Mapping[str, Servo] = {"S": "stiff", "I": "impedance"}
+TRAVEL_MM = {
+    "virtual": {2.3: 0.15, 5.0: 0.2, 10.0: 0.35, 20.0: 1.0},
+    "F/T": {2.3: 0.12, 5.0: 0.15, 10.0: 0.25, 20.0: 0.75},
+}
+"""Targets of the travel past a rupture, by the speed in mm/s."""
+BONE_N = {5.0: 0.3, 20.0: 4.0}
+"""Targets of the force over the limit."""
+LIMIT_N = 2.0
+OPEN_N = 20.0
+"""Force limit against bone, and one that no tissue here reaches."""
+SIDE_N = 2.0
+SIDE_MS = 60.0
+LOST_MM = 0.5
+LOST = {
+    "torques": "tau_Nm",
+    "positions": "q_rad",
+    "samples": "sample",
+    "commands": "command",
+}
+STRUCK_M = 15e-3
+LOST_S = 0.3
+"""Depth, from the tare, at which a side force or a loss begins; and how long a loss
+takes."""
+SIDE_MM_S = 5.0
+AT_REST_M_S = 1e-3
+"""Speed with a push from the side, and the one below which the needle counts as
+stopped: an arm with a soft servo goes on to settle."""
+LAYERS = 3
+
+CASES = (
+    *(
+        f"{s} rupture {by} {v:g}"
+        for s in SERVOS
+        for by in TRAVEL_MM
+        for v in TRAVEL_MM[by]
+    ),
+    *(f"{s} bone {v:g}" for s in SERVOS for v in BONE_N),
+    *(f"{s} side" for s in SERVOS),
+    *(f"{s} lost {what}" for s in SERVOS for what in LOST),
+)
+
+
+def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
+    """Figures of one run; the layer at whose end it must stop goes round with the
+    seed.
+    """
+    servo, kind, *rest = case.split()
+    if kind == "rupture":
+        return _rupture(servo, rest[0], float(rest[1]), plant, seed)
+    if kind == "bone":
+        return _bone(servo, float(rest[0]), plant, seed)
+    return (
+        _side(servo, plant, seed)
+        if kind == "side"
+        else _lost(servo, rest[0], plant, seed)
+    )
+
+
+def _rupture(
+    servo: str, sensor: str, mm_s: float, plant: str, seed: int
+) -> Iterator[Figure]:
+    layer = 1 + seed % LAYERS
+    rig = SimulatedArm(
+        "stack-glove-constant", plant, seed, servo=SERVOS[servo], standoff_m=STANDOFF_M
+    )
+    plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.125, layer=layer)
+    run = Insertion(rig, plan, SafetyLimits(axial_N=OPEN_N), with_ft=sensor == "F/T")
+    for _ in run:
+        pass
+    by = f"{sensor}, {mm_s:g} mm/s"
+    truth = rig.tissue_truth()
+    ends = [
+        rupture
+        for rupture in truth.ruptures
+        if rupture.onset_s < (run.ended_s or np.inf)
+    ]
+    found = len(ends) - layer
+    yield Figure(f"stopped with no rupture, {by}", servo, float(found < 0), "runs", 0.0)
+    yield Figure(
+        f"rupture passed by, {by}",
+        servo,
+        float(found > 0 or not run.ended_s),
+        "runs",
+        0.0,
+    )
+    if found == 0 and run.ended_s:
+        start = round(1e3 * ends[-1].onset_s)
+        depths_m = rig.depths_m[start:]
+        travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
+        yield Figure(
+            f"past a rupture, {by}", servo, travel_mm, "mm", TRAVEL_MM[sensor][mm_s]
+        )
+        yield Figure(
+            f"stop after a rupture, {by}", servo, 1e3 * run.ended_s - start, "ms"
+        )
+
+
+def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
+    wall = Wall(distance_m=STRUCK_M)
+    rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
+    plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
+    deepest_m = 0.0
+    run = Insertion(rig, plan, SafetyLimits(axial_N=LIMIT_N))
+    for _ in run:
+        deepest_m = max(deepest_m, wall.penetration_m)
+    over_N = wall.stiffness_N_per_m * deepest_m - LIMIT_N
+    yield Figure(
+        f"over {LIMIT_N:g} N on bone, {mm_s:g} mm/s", servo, over_N, "N", BONE_N[mm_s]
+    )
+
+
+def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    pushed_s = [np.inf]
+    hand = HandOnArm(
+        at="hub", force_N=lambda t_s: (SIDE_N if t_s >= pushed_s[0] else 0.0, 0.0, 0.0)
+    )
+    run = _in_gel(servo, plant, seed, SIDE_MM_S, [hand])
+    moving_s = 0.0
+    for now in run:
+        if (
+            np.isinf(pushed_s[0])
+            and now.state == "insertion"
+            and now.estimate.depth_m > STRUCK_M
+        ):
+            pushed_s[0] = run.rig.time_s
+        if abs(run.rig.truth.speed_m_s) > AT_REST_M_S:
+            moving_s = run.rig.time_s
+    stop_ms = 1e3 * (moving_s - pushed_s[0])
+    yield Figure(
+        f"stopped after {SIDE_N:g} N from the side", servo, stop_ms, "ms", SIDE_MS
+    )
+
+
+def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
+    run = _in_gel(servo, plant, seed, 20.0)
+    start = 0
+    for now in run:
+        if not start and now.state == "insertion" and now.estimate.depth_m > STRUCK_M:
+            start = round(1e3 * run.rig.time_s)
+            run.rig.lose(LOST[what], LOST_S)
+    depths_m = run.rig.depths_m[start : start + round(1e3 * LOST_S)]
+    travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
+    yield Figure(f"further with {what} lost, 20 mm/s", servo, travel_mm, "mm", LOST_MM)
+
+
+def _in_gel(
+    servo: str, plant: str, seed: int, mm_s: float, contacts: Sequence[HandOnArm] = ()
+) -> Insertion:
+    rig = SimulatedArm(
+        "gel-70-constant",
+        plant,
+        seed,
+        servo=SERVOS[servo],
+        standoff_m=STANDOFF_M,
+        contacts=contacts,
+        duration_s=20.0,
+    )
+    plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.03)
+    return Insertion(rig, plan, SafetyLimits(axial_N=OPEN_N))

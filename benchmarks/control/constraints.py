@@ -1,0 +1,377 @@
+"""What the kinematic constraints hold, in closed loop against true positions.
+
+Remote centre (RCM): the tip follows a circle of 40 mm across, 80 mm below a trocar that
+holds the needle with 1000 N/m, with 1 N on the tip across; error is the distance of the
+true axis from the point where it was when the centre was set. Fixture: 100 mm through
+tissue while the user wants to leave the line, sideways at up to 20 mm/s; error is the
+distance of the true tip from the line. Decoupled motion: the needle turns by 0.5 rad
+about the tip, which should rest.
+
+S is the stiff inner loop, I joint impedance. With *kinematic error*, the arm's joints
+are not quite where the controller's model has them: micrometres on shared kinematics
+mean nothing without it.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.control.published import published
+from benchmarks.control.study import Figure
+from groundtruth.plant_model import PLANT_MODELS
+from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
+from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
+from needleforce.control.controller import Controller, Limits, Solver, hierarchical
+from needleforce.control.tasks import (
+    DecoupledMotion,
+    Fixture,
+    Posture,
+    RemoteCentre,
+    Task,
+    TipVelocity,
+)
+
+Array = NDArray[np.float64]
+SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
+MILLI = 1e3
+
+GAIN_per_s = 30.0
+PUSHED_GAIN_per_s = 60.0
+"""K of the constraints. Noise of the measured positions passes the loop and grows with
+the root of K; what a push displaces falls with K. A needle in a fixture is held by a
+hand, so it gets more."""
+SETTLE_s = 0.6
+"""Rest before a constraint is set at the mean of what is measured in its second half.
+After 0.3 s joint impedance still moves by 0.01 mm under the 1 N on the tip."""
+BEHIND_TIP_m = 0.08
+RADIUS_m = 0.02
+PERIOD_s = 8.0
+FADE_s = 1.0
+INSERTION_m = 0.1
+INSERTION_m_s = 0.01
+SIDEWAYS_m_s = 0.02
+SIDEWAYS_Hz = 0.5
+STANDOFF_m = 5e-3
+PUSH_s = 0.05
+"""In which a hand's push comes up."""
+TURN_rad = 0.5
+TURN_s = 3.0
+
+
+@dataclass(kw_only=True)
+class ClosedLoop:
+    """An arm, its controller and the clock of one test.
+
+    Attributes:
+        rng: Of directions that the seed draws.
+    """
+
+    servo: str
+    plant: str
+    seed: int
+    scenario: str | None = None
+    contacts: Sequence[Contact] = ()
+    has_kinematic_error: bool = False
+    solver: Solver = hierarchical
+    rig: SimulatedArm = field(init=False)
+    control: Controller = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Let the arm come to rest, and the controller know where that is."""
+        plant_model = PLANT_MODELS[self.plant]
+        self.rig = SimulatedArm(
+            self.scenario,
+            with_kinematic_error(plant_model)
+            if self.has_kinematic_error
+            else plant_model,
+            self.seed,
+            servo=SERVOS[self.servo],
+            contacts=self.contacts,
+            standoff_m=STANDOFF_m,
+        )
+        self.control = Controller(self.rig.robot, Limits(self.rig.robot), self.solver)
+        still = [next(self.rig).q_rad for _ in range(round(SETTLE_s * MILLI))]
+        self.control.tool.update(np.mean(still[len(still) // 2 :], axis=0))
+
+    def run(
+        self,
+        seconds: float,
+        stack: Callable[[float], Sequence[Task]],
+        error: Callable[[], float],
+    ) -> Array:
+        """Errors at all samples of some time under a stack that depends on it."""
+        start_s = self.rig.time_s
+        found = []
+        for sample in self.rig:
+            t_s = self.rig.time_s - start_s
+            found.append(error())
+            if t_s >= seconds:
+                break
+            self.rig.send(self.control.update(sample, stack(t_s)).dq_rad_s)
+        return np.array(found)
+
+
+def across(seed: int) -> Array:
+    """A horizontal direction that the seed draws; the needle points down."""
+    angle = np.random.default_rng([seed, 4]).uniform(0.0, 2.0 * math.pi)
+    return np.array([math.cos(angle), math.sin(angle), 0.0])
+
+
+def _circle(test: ClosedLoop) -> tuple[Array, Array]:
+    """RCM errors on the circle, from its full size on, and the distances of the tip
+    from it.
+    """
+    rig = test.rig
+    tool = test.control.tool
+    true = rig.truth
+    centre_m = true.tip_m - BEHIND_TIP_m * true.rotation[:, 2]
+    home_m = tool.tip_m
+    constraint = RemoteCentre(home_m - BEHIND_TIP_m * tool.axis, GAIN_per_s)
+    tip = TipVelocity((0.0, 0.0, 0.0), home_m, 10.0)
+    posture = Posture(rig.home_rad)
+    off_m: list[float] = []
+
+    def stack(t_s: float) -> Sequence[Task]:
+        grown = min(t_s / FADE_s, 1.0)
+        radius = RADIUS_m * grown**2 * (3.0 - 2.0 * grown)
+        growth = RADIUS_m * 6.0 * grown * (1.0 - grown) / FADE_s
+        rate = 2.0 * math.pi / PERIOD_s
+        out = np.array([math.cos(rate * t_s), math.sin(rate * t_s), 0.0])
+        on = np.array([-out[1], out[0], 0.0])
+        tip.goal_m = home_m + radius * out
+        tip.rate = growth * out + radius * rate * on
+        off_m.append(float(np.linalg.norm(rig.truth.tip_m - true.tip_m - radius * out)))
+        return constraint, tip, posture
+
+    error = partial(rig.distance_to_axis_m, centre_m)
+    found = test.run(FADE_s + PERIOD_s, stack, error)
+    return found[round(FADE_s * MILLI) :], np.array(off_m[round(FADE_s * MILLI) :])
+
+
+def _trocar_and_force(seed: int) -> list[Contact]:
+    """The trocar, and 1 N on the tip that comes up while the arm settles."""
+    side = across(seed)
+    force = HandOnArm(
+        at="tip", force_N=lambda t_s: min(t_s / (0.5 * SETTLE_s), 1.0) * side
+    )
+    return [Trocar(behind_tip_m=BEHIND_TIP_m), force]
+
+
+def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The circle."""
+    error, off = _circle(
+        ClosedLoop(
+            servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
+        )
+    )
+    most = {"S": 0.01, "I": 0.05}[servo]
+    yield Figure("RCM on a circle, max", servo, MILLI * error.max(), "mm", most)
+    yield Figure("RCM on a circle, rms", servo, MILLI * _rms(error), "mm")
+    yield Figure("RCM on a circle, tip off it, max", servo, MILLI * off.max(), "mm")
+
+
+def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The circle on an arm with kinematic error."""
+    contacts = _trocar_and_force(seed)
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
+    )
+    worst = MILLI * _circle(test)[0].max()
+    yield Figure(
+        "RCM, kinematic error, max (90 %)", servo, worst, "mm", 0.2, quantile=0.9
+    )
+
+
+def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The circle while a hand pushes the elbow: 30 N within 50 ms, for 1 s, every 2
+    s.
+    """
+    side = across(seed + 1)
+
+    def push(t_s: float) -> Array:
+        phase = (t_s - SETTLE_s - FADE_s) % 2.0 if t_s > SETTLE_s + FADE_s else 0.0
+        return 30.0 * min(phase / PUSH_s, max((1.0 - phase) / PUSH_s, 0.0), 1.0) * side
+
+    contacts = [*_trocar_and_force(seed), HandOnArm(at="elbow", force_N=push)]
+    error, _ = _circle(
+        ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts)
+    )
+    most = {"S": 0.05, "I": 1.0}[servo]
+    yield Figure("RCM, 30 N on the elbow, max", servo, MILLI * error.max(), "mm", most)
+
+
+def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The circle by the published recursion."""
+    contacts = _trocar_and_force(seed)
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, contacts=contacts, solver=published
+    )
+    worst = MILLI * _circle(test)[0].max()
+    yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
+
+
+def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
+    """Distances of the true tip from the line, and the depth it has come to [m]."""
+    rig = test.rig
+    tool = test.control.tool
+    true = rig.truth
+    line_m = true.tip_m
+    axis = true.rotation[:, 2]
+    fixture = Fixture(tool.tip_m, tool.rotation, PUSHED_GAIN_per_s)
+    inwards = tool.axis
+    aside = across(test.seed + 2)
+    user = TipVelocity((0.0, 0.0, 0.0))
+    posture = Posture(rig.home_rad)
+    seconds = INSERTION_m / INSERTION_m_s
+
+    def stack(t_s: float) -> Sequence[Task]:
+        speed = INSERTION_m_s * min(t_s / 0.1, (seconds - t_s) / 0.1, 1.0)
+        wish = SIDEWAYS_m_s * math.sin(2.0 * math.pi * SIDEWAYS_Hz * t_s)
+        user.rate = speed * inwards + wish * aside
+        return (fixture, user, posture) if with_fixture else (user, posture)
+
+    error = test.run(
+        seconds, stack, lambda: distance_to_axis_m(rig.truth.tip_m, line_m, axis)
+    )
+    return error, float((rig.truth.tip_m - line_m) @ axis)
+
+
+def fixture(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """100 mm of stack-glove along the fixture, and without it."""
+    new = partial(
+        ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
+    )
+    error, travel = _insertion(new())
+    most = {"S": 0.02, "I": 0.05}[servo]
+    yield Figure("fixture, user sideways, max", servo, MILLI * error.max(), "mm", most)
+    yield Figure("fixture, user sideways, rms", servo, MILLI * _rms(error), "mm")
+    yield Figure("fixture, travel of 100 mm", servo, MILLI * travel, "mm")
+    error, _ = _insertion(new(), with_fixture=False)
+    yield Figure("no fixture, user sideways, max", servo, MILLI * error.max(), "mm")
+
+
+def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The same while the hub is pushed: 5 N across, on and off every second."""
+    side = across(seed + 3)
+
+    def push(t_s: float) -> Array:
+        return (
+            5.0 if t_s > SETTLE_s and math.floor(t_s - SETTLE_s) % 2 else 0.0
+        ) * side
+
+    hand = HandOnArm(at="hub", force_N=push)
+    scenario = "stack-glove-constant"
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand]
+    )
+    error, _ = _insertion(test)
+    most = {"S": 0.25, "I": 0.35}[servo]
+    yield Figure(
+        "fixture, 5 N steps at the hub, max", servo, MILLI * error.max(), "mm", most
+    )
+    yield Figure("fixture, 5 N steps at the hub, rms", servo, MILLI * _rms(error), "mm")
+
+
+def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The same on an arm with kinematic error."""
+    scenario = "stack-glove-constant"
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
+    )
+    worst = MILLI * _insertion(test)[0].max()
+    yield Figure("fixture, kinematic error, max", servo, worst, "mm")
+
+
+def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The same by the published recursion: what is left of the travel, too."""
+    scenario = "stack-glove-constant"
+    test = ClosedLoop(
+        servo=servo, plant=plant, seed=seed, scenario=scenario, solver=published
+    )
+    error, travel = _insertion(test)
+    worst = MILLI * error.max()
+    yield Figure("fixture, published recursion, max", servo, worst, "mm")
+    yield Figure(
+        "fixture, published recursion, travel of 100 mm",
+        servo,
+        MILLI * travel,
+        "mm",
+        at_least=True,
+    )
+
+
+def _turn(test: ClosedLoop) -> float:
+    """Largest distance of the tip from where it should rest, per angle [m/rad]."""
+    tool = test.control.tool
+    start_m = test.rig.truth.tip_m
+    motion = DecoupledMotion(tool, GAIN_per_s)
+    posture = Posture(test.rig.home_rad)
+    axis = np.random.default_rng([test.seed, 5]).standard_normal(3)
+    axis /= np.linalg.norm(axis)
+    rest = np.zeros(3)
+
+    def stack(t_s: float) -> Sequence[Task]:
+        done = min(t_s / TURN_s, 1.0)
+        rate = TURN_rad / TURN_s * 30.0 * (done * (1.0 - done)) ** 2
+        motion.move(tool, rest, rate * axis, 1.0 / MILLI)
+        return motion, posture
+
+    error = test.run(
+        TURN_s + 0.5,
+        stack,
+        lambda: float(np.linalg.norm(test.rig.truth.tip_m - start_m)),
+    )
+    return error.max() / TURN_rad
+
+
+def decoupled(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The turn about the tip."""
+    found = MILLI * _turn(ClosedLoop(servo=servo, plant=plant, seed=seed))
+    yield Figure(
+        "decoupled turn, tip", servo, found, "mm/rad", {"S": 0.02, "I": 0.1}[servo]
+    )
+
+
+def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The same on an arm with kinematic error."""
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
+    yield Figure(
+        "decoupled turn, kinematic error, tip",
+        servo,
+        MILLI * _turn(test),
+        "mm/rad",
+        1.0,
+    )
+
+
+def _rms(error: Array) -> float:
+    return float(np.sqrt(np.mean(np.square(error))))
+
+
+MEASURES: dict[str, Callable[[str, str, int], Iterator[Figure]]] = {
+    measure.__name__: measure
+    for measure in (
+        rcm,
+        rcm_kinematic,
+        rcm_elbow,
+        rcm_published,
+        fixture,
+        fixture_pushed,
+        fixture_kinematic,
+        fixture_published,
+        decoupled,
+        decoupled_kinematic,
+    )
+}
+CASES = tuple(f"{name} {servo}" for name in MEASURES for servo in SERVOS)
+
+
+def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
+    """The figures of one case."""
+    name, servo = case.split()
+    return MEASURES[name](servo, plant, seed)

@@ -1,0 +1,139 @@
+"""One autonomous insertion of the simulated arm: rig, manager, program and
+controller in a loop.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from benchmarks.insertion.methods import on_lwr
+from groundtruth.rig_arm import SimulatedArm
+from identification import Identifier
+from needleforce import InsertionSession
+from needleforce.control import (
+    AxialSpeed,
+    Beside,
+    Controller,
+    Fixture,
+    InsertionPlan,
+    InsertionProfile,
+    Limits,
+    Manager,
+    Posture,
+    SafetyLimits,
+    Situation,
+    State,
+)
+from needleforce.control.insertion_profile import Step
+from residual import DEFAULT, Status
+from urdf import Robot
+
+STANDOFF_M = 5e-3
+"""Height of the tip above the tissue where it is tared."""
+GAIN_PER_S = 20.0
+"""Of the fixture: with a higher one, positions rounded to 1.75e-4 rad shake the
+needle."""
+REST_S = 0.15
+"""After the end of an insertion; the arm has come to rest by then."""
+
+
+class Insertion:
+    """Runs a plan on a rig; each step of the iteration is one cycle, until the
+    insertion has ended.
+
+    Args:
+        rig: The arm, and what is true of it.
+        plan: What to do.
+        limits: Of the manager.
+        with_ft: Take the rig's F/T sensor for force and identification, zeroed over the
+            tare stroke, over which the needle's weight and inertia do not show.
+        known: The robot as the session is to know it, if not as it is.
+
+    Attributes:
+        manager: Of the run.
+        ended_s: When the insertion ended, on the rig's clock; None before.
+        has_device: Whether a haptic device answers.
+    """
+
+    def __init__(
+        self,
+        rig: SimulatedArm,
+        plan: InsertionPlan,
+        limits: SafetyLimits,
+        *,
+        with_ft: bool = False,
+        known: Robot | None = None,
+    ) -> None:
+        session = InsertionSession(
+            rig.robot if known is None else known, on_lwr(DEFAULT)
+        )
+        self.manager = Manager(session, limits)
+        self.rig = rig
+        self._profile = InsertionProfile(plan)
+        self._with_ft = with_ft
+        self._identifier = Identifier()
+        self._free_N = list[float]()
+        self._zero_N = 0.0
+        self.has_device = False
+        self.ended_s: float | None = None
+
+    def __iter__(self) -> Iterator[Situation]:
+        """Run until the arm rests at the end of the insertion, or the rig's time is
+        over.
+        """
+        rig = self.rig
+        manager = self.manager
+        beside = Beside()
+        control = Controller(rig.robot, Limits(rig.robot))
+        control.tool.update(rig.home_rad)
+        line = Fixture.here(control.tool, GAIN_PER_S)
+        posture = Posture(rig.home_rad)
+        was_inside = False
+        dq_rad_s = np.zeros(rig.robot.nv)
+        for sample in rig:
+            manager.heartbeat()
+            axial_N = self._axial_N() if self._with_ft else None
+            beside = beside._replace(axial_N=axial_N, has_device=self.has_device)
+            now = manager.update(sample, beside)
+            step = self._step(now, *self._identified(now, sample.dt_s, axial_N))
+            if step.event:
+                manager.request(step.event)
+            if now.estimate.status is not Status.REJECTED or now.state is State.FAULTED:
+                stack = [line, AxialSpeed(step.speed_m_s), posture]
+                command = control.update(
+                    sample, [] if now.state is State.FAULTED else stack
+                )
+                dq_rad_s = command.dq_rad_s
+            # A sample that was rejected moves nothing: the last command stands until a
+            # fault.
+            beside = Beside(rig.send(dq_rad_s), dq_rad_s)
+            is_inside = now.state in (State.INSERTION, State.TELEOP)
+            if was_inside and not is_inside and self.ended_s is None:
+                self.ended_s = rig.time_s
+            was_inside |= is_inside
+            yield now
+            if self.ended_s is not None and rig.time_s > self.ended_s + REST_S:
+                return
+
+    def _step(self, now: Situation, *beside: Any) -> Step:
+        """What the program wants."""
+        return self._profile.update(now, *beside)
+
+    def _axial_N(self) -> float | None:
+        """Force along the needle of the F/T sensor; None before it is zeroed."""
+        reading_N = -float(self.rig.ft_wrench[2])
+        if not self.manager.session.tared:
+            self._free_N.append(reading_N)
+            return None
+        self._zero_N = self._zero_N or float(np.mean(self._free_N))
+        return reading_N - self._zero_N
+
+    def _identified(
+        self, now: Situation, dt_s: float, axial_N: float | None
+    ) -> tuple[Any, ...]:
+        """What the program is given beside the situation."""
+        if axial_N is None:
+            return ()
+        travel = now.estimate.depth_m, now.estimate.speed_m_s
+        return self._identifier.update(*travel, axial_N, dt_s), axial_N

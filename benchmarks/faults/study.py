@@ -1,0 +1,346 @@
+"""What faults do to a running insertion: errors, recovery, and what the caller is
+warned of.
+"""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.faults.injection import (
+    SIGNAL_FAULTS,
+    FaultStream,
+    PERIOD_s,
+    loaded,
+    stretched,
+    troubled_scenario,
+    wrist_at_limit,
+)
+from benchmarks.insertion.methods import on_lwr
+from benchmarks.insertion.signals import Array, lagging
+from benchmarks.report.tables import NOTHING, ResultTable
+from groundtruth import Run, simulate
+from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
+from residual import DEFAULT, SensorWarning, Status, TareError
+
+SCENARIO = "gel-70-constant"
+PLANT = "clean"
+DEPTH_M = 20e-3
+"""Where the faults strike: in the gel, which ends at 32 mm."""
+LEAD = 300
+BEYOND = 3000
+"""Samples before a fault, and after the end of the layer."""
+CLOSE_N = 0.1
+"""An estimate has recovered when it stays this close to that of an undisturbed run."""
+UNSMOOTHED = replace(on_lwr(DEFAULT), force_bandwidth_per_s=None)  # its lag is known
+HOLD_S = 1.0
+"""For so long after the fault, statuses and warnings count as caused by it."""
+UNKNOWN_KG = 0.1
+"""Mass that a wrong payload leaves out: a third of what the tool weighs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultResult:
+    """What came of one fault.
+
+    Attributes:
+        name: What was done, in a few words.
+        worst_N: Largest error of the force while it lasted.
+        worst_sigma: The same in its own standard deviations.
+        recovery_s: Time after its end until the error stays within `CLOSE_N`; infinite
+            if it does not.
+        reported: Statuses other than ok, and warnings, from its start to `HOLD_S` after
+            its end.
+        is_finite: Whether every number handed out was.
+        note: What else happened, in words.
+    """
+
+    name: str
+    worst_N: float
+    worst_sigma: float
+    recovery_s: float
+    reported: tuple[str, ...]
+    is_finite: bool
+    note: str = ""
+
+
+def tare_index(run: Run) -> int:
+    """The first sample of a run after the tare."""
+    return int(np.searchsorted(run.signals.t_s, run.tare_end_s))
+
+
+def feed(
+    session: InsertionSession, stream: FaultStream, *, with_velocity: bool = True
+) -> list[SessionEstimate]:
+    """Estimates of every sample of a stream."""
+    dq = stream.dq_rad_s if with_velocity else [None] * len(stream.dt_s)
+    rows = zip(stream.q_rad, dq, stream.tau_Nm, stream.dt_s.tolist(), strict=True)
+    return [session.update(*row) for row in rows]
+
+
+def rupture_note(found: Sequence[SessionEstimate], true: int) -> str:
+    """What is noted where another number of ruptures was raised than there were."""
+    raised = sum(e.identification.rupture is not None for e in found)
+    return "" if raised == true else f"{raised} ruptures raised, {true} true"
+
+
+def judge(
+    name: str, stream: FaultStream, found: Sequence[SessionEstimate], note: str = ""
+) -> FaultResult:
+    """Compare the estimates of a faulty stream with its reference."""
+    error = np.abs(np.array([e.wrench.axial for e in found]) - stream.reference_N)
+    during = error[stream.start : max(stream.stop, stream.start + 1)]
+    worst = int(np.argmax(during)) + stream.start
+    after = np.flatnonzero(error[stream.stop :] > CLOSE_N)
+    elapsed = np.cumsum(np.nan_to_num(stream.dt_s[stream.stop :], posinf=0.0))
+    recovery_s = 0.0
+    if len(after) > 0:
+        last = int(after[-1]) + 1
+        recovery_s = float(elapsed[last]) if last < len(elapsed) else np.inf
+    heard = found[stream.start : stream.stop + round(HOLD_S / PERIOD_s)]
+    statuses = {e.status for e in heard}
+    warnings = SensorWarning.NONE
+    for estimate in heard:
+        warnings |= estimate.warnings
+    return FaultResult(
+        name=name,
+        worst_N=float(error[worst]),
+        worst_sigma=float(error[worst] / found[worst].wrench.axial_std),
+        recovery_s=recovery_s,
+        reported=(
+            *(status.name for status in Status if status in statuses - {Status.OK}),
+            *(str(one.name) for one in SensorWarning if one and one in warnings),
+        ),
+        is_finite=all(map(is_finite, heard)),
+        note=note,
+    )
+
+
+def is_finite(value: object) -> bool:
+    """Whether every number in a nested result is finite."""
+    if isinstance(value, np.ndarray | float):
+        return (
+            math.isfinite(value)
+            if isinstance(value, float)
+            else bool(np.isfinite(value).all())
+        )
+    if isinstance(value, tuple):
+        return all(map(is_finite, value))
+    slots = getattr(type(value), "__slots__", ())
+    return all(
+        is_finite(getattr(value, name)) for name in slots if hasattr(value, name)
+    )
+
+
+def late(force_N: Array, *, with_velocity: bool = True) -> Array:
+    """A force as late as the sensor reads it on an ideal arm, shape (n,), at 1 kHz.
+
+    On an arm without velocities, position and torque are filtered.
+    """
+    assert isinstance(DEFAULT.gain_per_s, float)
+    rates_per_s = [DEFAULT.gain_per_s]
+    if not with_velocity:
+        rates_per_s += [DEFAULT.velocity_bandwidth_per_s] * 2
+    t_s = PERIOD_s * np.arange(len(force_N), dtype=np.float64)
+    for rate in rates_per_s:
+        force_N = lagging(force_N, t_s, 1.0 / rate)
+    return force_N
+
+
+class FaultStudy:
+    """One insertion, undisturbed, and what it needs to be repeated with a fault.
+
+    A repetition goes on to the end of the layer, whose rupture must be found, or only a
+    little beyond the fault.
+    """
+
+    def __init__(
+        self,
+        progress: Callable[[float], None] = lambda fraction: None,
+        *,
+        with_velocity: bool = True,
+        through_layer: bool = True,
+    ) -> None:
+        self._with_velocity = with_velocity
+        self._through = through_layer
+        self.run: Run = simulate(SCENARIO, PLANT, 0, progress)
+        truth = self.run.truth
+        self.at = int(np.argmax(truth.depth_m > DEPTH_M))
+        self._tare = tare_index(self.run)
+        end = int(np.argmax(truth.layer > 1)) if through_layer else self.at
+        self._last = end + BEYOND
+        session = InsertionSession(self.run.robot, on_lwr(DEFAULT))
+        forces = self._go_on(session, 0, self._tare)
+        session.tare()
+        self._tared = session.snapshot()
+        forces += self._go_on(session, self._tare, self.at - LEAD)
+        self._inserted = session.snapshot()
+        forces += self._go_on(session, self.at - LEAD, self._last)
+        self._undisturbed_N = np.array(forces)
+
+    def _go_on(self, session: InsertionSession, first: int, last: int) -> list[float]:
+        stream = FaultStream.of_run(self.run, first, last, self.run.truth.axial_N)
+        return [
+            e.wrench.axial
+            for e in feed(session, stream, with_velocity=self._with_velocity)
+        ]
+
+    def results(self) -> Iterator[FaultResult]:
+        """Every fault's result, in the order of the table."""
+        yield from self.session_results()
+        yield tare_in_contact(self.run, self.at)
+        yield wrong_payload(self.run)
+        yield from motion_results(with_velocity=self._with_velocity)
+
+    def session_results(self) -> Iterator[FaultResult]:
+        """What sensors, wires and clocks do, and what poses and loads do after the
+        tare.
+        """
+        run = self.run
+        tare = self._tare
+        good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
+        for name, inject in SIGNAL_FAULTS.items():
+            yield self._result(name, inject(good, LEAD), self._inserted)
+        free = FaultStream.of_run(run, tare, tare + BEYOND, self._undisturbed_N)
+        hung = loaded(run, good, LEAD, 2000, 0.05 * run.robot.gravity_m_s2)
+        pushed = loaded(run, good, LEAD, 2000, np.array([1.0, 0.0, 0.0]))
+        for name, stream, start in (
+            ("wrist pressed to its limit, 1 s", wrist_at_limit(run, free), self._tared),
+            ("arm stretched along the needle, 1 s", stretched(run, free), self._tared),
+            ("50 g hung on the tool, 2 s", hung, self._inserted),
+            ("pushed aside with 1 N, 2 s", pushed, self._inserted),
+        ):
+            yield self._result(name, stream, start)
+
+    def _result(
+        self, name: str, stream: FaultStream, start: SessionSnapshot
+    ) -> FaultResult:
+        session = InsertionSession(self.run.robot, on_lwr(DEFAULT))
+        session.restore(start)
+        found = feed(session, stream, with_velocity=self._with_velocity)
+        true = int(start is self._inserted and self._through)
+        return judge(name, stream, found, rupture_note(found, true))
+
+
+def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
+    """What stop, reversal and second insertion do, against the true force as the
+    observer lags.
+    """
+    scenario, spans = troubled_scenario()
+    run = simulate(scenario, PLANT, 0)
+    tare = tare_index(run)
+    count = len(run.signals.t_s)
+    session = InsertionSession(run.robot, UNSMOOTHED)
+    whole = FaultStream.of_run(
+        run, 0, count, late(run.truth.axial_N, with_velocity=with_velocity)
+    )
+    parts = [
+        FaultStream.of_run(run, *at, whole.reference_N)
+        for at in ((0, tare), (tare, count))
+    ]
+    found = feed(session, parts[0], with_velocity=with_velocity)
+    session.tare()
+    found += feed(session, parts[1], with_velocity=with_velocity)
+    results = []
+    for name, (begin_s, end_s) in spans.items():
+        start, stop = np.searchsorted(run.signals.t_s, (begin_s, end_s)).tolist()
+        true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)
+        note = rupture_note(found[start:stop], true)
+        results.append(judge(name, whole.copy(start, stop), found, note))
+    return results
+
+
+def tare_in_contact(run: Run, at: int) -> FaultResult:
+    """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert
+    again.
+    """
+    count = len(run.signals.t_s)
+    nothing = np.zeros(len(run.signals.t_s))
+    session = InsertionSession(run.robot, UNSMOOTHED)
+    before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
+    errors: tuple[str, ...] = ()
+    try:
+        session.tare()
+    except TareError:
+        errors = ("TareError",)
+    after = feed(session, FaultStream.of_run(run, at, count, nothing))
+    session.start_tare_recording()
+    # The robot is driven back to the start while nobody listens.
+    again = FaultStream.of_run(run, 0, tare_index(run), nothing)
+    again.dt_s[0] = 1.0
+    feed(session, again)
+    session.tare()
+    result = _insert(session, run, "tare asked for in the tissue")
+    jump_N = abs(after[0].wrench.axial - before.wrench.axial)
+    return replace(
+        result,
+        worst_N=jump_N,
+        worst_sigma=jump_N / after[0].wrench.axial_std,
+        reported=(*errors, after[0].status.name),
+        is_finite=result.is_finite and all(map(is_finite, after[:1000])),
+        note="recovery: after a tare in free air",
+    )
+
+
+def wrong_payload(run: Run) -> FaultResult:
+    """The tool is heavier than the estimator knows, from the start."""
+    known = run.robot.payload
+    assert known is not None
+    mass_kg = known.mass_kg - UNKNOWN_KG
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
+    session = InsertionSession(run.robot.with_payload(lighter), UNSMOOTHED)
+    feed(
+        session,
+        FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))),
+    )
+    session.tare()
+    return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
+
+
+def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
+    """The insertion after the tare; it is all fault, and its recovery that of its
+    whole length.
+    """
+    tare = tare_index(run)
+    count = len(run.signals.t_s)
+    insertion = FaultStream.of_run(run, tare, count, late(run.truth.axial_N))
+    found = feed(session, insertion)
+    lasting = judge(name, insertion.copy(0, 0), found)
+    worst = judge(name, insertion.copy(0, count - tare), found)
+    return replace(worst, recovery_s=lasting.recovery_s)
+
+
+def recovery(seconds: float) -> str:
+    """A time of recovery as it is printed."""
+    if math.isinf(seconds):
+        return "never"
+    return "at once" if seconds == 0.0 else f"{1e3 * seconds:.0f} ms"
+
+
+def fault_table(results: Sequence[FaultResult]) -> ResultTable:
+    """For the terminal, and for docs/loop.md."""
+    return ResultTable(
+        title="Faults in a running insertion",
+        heads=(
+            "fault",
+            "worst error, N",
+            "in σ",
+            "recovered after",
+            "reported to the caller",
+            "",
+        ),
+        align="LrrrLL",
+        lines=tuple(
+            (
+                result.name,
+                f"{result.worst_N:.2f}",
+                f"{result.worst_sigma:.0f}",
+                recovery(result.recovery_s),
+                ", ".join(result.reported) or NOTHING,
+                result.note if result.is_finite else f"not finite; {result.note}",
+            )
+            for result in results
+        ),
+    )

@@ -1,0 +1,229 @@
+"""A real Franka Panda in free motion, and its identified model.
+
+Gaz, Cognetti, Oliva, Robuffo Giordano, De Luca, "Dynamic identification of the Franka
+Emika Panda robot with retrieval of feasible parameters using penalty-based
+optimization", RA-L 2019.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks import DataError
+from benchmarks.insertion.methods import (
+    IDENTIFIERS,
+    METHODS,
+    joint_residual,
+    run_session,
+    wrench_metrics,
+)
+from benchmarks.insertion.recorded.liver import (
+    LiverEstimates,
+    LiverInsertion,
+    REST_s,
+    friction_values,
+    liver_estimates,
+    liver_reference,
+    read_arrays,
+    read_liver,
+    read_table,
+    rupture_values,
+)
+from benchmarks.insertion.signals import Array, ForceTruth, JointSignals, tool_jacobians
+from benchmarks.jobs import Findings, Job, Progress, progress_part
+from benchmarks.report.force_plots import force_figures
+from benchmarks.results import Measurement, Method, Source
+from residual import SigmoidFriction
+from urdf import Robot, SerialJoint, build_serial_robot
+
+FOLDER = "panda_gaz2019"
+FLANGE_m = 0.107
+"""From frame 7 to the flange, along z; from Franka's documentation, the recording
+has no tool."""
+EFFORT_LIMIT_Nm = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
+"""From Franka's documentation; the tare takes the range of the torque sensors from
+it."""
+
+
+class Panda(NamedTuple):
+    """The recording with its model.
+
+    Attributes:
+        robot: The arm, tool frame at the flange.
+        friction: Friction left between torque sensor and link.
+        signals: 21 s of free motion.
+    """
+
+    robot: Robot
+    friction: SigmoidFriction
+    signals: JointSignals
+
+
+def read_panda(data: Path) -> Panda:
+    """Read recording and model from the folder of recordings.
+
+    Raises:
+        DataError: A file is missing or lacks something.
+    """
+    folder = data / FOLDER
+    names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    t_s, q, dq, tau = read_arrays(folder / "free_motion.npz", names)
+    table = read_table(folder / "model.json")
+    try:
+        robot = _robot(table)
+        numbers = table["friction"]
+        keys = ("A_Nm", "alpha_s_rad", "s_rad_s")
+        amplitude, slope, shift = (np.array(numbers[key]) for key in keys)
+    except KeyError as error:
+        raise DataError(f"{folder / 'model.json'} lacks {error}") from error
+    friction = SigmoidFriction(
+        amplitude_Nm=amplitude, slope_s_rad=slope, shift_rad_s=shift
+    )
+    return Panda(
+        robot, friction, JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=tau)
+    )
+
+
+def _robot(table: dict[str, Any]) -> Robot:
+    joints = []
+    for k, (alpha, a, d) in enumerate(
+        zip(table["alpha_rad"], table["a_m"], table["d_m"], strict=True)
+    ):
+        about_x = pin.SE3(pin.utils.rotate("x", alpha), np.array([a, 0.0, 0.0]))
+        placement = about_x * pin.SE3(np.eye(3), np.array([0.0, 0.0, d]))
+        xx, xy, xz, yy, yz, zz = table["inertia_kg_m2"][k]
+        about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        link = pin.Inertia(table["mass_kg"][k], np.array(table["com_m"][k]), about_com)
+        joints.append(
+            SerialJoint(
+                name=f"joint_{k + 1}",
+                placement=placement,
+                axis=np.array([0.0, 0.0, 1.0]),
+                inertia=link.toDynamicParameters(),
+            )
+        )
+    flange = pin.SE3(np.eye(3), np.array([0.0, 0.0, FLANGE_m]))
+    # Identified parameters predict torque; not every link is a possible body.
+    robot = build_serial_robot(
+        joints, name="panda", tool_placement=flange, check_inertias=False
+    )
+    limited = pin.Model(robot.bare_model)
+    limited.upperEffortLimit = np.array(EFFORT_LIMIT_Nm)
+    return replace(robot, bare_model=limited)
+
+
+GAIN_per_s = 30.0
+"""That of the known-good figures."""
+SETTLING_LAGS = 5.0
+"""After these the observer has forgotten its start to 1 %."""
+
+
+def run_panda_real(job: Job, progress: Progress) -> Findings:
+    """``panda-real``: noise floor of the residual without contact, per joint."""
+    panda = read_panda(job.recordings)
+    signals = panda.signals
+    residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
+    settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s
+    rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
+    progress(1.0)
+    values = {
+        f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)
+    }
+    return Findings([Measurement("virtual", "ours", *item) for item in values.items()])
+
+
+OF_MANY = "_p90_pct"
+"""One insertion has no 90th percentile."""
+
+
+def identification_values(
+    insertion: LiverInsertion, truth: ForceTruth, forces_N: Mapping[Method, Array]
+) -> list[Measurement]:
+    """Friction and ruptures by both methods, from the force itself and from each one's
+    own sensor.
+
+    A real enhanced force has no ground truth; that of the virtual force is compared
+    with that of the same method on the force itself, which an F/T sensor would read.
+    """
+    felt = truth.t_s >= truth.zeroed_s
+    t_s = truth.t_s[felt]
+    depth = truth.depth_m[felt]
+    force = truth.axial_N[felt]
+    reference = liver_reference(insertion, depth, force)
+    found: list[Measurement] = []
+    for method in IDENTIFIERS:
+        ft = liver_estimates(t_s, depth, force, method, reference)
+        virtual = liver_estimates(t_s, depth, forces_N[method][felt], method, reference)
+        by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
+        for source, item in by_source.items():
+            for name, value in (*friction_values([item]), *rupture_values([item])):
+                if not name.endswith(OF_MANY):
+                    found.append(Measurement(source, method, name, value))
+        off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
+        found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
+    return found
+
+
+TARE_s = 4.0
+"""Free motion before the tare."""
+FREE_s = 1.0
+"""Free motion between tare and insertion: about the rest at the start of every liver
+recording, from which the identifiers learn the noise of the force. 16 s are left, 80 mm
+at 5 mm/s."""
+NOT_JUDGED = "wrench_lag_ms"
+"""The force changes less than this arm's noise: its lag would be a guess."""
+
+
+def run_panda_liver(job: Job, progress: Progress) -> Findings:
+    """``panda-liver``: a real tissue force on a real arm, by both methods.
+
+    The recorded Panda has touched nothing, the recorded needle had no robot. Both are
+    combined: a force F on the flange acts on the joints as ``J' F``, and reduces the
+    measured torque by just that, ``tau = tau_free - J' F``. Tissue that resists with f
+    pushes along minus the flange's z axis, so ``tau = tau_free + f J_z'``.
+
+    The whole chain runs on it: joint signals in, enhanced force out, beside the same
+    force as an F/T sensor would have read it. Only the depth is the recorded needle's:
+    the Panda moves otherwise.
+    """
+    panda = read_panda(job.recordings)
+    insertion = read_liver(job.recordings, job.seed)
+    truth = _truth(panda, insertion)
+    along = tool_jacobians(panda.robot, panda.signals.q_rad)[:, 2]
+    loaded = panda.signals.tau_Nm + truth.axial_N[:, None] * along
+    signals = replace(panda.signals, tau_Nm=loaded)
+    readings = []
+    forces_N = {}
+    for k, (method, config) in enumerate(METHODS.items()):
+        part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
+        real = replace(config, friction=panda.friction)
+        made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
+        readings.append(made.reading)
+        forces_N[method] = made.unsmoothed_N
+    drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
+    found: list[Measurement] = []
+    for reading in readings:
+        found += [
+            item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED
+        ]
+    found += identification_values(insertion, truth, forces_N)
+    return Findings(found, drawings)
+
+
+def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
+    """The liver's force at the Panda's time stamps: none before the insertion."""
+    t_s = panda.signals.t_s
+    since = t_s - TARE_s
+    force_N = insertion.force_N - np.mean(insertion.force_N[insertion.t_s < REST_s])
+    return ForceTruth(
+        t_s=t_s,
+        depth_m=np.interp(since, insertion.t_s, insertion.depth_m, left=0.0),
+        axial_N=np.interp(since, insertion.t_s, force_N, left=0.0),
+        zeroed_s=TARE_s,
+        start_s=TARE_s + FREE_s,
+        end_s=float(t_s[-1]),
+    )

@@ -1,0 +1,235 @@
+"""Benchmarks on simulated insertions, by the arm and by the needle alone."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.insertion.methods import (
+    IDENTIFIERS,
+    METHODS,
+    ForceReading,
+    Identified,
+    SessionRun,
+    best_gain,
+    ft_force,
+    identify,
+    residual_metrics,
+    run_session,
+    wrench_metrics,
+)
+from benchmarks.insertion.metrics import identify_as_run, measure_identification
+from benchmarks.insertion.signals import (
+    ForceTruth,
+    InsertionTruth,
+    JointSignals,
+    NeedleSignal,
+    insertion_truth,
+)
+from benchmarks.jobs import Findings, Job, Progress, progress_part
+from benchmarks.report.force_plots import force_figures
+from benchmarks.report.identification_figures import draw_identification
+from benchmarks.results import Measurement, Method
+from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
+from groundtruth.plant_model import MINI45
+from groundtruth.scenarios import DRAWN
+
+NEEDLE = "needle"
+"""The plant of a simulation without an arm."""
+
+
+def run_simulated(job: Job, progress: Progress) -> Findings:
+    """Simulate, read every sensor, identify, measure, draw."""
+    chosen = scenario(job.benchmark, job.seed)
+    if job.plant == NEEDLE:
+        return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
+    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
+    case = read_sensors(run, progress_part(progress, 0.5, 0.85))
+    drawings = (
+        force_figures(job, job.drawings, case.truth, case.readings)
+        if job.drawings
+        else ()
+    )
+    measured = simulated_metrics(case)
+    if chosen.layers:
+        found = _measured(
+            job, identify_sources(case), insertion_truth(run), chosen, case.ft
+        )
+        measured += found.measurements
+        drawings += found.drawings
+    return Findings(measured, drawings)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SimulatedCase:
+    """Everything that metrics and figures of one simulated insertion may use.
+
+    Attributes:
+        run: The insertion with its ground truth.
+        signals: What the arm sent.
+        truth: What force readings are judged against.
+        sessions: Of every method, as a user has it.
+        best_gain: By the published sensor with the gain that suits the run, where that
+            method was run.
+        ft: The F/T sensor's.
+    """
+
+    run: Run
+    signals: JointSignals
+    truth: ForceTruth
+    sessions: dict[Method, SessionRun]
+    best_gain: ForceReading | None
+    ft: ForceReading | None
+
+    @property
+    def readings(self) -> list[ForceReading]:
+        """Axial force of every source and method."""
+        # Where the wrist turns, the F/T reading is mostly the needle's weight.
+        apart = [each for each in (self.ft, self.best_gain) if each is not None]
+        return [*(item.reading for item in self.sessions.values()), *apart]
+
+
+def read_sensors(
+    run: Run, progress: Progress, methods: Sequence[Method] = tuple(METHODS)
+) -> SimulatedCase:
+    """Run the session of every method on what the simulated arm sent, and read the
+    F/T sensor.
+    """
+    signals = JointSignals.of_run(run)
+    free = not run.scenario.layers
+    # From first contact to the end of withdrawal; without tissue, all after the tare.
+    truth = ForceTruth(
+        t_s=run.truth.t_s,
+        depth_m=run.truth.depth_m,
+        axial_N=run.truth.axial_N,
+        zeroed_s=run.tare_end_s,
+        start_s=run.tare_end_s if free else run.truth.contact_s,
+        end_s=run.truth.t_s[-1] if free else run.truth.withdrawn_s,
+    )
+    place_m = run.scenario.motion.position_m
+    touches_s = run.tare_end_s if free else run.truth.contact_s
+    contact_m = float(place_m(touches_s) - place_m(run.tare_end_s))
+    sessions: dict[Method, SessionRun] = {}
+    for k, method in enumerate(methods):
+        part = progress_part(progress, k / len(methods), (k + 1) / len(methods))
+        sessions[method] = run_session(
+            run.robot, signals, method, run.tare_end_s, part, contact_m=contact_m
+        )
+    published = sessions.get("published")
+    return SimulatedCase(
+        run=run,
+        signals=signals,
+        truth=truth,
+        sessions=sessions,
+        best_gain=published and best_gain(published.reading, truth, signals.dt_s),
+        ft=None if free else ft_force(run),
+    )
+
+
+def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
+    """Every number of residual and force of one simulated insertion."""
+    forces = [
+        item
+        for reading in case.readings
+        for item in wrench_metrics(reading, case.truth)
+    ]
+    refused = [
+        Measurement("virtual", method, "tare_refused", float(item.was_refused))
+        for method, item in case.sessions.items()
+    ]
+    return residual_metrics(case.run, case.signals) + forces + refused
+
+
+def session_signal(
+    case: SimulatedCase, method: Method, force: ForceReading
+) -> NeedleSignal:
+    """A force with depth and speed of a method's session, which come from measured
+    joints.
+    """
+    made = case.sessions[method]
+    t_s = case.signals.t_s
+    return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
+
+
+def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
+    """Every method on the F/T force, then on the virtual one.
+
+    There each whole session is judged, by its own identification of its own force. On
+    the F/T force the same identifiers get depth and speed of the same sessions.
+    """
+    assert case.ft is not None, "without tissue there is nothing to identify"
+    truth = insertion_truth(case.run)
+    scenario = case.run.scenario
+    commanded_m_s = scenario.motion.speed_m_s(truth.t_s)
+    on_ft: list[Identified] = []
+    on_virtual: list[Identified] = []
+    for method, session in case.sessions.items():
+        on_ft.append(identify(session_signal(case, method, case.ft), truth, method))
+        signal = session_signal(case, method, session.reading)
+        on_virtual.append(identify(signal, truth, method, result=session.result))
+    on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
+    if case.best_gain is not None:
+        on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
+        signal = session_signal(case, "published", case.best_gain)
+        on_virtual.append(
+            identify_as_run(signal, truth, commanded_m_s, "published-best-K")
+        )
+    return [on_ft, on_virtual]
+
+
+def _measured(
+    job: Job,
+    sources: Sequence[Sequence[Identified]],
+    truth: InsertionTruth,
+    scenario: Scenario,
+    ft: ForceReading | None = None,
+) -> Findings:
+    """Numbers and figures of the online identification on every source."""
+    items = [item for found in sources for item in found]
+    measured = [
+        value for item in items for value in measure_identification(item, truth)
+    ]
+    if job.drawings is None:
+        return Findings(measured)
+    commanded = scenario.motion.speed_m_s(truth.t_s)
+    return Findings(
+        measured, draw_identification(job, job.drawings, truth, commanded, sources, ft)
+    )
+
+
+NOISE_FACTOR = (0.5, 2.0)
+"""Range of the noise of drawn runs, of white noise and drift each: a better and a
+worse sensor."""
+
+
+def run_needle(
+    job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
+) -> Findings:
+    """Identification alone, at half a second a run: insert, identify by both methods,
+    measure.
+
+    Without tissue there is nothing to identify. The seed is that of the noise, whose
+    level may be drawn as well.
+    """
+    if not chosen.layers:
+        return Findings([])
+    noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
+    run = insert_needle(chosen, seed=job.seed, noise=noise)
+    progress(0.2)
+    # The zero of depth is where the tare ended: a user does not know the surface.
+    zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
+    signal = NeedleSignal("ft", run.t_s, run.depth_m - zero, run.speed_m_s, run.force_N)
+    truth = insertion_truth(run)
+    found = [identify(signal, truth, method) for method in IDENTIFIERS]
+    found.append(identify_as_run(signal, truth, run.speed_m_s))
+    return _measured(job, [found], truth, chosen)
+
+
+def drawn_noise(rng: np.random.Generator) -> ForceNoise:
+    """A sensor somewhat better or worse than the catalogued one."""
+    white, drift = np.exp(rng.uniform(*np.log(NOISE_FACTOR), size=2)).tolist()
+    return replace(
+        MINI45,
+        white_std_N=white * MINI45.white_std_N,
+        drift_std_N_per_s=drift * MINI45.drift_std_N_per_s,
+    )

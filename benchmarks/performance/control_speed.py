@@ -1,0 +1,162 @@
+"""What a tick of control costs, beside the bare Pinocchio calls it cannot do without.
+
+The samples are those of an arm whose tip draws a circle about a remote centre, at
+leisure and so fast that limits bind. Subjects take turns, so ratios hold on a busy
+machine; tails are of processor time, on which other processes do not count.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from time import thread_time_ns
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from benchmarks.insertion.methods import on_lwr
+from benchmarks.performance.speed import (
+    NS_PER_US,
+    Update,
+    cost_ratio,
+    time_side_by_side,
+)
+from benchmarks.report.tables import ResultTable, met_mark
+from groundtruth.rig_arm import ArmSample, SimulatedArm
+from needleforce import InsertionSession
+from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
+from needleforce.jit import COMPILER
+from residual import DEFAULT
+
+BARE = "Jacobian and placement"
+CONTROL = "control"
+SATURATED = "control, limits bind"
+SESSION = "session"
+TOGETHER = "session and control"
+RATIO = 8.0 if COMPILER else 25.0
+"""Most that a tick of control may cost, relative to the bare calls."""
+TAIL_US = 200.0
+TOGETHER_US = 60.0
+"""Most processor time of 999 in 1000 ticks of control; most of session and control,
+median."""
+SECONDS = 8.0
+WARM_TICKS = 1000
+BEHIND_TIP_M = 0.08
+RADIUS_M = 0.02
+
+
+class _Loop:
+    """Controller and tasks of one arm; the tip goes round once in a period."""
+
+    def __init__(self, arm: SimulatedArm, period_s: float) -> None:
+        self.control = Controller(arm.robot, Limits(arm.robot))
+        tool = self.control.tool
+        tool.update(arm.home_rad)
+        self._start_m = tool.tip_m
+        self._rate = 2.0 * math.pi / period_s
+        self._tip = TipVelocity((0.0, 0.0, 0.0), self._start_m, gain_per_s=10.0)
+        centre = RemoteCentre(tool.tip_m - BEHIND_TIP_M * tool.axis)
+        self._stack = [centre, self._tip, Posture(arm.home_rad)]
+        self._goals = [self._goal(1e-3 * k) for k in range(round(1e3 * SECONDS) + 1)]
+
+    def _goal(self, t_s: float) -> NDArray[np.float64]:
+        angle = self._rate * t_s
+        return self._start_m + RADIUS_M * np.array(
+            (math.cos(angle) - 1.0, math.sin(angle), 0.0)
+        )
+
+    def command(self, sample: ArmSample, k: int) -> NDArray[np.float64]:
+        """Joint velocities after sample k."""
+        self._tip.goal_m = self._goals[k]
+        return self.control.update(sample, self._stack).dq_rad_s
+
+
+def _recorded(
+    period_s: float, progress: Callable[[float], None]
+) -> tuple[_Loop, list[ArmSample]]:
+    """Samples of an arm that has gone round, and a new loop for it."""
+    arm = SimulatedArm(plant="clean", duration_s=SECONDS)
+    loop = _Loop(arm, period_s)
+    samples = []
+    for k, sample in enumerate(arm):
+        samples.append(sample)
+        arm.send(loop.command(sample, k))
+        progress(arm.time_s / SECONDS)
+    return _Loop(arm, period_s), samples
+
+
+def _tail_us(update: Update, indices: Sequence[int]) -> float:
+    """Processor time that 999 of 1000 updates keep to."""
+    taken = []
+    for k in indices:
+        before = thread_time_ns()
+        update(k)
+        taken.append((thread_time_ns() - before) / NS_PER_US)
+    return float(np.percentile(taken, 99.9))
+
+
+def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
+    """What is timed, by name."""
+    loop, samples = _recorded(SECONDS, lambda part: progress(0.4 * part))
+    hasty, pressed = _recorded(0.5, lambda part: progress(0.4 + 0.4 * part))
+    robot = SimulatedArm(plant="clean", duration_s=1.0).robot
+    model = robot.model
+    data = robot.create_data()
+    frame = robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
+
+    def bare(k: int) -> None:
+        pin.computeFrameJacobian(model, data, samples[k].q_rad, frame, axes)
+        pin.updateFramePlacement(model, data, frame)
+
+    def together(k: int) -> None:
+        dt_s, q, dq, tau = samples[k]
+        beside.update(q, dq, tau, dt_s)
+        loop.command(samples[k], k)
+
+    return {
+        BARE: bare,
+        CONTROL: lambda k: loop.command(samples[k], k),
+        SATURATED: lambda k: hasty.command(pressed[k], k),
+        SESSION: lambda k: session.update(*samples[k][1:], samples[k].dt_s),
+        TOGETHER: together,
+    }
+
+
+def control_speed_report(
+    progress: Callable[[float], None],
+) -> tuple[list[ResultTable], bool]:
+    """The table, and whether all targets are met."""
+    subjects = _subjects(progress)
+    times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
+    again = range(WARM_TICKS, round(1e3 * SECONDS))
+    tails = {name: _tail_us(update, again) for name, update in subjects.items()}
+    progress(1.0)
+    medians = {name: float(np.median(each)) for name, each in times.items()}
+    ratios = {name: cost_ratio(each, times[BARE]) for name, each in times.items()}
+    is_cheap = ratios[CONTROL] <= RATIO and tails[CONTROL] <= TAIL_US
+    targets = {
+        CONTROL: (f"ratio ≤ {RATIO:g}, tail ≤ {TAIL_US:g}", is_cheap),
+        SATURATED: (f"tail ≤ {TAIL_US:g}", tails[SATURATED] <= TAIL_US),
+        TOGETHER: (f"median ≤ {TOGETHER_US:g}", medians[TOGETHER] <= TOGETHER_US),
+    }
+    lines = []
+    for name in subjects:
+        numbers = f"{medians[name]:.1f}", f"{tails[name]:.1f}", f"{ratios[name]:.1f}"
+        target, is_met = targets.get(name, ("", None))
+        lines.append(
+            (name, *numbers, target, "" if is_met is None else met_mark(is_met))
+        )
+    table = ResultTable(
+        title="Cost of a tick of control",
+        heads=("what", "median\nus", "99.9 %\nCPU us", "ratio", "target", ""),
+        align="LrrrlL",
+        lines=tuple(lines),
+        caption=f"{len(again)} ticks each, taking turns; remote centre, tip, posture; "
+        + (
+            f"compiled by {COMPILER}"
+            if COMPILER
+            else "plain Python: no numba, the extra `fast`"
+        ),
+    )
+    return [table], all(is_met for _, is_met in targets.values())

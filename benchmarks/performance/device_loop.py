@@ -1,0 +1,203 @@
+"""A loop at 1 kHz with the whole session, fed by the emulated controller of an LWR.
+
+The controller is a process of its own; each of its cycles is answered, then estimated.
+The wake-up is late by what a sample arrives after its place on a grid of 1 ms, whose
+beginning is that of the sample least late. An overrun is a tick that takes longer than
+a cycle. Real-time priority is taken where the system grants it.
+"""
+
+import multiprocessing
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from math import inf
+from multiprocessing.connection import Connection
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from time import perf_counter, perf_counter_ns
+from typing import Any
+
+import numpy as np
+import psutil
+
+from benchmarks import BenchmarkError
+from benchmarks.jobs import Progress
+from benchmarks.report.tables import ResultTable
+from groundtruth import simulate
+from needleforce import InsertionSession
+from needleforce.cli.live_recorder import Recorder, leave_real_time
+from needleforce.devices import ArmSample, FriArm
+from needleforce.devices.emulators import (
+    Emulator,
+    FriSettings,
+    emulate_fri,
+    take_real_time,
+)
+from urdf import Robot
+
+SCENARIO = "gel-25-constant"
+PLANT = "fri"
+WARM_UP = 2000
+"""Cycles before which nothing is counted: what is compiled or loaded late."""
+ALONE = "alone"
+SCENE = "with the scene"
+RECORDER = "with a recorder"
+QUANTILES = (50.0, 99.0, 99.9, 100.0)
+
+
+def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
+    """Run the loop, alone and, if wanted, with the scene and with a recorder beside
+    it.
+    """
+    if not 0.0 < seconds < inf:
+        raise BenchmarkError(
+            f"--loop {seconds:g}: expected a positive number of seconds"
+        )
+    run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
+    kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
+    lines = []
+    notes = list[str]()
+    for number, kind in enumerate(kinds):
+        lines += [(kind, *line) for line in _one(run, seconds, kind, notes)]
+        progress(0.2 + 0.8 * (number + 1) / len(kinds))
+    quantiles = tuple(f"p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
+    is_real_time = "with" if _is_real_time() else "without"
+    return ResultTable(
+        title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, {is_real_time} "
+        "real-time priority",
+        heads=(
+            "loop",
+            "what",
+            *quantiles,
+            "overruns",
+            "missed",
+            "answered in the cycle",
+        ),
+        align="LL" + (len(quantiles) + 3) * "r",
+        lines=tuple(lines),
+        caption="".join(notes),
+    )
+
+
+def _is_real_time() -> bool:
+    is_granted = take_real_time()
+    leave_real_time()
+    return is_granted
+
+
+@contextmanager
+def _beside(
+    kind: str, robot: Robot, notes: list[str]
+) -> Iterator[Callable[[Any, ArmSample], None]]:
+    """What takes the estimate and the sample of every tick; at the end, what else is
+    to be said.
+    """
+    if kind == SCENE:
+        from needleforce.scene import open_viewer
+
+        context = multiprocessing.get_context("spawn")
+        before = {child.pid for child in psutil.Process().children()}
+        with open_viewer(robot) as view:
+            pages = {child.pid for child in psutil.Process().children()} - before
+            pipe, other = context.Pipe()
+            given = (other, view.url, sorted(pages))
+            context.Process(target=_watch, args=given, daemon=True).start()
+            yield lambda now, sample: view.put(now, sample.q_rad)
+            pipe.send("stop")
+            updates_Hz, processor = pipe.recv()
+            notes.append(
+                f"The scene's process: {updates_Hz:.1f} updates a second reach a page (at least "
+                f"30), for {processor:.1f} % of a core (at most 10). "
+            )
+    elif kind == RECORDER:
+        names = robot.joint_names
+        with (
+            TemporaryDirectory() as at,
+            Recorder(Path(at) / "loop.mcap", names) as recorder,
+        ):
+            yield lambda _, sample: recorder.put(sample)
+    else:
+        yield lambda *_: None
+
+
+def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
+    """The process of a page's reader: counts its updates, and its server's processor
+    time.
+    """
+    import viser
+    import zstandard
+    from websockets.sync.client import connect
+
+    leave_real_time()
+    kind: Any = f"viser-v{viser.__version__}"
+    servers = [psutil.Process(pid) for pid in pids]
+
+    def used_s() -> float:
+        return sum(sum(server.cpu_times()[:2]) for server in servers)
+
+    with connect(url.replace("http", "ws"), subprotocols=[kind], max_size=None) as page:
+        updates = 0
+        begin_s = 0.0
+        before_s = 0.0
+        while not pipe.poll():
+            try:
+                message: Any = page.recv(timeout=0.1)
+            except TimeoutError:
+                continue
+            packed = message[16 : 16 + int.from_bytes(message[8:16], "little")]
+            if b"tip force" not in zstandard.decompress(
+                packed, max_output_size=1 << 28
+            ):
+                continue
+            updates += 1
+            if updates == 1:  # what came before it was the whole scene
+                begin_s = perf_counter()
+                before_s = used_s()
+        passed_s = perf_counter() - begin_s
+        pipe.send(((updates - 1) / passed_s, 100.0 * (used_s() - before_s) / passed_s))
+
+
+def _one(
+    run: Any, seconds: float, kind: str, notes: list[str]
+) -> list[tuple[str, ...]]:
+    signals = run.signals
+    cycles = round(1e3 * seconds) + WARM_UP
+    arm = FriArm(port=0, give_up_s=0.5)
+    session = InsertionSession(run.robot)
+    settings = FriSettings(
+        port=arm.address[1],
+        q_rad=signals.q_rad,
+        tau_Nm=signals.tau_Nm,
+        cycles=cycles,
+        in_real_time=True,
+    )
+    arrived_us = list[float]()
+    taken_us = list[float]()
+    with ExitStack() as stack:
+        stack.enter_context(arm)
+        put = stack.enter_context(_beside(kind, run.robot, notes))
+        controller = stack.enter_context(Emulator(emulate_fri, settings))
+        take_real_time()
+        for sample in arm:
+            before = perf_counter_ns()
+            tau = sample.tau_Nm
+            assert tau is not None  # an LWR sends it
+            now = session.update(sample.q_rad, None, tau, sample.dt_s)
+            put(now, sample)
+            arrived_us.append(before / 1e3)
+            taken_us.append((perf_counter_ns() - before) / 1e3)
+        leave_real_time()
+        counts = controller.counts()
+    tick_us = np.array(taken_us[WARM_UP:])
+    since_us = np.array(arrived_us[WARM_UP:])
+    late_us = since_us - 1e3 * np.arange(len(since_us))
+    percent = 100.0 * counts["same_cycle"] / counts["cycles"]
+    overruns = str(int(np.count_nonzero(tick_us > 1000.0)))
+    ends = (overruns, str(arm.report.missed), f"{percent:.2f} %")
+    return [
+        ("tick", *_quantiles(tick_us), *ends),
+        ("wake-up late by", *_quantiles(late_us - late_us.min()), "", "", ""),
+    ]
+
+
+def _quantiles(values: np.ndarray) -> list[str]:
+    return [f"{np.percentile(values, q):.0f}" for q in QUANTILES]

@@ -1,0 +1,307 @@
+"""What an update of the estimators costs, beside the bare Pinocchio calls of its
+equations.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from time import perf_counter_ns
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.insertion.methods import on_lwr
+from benchmarks.insertion.signals import Array, JointSignals
+from benchmarks.report.tables import ResultTable, met_mark
+from benchmarks.targets import (
+    CHAIN_COST_RATIOS,
+    ESTIMATED_VELOCITY_COST_RATIO,
+    MEAN_TICK_RATIO,
+    OBSERVER_COST_RATIOS,
+    SENSOR_COST_RATIOS,
+)
+from groundtruth import simulate
+from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
+from needleforce import InsertionSession
+from needleforce.jit import COMPILER
+from residual import DEFAULT, MomentumObserver, VirtualForceSensor
+from residual.bias.estimator import BiasEstimator
+from urdf import Robot
+
+Update = Callable[[int], object]
+"""Processes the sample of that index."""
+BLOCK = 200
+"""Updates of one subject before the next has its turn: short enough that whatever slows
+the machine down slows all of them."""
+NS_PER_US = 1e3
+SCENARIO = "stack-constant"
+PLANT = "clean"
+LAYER_TICKS = 6
+"""A layer is identified over so many updates at most: the last one reports it."""
+PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
+
+BARE_OBSERVER = "dynamics of the observer"
+BARE_SENSOR = "dynamics of the sensor"
+
+
+class Subject(NamedTuple):
+    """What a subject's cost is a multiple of, and the most it may be, compiled by
+    numba or not.
+    """
+
+    bare: str
+    compiled: float | None = None
+    plain: float | None = None
+
+
+OBSERVER = "observer"
+SENSOR = "sensor"
+CHAIN = "chain"
+PUBLISHED_CHAIN = "chain, published identifier"
+ESTIMATED = ", velocity estimated"
+SUBJECTS: Mapping[str, Subject] = {
+    OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
+    SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
+    CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
+}
+
+
+def cost_ratio(times: Array, bare: Array) -> float:
+    """Cost relative to the bare dynamics: median of the ratios of neighbouring
+    blocks' medians.
+    """
+    return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
+
+
+def time_side_by_side(
+    subjects: Mapping[str, Update], first: int, last: int
+) -> dict[str, Array]:
+    """Let subjects take turns, block by block, over the same samples 0 to last - 1.
+
+    Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates
+    before `first` are not counted: caches fill, filters settle.
+    """
+    for update in subjects.values():
+        time_each(update, range(first))
+    times: dict[str, list[list[float]]] = {name: [] for name in subjects}
+    for start in range(first, last - BLOCK + 1, BLOCK):
+        for name, update in subjects.items():
+            times[name].append(time_each(update, range(start, start + BLOCK)))
+    return {name: np.array(blocks) for name, blocks in times.items()}
+
+
+def time_each(update: Update, indices: Iterable[int]) -> list[float]:
+    """Time of every update [us]."""
+    taken = []
+    for k in indices:
+        before = perf_counter_ns()
+        update(k)
+        taken.append((perf_counter_ns() - before) / NS_PER_US)
+    return taken
+
+
+class ChainUpdate:
+    """A session that takes an arm's signals sample by sample, called with the index of
+    the next.
+
+    `alarms` are the updates that raised a rupture, `layers` those that worked on
+    identifying a traversed layer.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        signals: JointSignals,
+        tare: int,
+        identifier: MultilayerConfig | PublishedConfig = MULTILAYER,
+    ) -> None:
+        self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
+        self._samples = signals.samples()
+        self._tare = tare
+        self.alarms: list[int] = []
+        self.layers: list[int] = []
+
+    def __call__(self, k: int) -> None:
+        """Take sample k."""
+        if k == self._tare:
+            self._session.tare()
+        found = self._session.update(*self._samples[k]).identification
+        if found.rupture is not None:
+            self.alarms.append(k)
+        if found.identified_layer is not None:
+            self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpeedReport:
+    """What was timed; updates are counted from the first that was timed.
+
+    Attributes:
+        times: By subject, as of `time_side_by_side`.
+        alarms: Updates that raised a rupture, by chain.
+        layers: Updates that worked on identifying a layer, by chain.
+    """
+
+    times: dict[str, Array]
+    alarms: dict[str, list[int]]
+    layers: dict[str, list[int]]
+
+
+def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
+    """Time everything on the signals of a simulated insertion, from the tare on."""
+    run = simulate(SCENARIO, PLANT, 0, progress)
+    signals = JointSignals.of_run(run)
+    blind = replace(signals, dq_rad_s=None)
+    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
+    chains = {
+        name + how: ChainUpdate(run.robot, sent, tare, config)
+        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for how, sent in (("", signals), (ESTIMATED, blind))
+    }
+    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
+    subjects = {
+        BARE_OBSERVER: _bare_observer(run.robot, signals),
+        OBSERVER: fed(observer, signals),
+        BARE_SENSOR: bare_sensor(run.robot, signals),
+        SENSOR: fed(sensor, signals, tare),
+        **chains,
+    }
+    # The first counted update comes after that of the tare.
+    first = tare + 1
+    times = time_side_by_side(subjects, first, len(signals.t_s))
+    return SpeedReport(
+        times=times,
+        alarms={
+            name: [k - first for k in each.alarms] for name, each in chains.items()
+        },
+        layers={
+            name: [k - first for k in each.layers] for name, each in chains.items()
+        },
+    )
+
+
+def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
+    """Mass matrix, Coriolis matrix and gravity."""
+    model = robot.model
+    data = robot.create_data()
+    assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
+    positions = list(signals.q_rad)
+    velocities = list(signals.dq_rad_s)
+
+    def update(k: int) -> None:
+        q = positions[k]
+        pin.crba(model, data, q)
+        pin.computeCoriolisMatrix(model, data, q, velocities[k])
+        pin.computeGeneralizedGravity(model, data, q)
+
+    return update
+
+
+def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
+    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the
+    bias is due.
+    """
+    model = robot.model
+    data = robot.create_data()
+    positions = list(signals.q_rad)
+    still = np.zeros(robot.nv)
+    frame = robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL
+    observer = _bare_observer(robot, signals)
+    ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
+
+    def update(k: int) -> None:
+        observer(k)
+        q = positions[k]
+        pin.computeFrameJacobian(model, data, q, frame, axes)
+        if k % ticks == 0:
+            pin.computeJointTorqueRegressor(model, data, q, still, still)
+
+    return update
+
+
+def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
+    """An estimator that gets the sample of each index, and is tared before that of
+    `tare`.
+    """
+    samples = signals.samples()
+
+    def update(k: int) -> None:
+        if k == tare:
+            estimator.tare()
+        estimator.update(*samples[k])
+
+    return update
+
+
+def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
+    """Tables, and whether all targets are met."""
+    tables = [speed_table(report), event_table(report)]
+    return tables, not any("missed" in line for table in tables for line in table.lines)
+
+
+def speed_table(report: SpeedReport) -> ResultTable:
+    """Microseconds per update, and the ratio to the bare dynamics with its target."""
+    lines = []
+    for name, times in report.times.items():
+        taken = [
+            float(np.percentile(times, percent)) for percent in PERCENTILES.values()
+        ]
+        mean = float(np.mean(times))
+        cells = [""] * 5
+        subject = SUBJECTS.get(name)
+        if subject is not None:
+            ratio = cost_ratio(times, report.times[subject.bare])
+            limit = subject.compiled if COMPILER else subject.plain
+            cells[0] = f"{ratio:.2f}"
+            if limit is not None:
+                cells[1:3] = f"≤ {limit:g}", met_mark(ratio <= limit)
+                is_even = mean <= MEAN_TICK_RATIO * taken[0]
+                cells[3:] = f"{mean / taken[0]:.2f}", met_mark(is_even)
+        lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells))
+    ticks = next(iter(report.times.values())).size
+    how = (
+        f"compiled by {COMPILER}"
+        if COMPILER
+        else "plain Python: no numba, the extra `fast`"
+    )
+    return ResultTable(
+        title="Cost of a tick",
+        heads=(
+            *("what", "mean\nus", *(f"{name}\nus" for name in PERCENTILES)),
+            *("ratio", "target", "", "mean /\nmedian", ""),
+        ),
+        align="LrrrrrrrLrL",
+        lines=tuple(lines),
+        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians, "
+        f"relative to the bare Pinocchio calls; means at most {MEAN_TICK_RATIO:g} x the median; "
+        f"{how}",
+    )
+
+
+def event_table(report: SpeedReport) -> ResultTable:
+    """Updates that raise a rupture and updates that identify a layer, in the same
+    insertion.
+    """
+    lines = []
+    for what, events in (
+        ("rupture raised", report.alarms),
+        ("layer identified", report.layers),
+    ):
+        for name, indices in events.items():
+            times = report.times[name].reshape(-1)
+            taken = times[[k for k in indices if 0 <= k < times.size]]
+            if taken.size:
+                ratio = taken.max() / np.median(report.times[BARE_SENSOR])
+                numbers = (taken.size, np.median(taken), taken.max(), ratio)
+                lines.append((what, name, *(f"{number:.0f}" for number in numbers)))
+    return ResultTable(
+        title="Ticks in which something happens",
+        heads=("what", "in", "ticks", "median\nus", "worst\nus", "worst,\nratio"),
+        align="LLrrrr",
+        lines=tuple(lines),
+    )

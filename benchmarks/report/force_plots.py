@@ -1,0 +1,230 @@
+"""Figures of the axial force of one run, after the published Figure 5; all figures
+of a run.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from benchmarks.insertion.methods import ForceReading, force_lag_s
+from benchmarks.insertion.signals import Array, ForceTruth
+from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.report.published_figures import FORCE_PANELS
+from benchmarks.targets import PUBLISHED_RMSE_N
+from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
+
+Over = Literal["time", "depth"]
+"""What is along the x axis."""
+
+
+@dataclass(slots=True)
+class RunFigures:
+    """Saves the figures of one run in a folder, and keeps them in order."""
+
+    job: Job
+    folder: Path
+    saved: list[Drawing] = field(default_factory=list)
+
+    def add(
+        self,
+        chart: Chart,
+        kind: str,
+        *,
+        panel: tuple[str, str] = ("", ""),
+        alt: str,
+        caption: str,
+        facts: tuple[Fact, ...] = (),
+        is_alone: bool = False,
+    ) -> None:
+        """Draw a chart; its title says what is shown, this adds of which figure and
+        run.
+
+        `kind` is the ending of the file's name, `panel` the published figure and its
+        letter, empty for none; a chart alone takes the whole width of the page. The
+        rest is as in `Drawing`.
+
+        Raises:
+            FiguresError: It cannot be drawn or saved.
+        """
+        job = self.job
+        figure, letter = panel
+        number = f"figure-{figure}-" if figure else ""
+        path = (
+            self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
+        )
+        shown = save_page_figure(
+            replace(chart, title=self._title(f"{figure}{letter}", chart.title)),
+            path,
+            alt=alt,
+            caption=caption,
+            is_alone=is_alone,
+        )
+        self.saved.append(
+            Drawing(figure=figure, panel=letter, job=job, shown=shown, facts=facts)
+        )
+
+    def _title(self, number: str, what: str) -> str:
+        """What is shown, and below it of which run."""
+        run = f"{self.job.benchmark}, {self.job.where}"
+        return (
+            f"Figure {number}: {what}\n{run}"
+            if number
+            else f"{what}\n{run}".capitalize()
+        )
+
+
+STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
+    ("ft", "ours"): ("F/T sensor", palette.OTHER_SENSOR),
+    ("virtual", "ours"): ("virtual sensor, ours", palette.OURS),
+    ("virtual", "published"): ("virtual sensor, published", palette.PUBLISHED),
+}
+"""By source and method, in the order of drawing: dashed lines lie on continuous
+ones."""
+MARGIN_s = 2.0
+"""Shown before contact and after withdrawal."""
+MOST_OF = 99.0
+"""Per cent of each error curve that its panel must hold."""
+CALM_RATIO = 3.0
+"""Limit of the error panel over the size of the smallest error: no wild curve
+flattens the rest."""
+
+
+def force_chart(
+    title: str, truth: ForceTruth, readings: Sequence[ForceReading], over: Over = "time"
+) -> Chart:
+    """Force, and below it the error against the true force.
+
+    Over time since the sensors were zeroed [s], or over depth since contact [mm].
+    """
+    first = max(truth.start_s - MARGIN_s, truth.zeroed_s)
+    shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + MARGIN_s)
+    place = truth.t_s - truth.zeroed_s if over == "time" else 1e3 * truth.depth_m
+    x = place[shown]
+    true = truth.axial_N[shown]
+    forces = []
+    errors = []
+    for key, (name, style) in STYLES.items():
+        for item in readings:
+            if (item.source, item.method) != key:
+                continue
+            y = item.axial_N[shown]
+            label = f"{name}, RMSE {rmse_N(item, truth, truth.axial_N):.3f} N"
+            forces.append(Curve(style=style, x=x, y=y, label=label))
+            std = item.std_N[shown] if style is palette.OURS else None
+            errors.append(
+                Curve(style=style, x=x, y=y - true, std=std, band_label="ours, ± 2 std")
+            )
+    forces.append(Curve(style=palette.TRUE_PART, x=x, y=true, label="true force"))
+    limit = _error_limit(
+        [curve for curve in errors if curve.style is not palette.OTHER_SENSOR]
+    )
+    return Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME if over == "time" else palette.DEPTH,
+        panels=(
+            Panel(y_label=palette.FORCE, curves=tuple(forces), height=1.6),
+            Panel(
+                y_label=palette.FORCE_ERROR,
+                curves=_thin(errors),
+                limits=(-limit, limit),
+            ),
+        ),
+        x_limits=(float(x.min()), float(x.max())),
+        height_in=3.6,
+    )
+
+
+def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
+    """Errors differ: the quieter one lies on the noisier one, and lines are thin."""
+    ordered = sorted(errors, key=lambda curve: curve.style is not palette.OURS)
+    dark = replace(palette.OTHER_DASHED, dash="-")
+    styles = [
+        dark if one.style is palette.OTHER_SENSOR else one.style for one in ordered
+    ]
+    return tuple(
+        replace(curve, style=replace(style, width_pt=0.7))
+        for curve, style in zip(ordered, styles, strict=True)
+    )
+
+
+def _error_limit(errors: Sequence[Curve]) -> float:
+    """Half the height of the error panel: no wild curve may flatten the others."""
+    sizes = [float(np.percentile(np.abs(curve.y), MOST_OF)) for curve in errors]
+    limit = 1.2 * min(max(sizes), CALM_RATIO * min(sizes)) if sizes else 0.0
+    return limit or 1.0
+
+
+def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
+    """Difference of a reading from the true force, or another one, over the judged
+    part.
+    """
+    return float(np.sqrt(np.mean((reading.axial_N - target_N)[truth.judged] ** 2)))
+
+
+def force_figures(
+    job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
+) -> tuple[Drawing, ...]:
+    """Force and error over time, and over depth where they are published so."""
+    figures = RunFigures(job, folder)
+    panels = FORCE_PANELS.get(job.benchmark, ())
+    figures.add(
+        force_chart("axial force over time", truth, readings),
+        "force-time",
+        panel=("5", panels[0]) if panels else ("", ""),
+        alt="Axial force over time by every sensor, with the true force; below, the errors",
+        caption="Axial force [N] over time [s]; below, its error against the true force [N], with "
+        "the band of two standard deviations that our sensor states. Triangles mark where a curve "
+        "leaves its panel. RMSE from first contact to the end of the withdrawal.",
+        facts=_facts(job.benchmark, truth, readings) if panels else (),
+        is_alone=not panels,
+    )
+    if panels:
+        figures.add(
+            force_chart("axial force over depth", truth, readings, "depth"),
+            "force-depth",
+            panel=("5", panels[1]),
+            alt="Axial force over depth by every sensor, with the true force; below, the errors",
+            caption="The same over depth [mm]. The upper branch is the insertion, the lower one "
+            "the withdrawal, where friction holds the needle back.",
+        )
+    return tuple(figures.saved)
+
+
+def _facts(
+    scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]
+) -> tuple[Fact, ...]:
+    by_key = {(item.source, item.method): item for item in readings}
+    if len(by_key) < len(STYLES):
+        return ()
+    ft, ours, published = (by_key[key] for key in STYLES)
+    part = truth.judged
+    both = (published, ours)
+    time_s = truth.t_s[part]
+    true_N = truth.axial_N[part]
+    delays_ms = [1e3 * force_lag_s(time_s, item.axial_N[part], true_N) for item in both]
+    is_within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
+    within = f"{100.0 * np.mean(is_within):.1f}"
+    values = {
+        "RMSE against the F/T sensor [N]": [
+            f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both
+        ],
+        "RMSE against the true force [N]": [
+            f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both
+        ],
+        "delay behind the true force [ms]": [
+            f"{delay_ms:.0f}" for delay_ms in delays_ms
+        ],
+        "true force within 2 stated standard deviations [%]": ["none stated", within],
+    }
+    heads = ("published, here", "ours, here")
+    return tuple(
+        Fact(
+            what=f"`{scenario}`: {what}",
+            published=f"{PUBLISHED_RMSE_N[scenario]:g}" if "F/T" in what else "–",
+            here=tuple(zip(heads, texts, strict=True)),
+        )
+        for what, texts in values.items()
+    )

@@ -1,0 +1,307 @@
+"""Charts of the identification in one run, after the published Figures 2, 3, 8, 9 and
+11 to 14.
+
+The clock starts where the tare stroke ends and the needle sets out, as in the
+publication.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.insertion.methods import ForceReading, Identified
+from benchmarks.insertion.metrics import layer_spans, offline_fit, quiet_speed_m_s
+from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal
+from identification.config import Model
+from identification.published.offline import regression_matrix
+from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
+
+MARGIN_s = 1.0
+"""Shown before contact and after the deepest point."""
+LEAST_RUPTURE_PT = 4.0
+"""A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
+SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
+WHOSE = {
+    "ours": (palette.OURS, "ours"),
+    "published": (palette.PUBLISHED, "published"),
+    "published-as-run": (palette.PUBLISHED, "published"),
+}
+
+
+def _limits_s(truth: InsertionTruth) -> tuple[float, float]:
+    """From just before contact to just after the deepest point."""
+    zero = truth.tare_end_s
+    return truth.contact_s - MARGIN_s - zero, truth.insertion_end_s + MARGIN_s - zero
+
+
+def _true_ruptures(truth: InsertionTruth) -> Shading:
+    """When layers ruptured: from the onset to the end of the release."""
+    zero = truth.tare_end_s
+    spans = tuple((item.onset_s - zero, item.end_s - zero) for item in truth.ruptures)
+    return Shading("true rupture", palette.TRUE_RUPTURE, spans, LEAST_RUPTURE_PT)
+
+
+def _times_s(item: Identified, truth: InsertionTruth) -> Array:
+    """Time of every estimate of a method."""
+    return truth.t_s[item.start :] - truth.tare_end_s
+
+
+def _events(item: Identified, truth: InsertionTruth) -> tuple[Instants, Instants]:
+    """Alarms, and where friction was identified, by a method."""
+    alarms = tuple(alarm.alarm_s - truth.tare_end_s for alarm in item.alarms)
+    is_identified = [one.identified_layer is not None for one in item.result.estimates]
+    identified = tuple(_times_s(item, truth)[is_identified].tolist())
+    return (
+        Instants("rupture detected", palette.RUPTURE, alarms),
+        Instants("friction identified", palette.COMPENSATION, identified),
+    )
+
+
+def enhanced_chart(
+    title: str,
+    truth: InsertionTruth,
+    item: Identified,
+    kelvin_voigt: Identified | None = None,
+    ft: ForceReading | None = None,
+    *,
+    has_speed: bool = False,
+) -> Chart:
+    """Measured, predicted and enhanced force of one method, with its own events.
+
+    Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the
+    method was given another, and the profile of the speed, as in Figure 9.
+    """
+    x = _times_s(item, truth)
+    whole = truth.t_s - truth.tare_end_s
+    top_N = float(truth.axial_N[truth.is_insertion].max())
+    drawn: list[tuple[LineStyle, Array, Array, str]] = []
+    if has_speed:
+        profile = truth.speed_m_s / float(np.max(truth.speed_m_s[truth.is_insertion]))
+        drawn.append(
+            (palette.OTHER_DASHED, whole, 0.5 * top_N * profile, "speed, not to scale")
+        )
+    if ft is not None:
+        drawn.append(
+            (palette.OTHER_SENSOR, whole, ft.axial_N, "force of the F/T sensor")
+        )
+    drawn += [
+        (palette.READING, x, item.force_N, f"force of the {SENSORS[item.source]}"),
+        (palette.PREDICTED, x, item.series("predicted_force_N"), "predicted force"),
+    ]
+    if kelvin_voigt is not None:
+        there = _times_s(kelvin_voigt, truth)
+        label = "enhanced force, Kelvin-Voigt"
+        drawn.append(
+            (
+                palette.PUBLISHED_KV,
+                there,
+                kelvin_voigt.series("enhanced_force_N"),
+                label,
+            )
+        )
+    enhanced, who = WHOSE[item.method]
+    drawn += [
+        (enhanced, x, item.series("enhanced_force_N"), f"enhanced force, {who}"),
+        (palette.TRUE_PART, whole, truth.enhanced_N, "true enhanced force"),
+    ]
+    curves = tuple(
+        Curve(style=style, x=x, y=y, label=label) for style, x, y, label in drawn
+    )
+    return Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME,
+        panels=(
+            Panel(
+                y_label=palette.FORCE,
+                curves=curves,
+                limits=(-0.25 * top_N, 1.15 * top_N),
+            ),
+        ),
+        shadings=(_true_ruptures(truth),),
+        instants=_events(item, truth),
+        x_limits=_limits_s(truth),
+        height_in=2.9,
+    )
+
+
+def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
+    """Steps over time, by the name of the estimate they belong to.
+
+    True friction is no coefficient (it also depends on speed in other ways): these are
+    its values at each rupture, friction over speed, and that over the travel since the
+    rupture before. There is no one true stiffness, and none is given.
+    """
+    times: list[float] = []
+    local: list[float] = []
+    total: list[float] = []
+    start_s = truth.contact_s
+    start_m = 0.0
+    sum_before = 0.0
+    for rupture in truth.ruptures:
+        speed = float(np.interp(rupture.onset_s, truth.t_s, truth.speed_m_s))
+        product = rupture.layer_friction_N / speed
+        thickness = rupture.onset_m - start_m
+        times += [start_s, rupture.onset_s, rupture.onset_s]
+        local += [product / thickness, product / thickness, np.nan]
+        total += [sum_before, sum_before, np.nan]
+        start_s = rupture.onset_s
+        start_m = rupture.onset_m
+        sum_before = sum_before + product
+    ends = [start_s, float(truth.insertion_end_s)]
+    sums = np.array([*total, sum_before, sum_before])
+    return {
+        "friction_Ns_per_m2": (np.array(times), np.array(local)),
+        "cumulative_friction_Ns_per_m": (np.array(times + ends), sums),
+    }
+
+
+PARAMETERS = {
+    "stiffness_N_per_m": palette.STIFFNESS,
+    "friction_Ns_per_m2": palette.FRICTION,
+    "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Compared:
+    """What several methods made of one force.
+
+    Attributes:
+        ours: One setting for everything.
+        tuned: The published method with the settings of its authors.
+        on_ft: Ours on the F/T sensor's force, likewise.
+    """
+
+    ours: Identified
+    tuned: Identified
+    published: (
+        Identified  # the published method with one setting and the measured speed
+    )
+    kelvin_voigt: Identified | None = (
+        None  # `tuned` with the Kelvin-Voigt model, if shown
+    )
+    ft: ForceReading | None = (
+        None  # the F/T sensor's force, where the force was another
+    )
+    on_ft: Identified | None = None
+
+
+def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:
+    """Stiffness, friction per length and cumulative friction of every method.
+
+    The Kelvin-Voigt model's friction has another unit and is drawn only where the units
+    agree.
+    """
+    true = true_friction(truth)
+    drawn = (
+        (compared.ours, palette.OURS, "ours"),
+        (compared.on_ft, palette.OTHER_DASHED, "ours on the F/T sensor's force"),
+        (compared.kelvin_voigt, palette.PUBLISHED_KV, "published, Kelvin-Voigt"),
+        (compared.tuned, palette.PUBLISHED, "published"),
+    )
+    panels = []
+    for name, label in PARAMETERS.items():
+        curves = [
+            _parameter(item, truth, style, text, name)
+            for item, style, text in drawn
+            if item is not None
+            and (item is not compared.kelvin_voigt or name != "friction_Ns_per_m2")
+        ]
+        if name in true:
+            t_s, values = true[name]
+            x = t_s - truth.tare_end_s
+            curves.append(
+                Curve(style=palette.TRUE_PART, x=x, y=values, label="ground truth")
+            )
+        layers = [
+            alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None
+        ]
+        found = [getattr(layer, name) for layer in layers if hasattr(layer, name)]
+        limits = _parameter_limits(_limits_s(truth), curves, found)
+        panels.append(Panel(y_label=label, curves=tuple(curves), limits=limits))
+    return Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME,
+        panels=tuple(panels),
+        shadings=(_true_ruptures(truth),),
+        instants=_events(compared.ours, truth),
+        x_limits=_limits_s(truth),
+        height_in=4.6,
+    )
+
+
+def _parameter(
+    item: Identified, truth: InsertionTruth, style: LineStyle, label: str, name: str
+) -> Curve:
+    spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
+    std = item.series(spread) if style is palette.OURS else None
+    x = _times_s(item, truth)
+    y = item.series(name)
+    band = "ours, ± 2 std"
+    return Curve(style=style, x=x, y=y, label=label, std=std, band_label=band)
+
+
+def _parameter_limits(
+    shown_s: tuple[float, float], curves: Sequence[Curve], found: Sequence[float]
+) -> tuple[float, float]:
+    """Room for the identified layers, the truth, and most of every curve, without
+    transients.
+    """
+    sizes = [1e-9, *(1.1 * value for value in found)]
+    low, high = shown_s
+    for curve in curves:
+        inside = curve.y[(curve.x > low) & (curve.x < high) & np.isfinite(curve.y)]
+        if curve.style is palette.TRUE_PART:
+            sizes.append(1.4 * float(np.max(inside, initial=0.0)))
+        elif len(inside):
+            percent, room = (90.0, 1.6) if curve.style is palette.OURS else (70.0, 1.2)
+            sizes.append(room * float(np.percentile(inside, percent)))
+    return -0.2 * max(sizes), max(sizes)
+
+
+NOT_FITTED = "#f0ead8"
+MODELS: tuple[tuple[Model, str, LineStyle], ...] = (
+    ("ml", "multi-layer", palette.OURS),
+    ("kv", "Kelvin-Voigt", palette.PUBLISHED_KV),
+)
+
+
+def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Chart:
+    """F/T sensor's force, both models fitted to the insertion, and their errors.
+
+    The withdrawal is predicted with the parameters of the insertion.
+    """
+    shown = truth.t_s >= truth.contact_s - MARGIN_s
+    x = truth.t_s[shown] - truth.tare_end_s
+    reading = signal.force_N[shown]
+    depth_m = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
+    spans = layer_spans(truth)
+    speed_m_s = quiet_speed_m_s(signal)
+    forces = [
+        Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")
+    ]
+    errors = []
+    for model, name, style in MODELS:
+        fit = offline_fit(signal, truth, model)
+        matrix = regression_matrix(truth.t_s, depth_m, speed_m_s, spans, fit.model)
+        parameters = [(layer.stiffness_N_per_m, layer.friction) for layer in fit.layers]
+        predicted = (matrix @ np.array(parameters).ravel())[shown]
+        label = f"{name} model, RMSE {fit.rmse_N:.3f} N"
+        forces.append(Curve(style=style, x=x, y=predicted, label=label))
+        errors.append(Curve(style=style, x=x, y=reading - predicted))
+    end_s = truth.insertion_end_s - truth.tare_end_s
+    predicted_span = Shading(
+        "predicted, not fitted", NOT_FITTED, ((end_s, float(x[-1])),)
+    )
+    return Chart(
+        title=title,
+        x_label=palette.INSERTION_TIME,
+        panels=(
+            Panel(y_label=palette.FORCE, curves=tuple(forces), height=1.7),
+            Panel(y_label=palette.FORCE_ERROR, curves=tuple(errors)),
+        ),
+        shadings=(predicted_span, _true_ruptures(truth)),
+        x_limits=(float(x[0]), float(x[-1])),
+        height_in=3.3,
+    )

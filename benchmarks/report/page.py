@@ -1,0 +1,382 @@
+"""The page: figures, tables and numbers of a run in one file."""
+
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.insertion.signals import Array
+from benchmarks.jobs import Drawing, Job
+from benchmarks.report.published_figures import (
+    FRICTION_FIGURE,
+    PUBLISHED_FIGURES,
+    TABLE_ONE,
+    PublishedFigure,
+)
+from benchmarks.report.tables import (
+    CUMULATIVE,
+    NOTHING,
+    Frame,
+    ResultTable,
+    frame_of,
+    result_tables,
+    select,
+)
+from benchmarks.results import Row, to_json
+from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
+from needleforce.plots import (
+    Chart,
+    Curve,
+    LineStyle,
+    Page,
+    PageFigure,
+    PageTable,
+    Panel,
+    Section,
+    palette,
+    save_page_figure,
+    write_page,
+)
+from needleforce.plots.chart import write_file
+from needleforce.plots.page import PAGE
+
+PLANTS = ("clean", "fri", "degraded", "ideal", "needle")
+"""The first of these on which a figure was run is shown."""
+SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
+"""With their colours in the publication."""
+PERCENTS = tuple(TABLE_ONE_Ns_per_m)
+
+
+class Estimate(NamedTuple):
+    """Which friction of a gel."""
+
+    kind: str
+    source: str = "ft"
+    method: str = "ours"
+
+
+TUNED = Estimate("online", "ft", "published-as-run")
+
+
+def gel_friction(rows: Iterable[Row]) -> Frame | None:
+    """Rows of the gels' friction [Ns/m] on the best plant they were run on; None
+    without any.
+    """
+    found = [
+        row
+        for row in rows
+        if row.scenario in GELS and row.metric.startswith("cumulative_")
+    ]
+    plant = _best_plant({row.plant for row in found})
+    return frame_of(row for row in found if row.plant == plant) if plant else None
+
+
+def _best_plant(plants: set[str]) -> str:
+    return next((plant for plant in PLANTS if plant in plants), "")
+
+
+def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
+    """Of all seeds at the speeds, by default at both."""
+    kind, source, method = estimate
+    mine = select(gels, metric=CUMULATIVE.format(kind), source=source, method=method)
+    names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
+    return mine[mine["scenario"].isin(names)]["value"].tolist()
+
+
+def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
+    """One per gel; nan where there is none."""
+    found = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
+    return [statistics.median(values) if values else math.nan for values in found]
+
+
+ONLINE = {
+    "published, tuned, F/T": TUNED,
+    "published, F/T": Estimate("online", "ft", "published"),
+    "ours, F/T": Estimate("online"),
+    "ours, virtual": Estimate("online", "virtual"),
+}
+
+
+def gel_table(gels: Frame) -> PageTable:
+    """The published Table I beside ours: mean ± spread over both speeds (and seeds)."""
+    head = [
+        "gel",
+        "published\noffline",
+        "published\nonline",
+        "here\ntrue",
+        "here\noffline",
+    ]
+    head += [f"here online\n{words}" for words in ONLINE]
+    rows = []
+    for percent, known in TABLE_ONE_Ns_per_m.items():
+        offline = _values(gels, percent, Estimate("offline"))
+        online = [_values(gels, percent, estimate) for estimate in ONLINE.values()]
+        change_pct = 100.0 * (known.online / known.offline - 1.0)
+        rows.append(
+            (
+                f"{percent} %",
+                f"{known.offline} ± {known.offline_spread}",
+                f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
+                _cell(_values(gels, percent, Estimate("true"))),
+                _cell(offline),
+                *(_cell(values, offline) for values in online),
+            )
+        )
+    return PageTable(
+        caption="Cumulative friction of single gels [Ns/m]: mean ± spread over both speeds "
+        "(online: difference from offline)",
+        head=tuple(head),
+        rows=tuple(rows),
+        numeric=frozenset(range(1, len(head))),
+        note="The published spread is called a variance; its size and unit are those of a standard "
+        "deviation. Tuned: with the commanded speed and its authors' settings; else with the "
+        "measured speed, whose noise the published method takes for excitation.",
+    )
+
+
+def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
+    if not values:
+        return NOTHING
+    mean = statistics.fmean(values)
+    spread = f" ± {statistics.pstdev(values):.0f}" if len(values) > 1 else ""
+    more = (
+        f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)"
+        if offline
+        else ""
+    )
+    return f"{mean:.0f}{spread}{more}"
+
+
+SERIES = {
+    "offline": (Estimate("offline"), "^"),
+    "ours, F/T": (Estimate("online"), "*"),
+    "ours, virtual": (Estimate("online", "virtual"), "D"),
+    "published": (TUNED, "x"),
+}
+"""With their markers."""
+PUBLISHED_PLACE = -0.36
+FIRST_PLACE = -0.2
+STEP = 0.14
+
+
+def friction_chart(title: str, gels: Frame) -> Chart:
+    """After the published Figure 10: from the left the published means of a gel,
+    then ours.
+    """
+    places = np.arange(3.0)
+    known = TABLE_ONE_Ns_per_m.values()
+    grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
+    star = replace(grey, marker="*", size_pt=8.0)
+    points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
+        (
+            grey,
+            places + PUBLISHED_PLACE,
+            [gel.offline for gel in known],
+            "published, offline",
+        ),
+        (
+            star,
+            places + PUBLISHED_PLACE,
+            [gel.online for gel in known],
+            "published, online",
+        ),
+    ]
+    for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
+        for speed, color in SPEEDS.items():
+            style = LineStyle(
+                color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5
+            )
+            values = _medians(gels, estimate, speed)
+            if np.isfinite(values).any():
+                x = places + FIRST_PLACE + k * STEP
+                points.append((style, x, values, f"{words}, {speed}"))
+    # The truth: short lines across each group.
+    ends = np.array([FIRST_PLACE - 0.06, FIRST_PLACE + 3 * STEP + 0.06, math.nan])
+    for speed, style in zip(SPEEDS, (palette.TRUE, palette.TRUE_PART), strict=True):
+        x = np.add.outer(places, ends).ravel()
+        values = np.repeat(_medians(gels, Estimate("true"), speed), 3)
+        points.append((style, x, values, f"ground truth, {speed}"))
+    curves = [
+        Curve(style=style, x=x, y=np.array(y), label=label)
+        for style, x, y, label in points
+    ]
+    return Chart(
+        title=title,
+        x_label="isinglass in the gel",
+        panels=(Panel(y_label="cumulative friction [Ns/m]", curves=tuple(curves)),),
+        x_limits=(-0.6, 2.6),
+        x_ticks=tuple((float(k), f"{percent} %") for k, percent in enumerate(PERCENTS)),
+    )
+
+
+def published_sections(
+    drawings: Sequence[Drawing], rows: Sequence[Row]
+) -> list[Section]:
+    """One section per published figure that these runs give, at least in part."""
+    sections = []
+    gels = gel_friction(rows)
+    of_gels = set() if gels is None else set(gels["scenario"])
+    for item in PUBLISHED_FIGURES:
+        mine = chosen(drawings, item.number)
+        if item.number == TABLE_ONE and gels is not None:
+            sections.append(_section(item, (), (gel_table(gels),), of_gels))
+        elif mine:
+            here = {drawing.job.benchmark for drawing in mine}
+            here = of_gels if item.number == FRICTION_FIGURE else here
+            sections.append(_section(item, mine, _facts(item, mine), here))
+    return sections
+
+
+def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
+    """The panels of a figure, on the one plant that is shown."""
+    found = [drawing for drawing in drawings if drawing.figure == figure]
+    best = _best_plant({drawing.job.plant for drawing in found})
+    mine = [drawing for drawing in found if drawing.job.plant == best]
+    return sorted(mine, key=lambda drawing: drawing.panel)
+
+
+def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
+    """Runs that are the counterpart of no figure, or were made with another plant
+    model as well.
+    """
+    used = {
+        id(drawing)
+        for item in PUBLISHED_FIGURES
+        for drawing in chosen(drawings, item.number)
+    }
+    groups: dict[tuple[str, str], list[Drawing]] = {}
+    for drawing in drawings:
+        if id(drawing) not in used:
+            groups.setdefault((drawing.job.benchmark, drawing.job.plant), []).append(
+                drawing
+            )
+    return [
+        Section(
+            heading=f"Further run: `{scenario}`, {mine[0].job.where}",
+            anchor=f"run-{scenario}-{plant}",
+            figures=tuple(map(_figure, mine)),
+        )
+        for (scenario, plant), mine in groups.items()
+    ]
+
+
+def _section(
+    item: PublishedFigure,
+    mine: Sequence[Drawing],
+    tables: tuple[PageTable, ...],
+    here: set[str],
+) -> Section:
+    absent = ", ".join(name for name in item.scenarios if name not in here)
+    notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
+    return Section(
+        heading=f"{item.name}: {item.title}",
+        anchor=item.name.replace("Figure ", "figure-").replace("Table ", "table-"),
+        paragraphs=(f"Published: {item.shows}", f"To compare: {item.see}"),
+        notices=(notice,) if absent else (),
+        figures=tuple(map(_figure, mine)),
+        tables=tables,
+        command=item.command if absent else "",
+    )
+
+
+def _figure(drawing: Drawing) -> PageFigure:
+    shown = drawing.shown
+    job = drawing.job
+    return replace(
+        shown, caption=f"{shown.caption} From `{job.benchmark}`, {job.where}."
+    )
+
+
+def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
+    facts = [fact for drawing in mine for fact in drawing.facts]
+    if not facts:
+        return ()
+    head = ("", "published", *(head for head, _ in facts[0].here))
+    rows = tuple(
+        (fact.what, fact.published, *(value for _, value in fact.here))
+        for fact in facts
+    )
+    return (
+        PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),
+    )
+
+
+def page_table(table: ResultTable) -> PageTable:
+    """A table of the terminal, without colours."""
+    return PageTable(
+        caption=table.title,
+        head=table.heads,
+        rows=table.lines,
+        numeric=frozenset(k for k, align in enumerate(table.align) if align == "r"),
+        note=table.caption,
+    )
+
+
+TITLE = "needleforce: the published figures, from our own runs"
+LEAD = (
+    "Counterparts of the figures of “Online needle-tissue interaction model identification for "
+    "force feedback enhancement in robot-assisted interventional procedures” (Ferro, Gaz, "
+    "Anzidei, Vendittelli). The insertions are simulated, so the true force is known; the "
+    "estimators get only the signals that a robot would give them.",
+    "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
+    "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
+    "recording), in the tables of all numbers also with one setting and the measured speed. "
+    "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
+    "are positive when tissue pushes back.",
+)
+
+
+def write_report(
+    folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]
+) -> Path:
+    """Write ``index.html`` with everything inside, and ``results.json`` beside it.
+
+    Raises:
+        FiguresError: A file cannot be written.
+    """
+    write_file(folder / "results.json", to_json(rows))
+    gels = gel_friction(rows)
+    everything = [
+        *drawings,
+        *([] if gels is None else [_friction_drawing(folder, gels)]),
+    ]
+    figures = published_sections(everything, rows)
+    numbers = Section(
+        heading="All numbers of these runs",
+        anchor="numbers",
+        paragraphs=(
+            "As printed by the command, targets last; `results.json` beside this page has "
+            "them all.",
+        ),
+        tables=tuple(map(page_table, result_tables(rows))),
+    )
+    sections = [*figures, *further_sections(everything), numbers]
+    return write_page(
+        folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections))
+    )
+
+
+def _friction_drawing(folder: Path, gels: Frame) -> Drawing:
+    plant = gels["plant"].iloc[0]
+    seeds = gels["seed"].nunique()
+    run = "needle without an arm" if plant == "needle" else f"{plant} plant"
+    title = f"Figure {FRICTION_FIGURE}: cumulative friction of the gels\n{run}"
+    shown = save_page_figure(
+        friction_chart(title, gels),
+        folder / f"figure-{FRICTION_FIGURE}-{plant}.svg",
+        alt="Cumulative friction of the 25, 50 and 70 % gel: the published means and ours, offline "
+        "and online, at both speeds",
+        caption="Cumulative friction [Ns/m] by gel. Grey: the published means over both speeds "
+        "(Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
+        "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
+        "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
+        "is then another number: hence two lines of ground truth. Medians over "
+        f"{seeds} seed{'' if seeds == 1 else 's'}.",
+        is_alone=True,
+    )
+    job = Job(benchmark="gel-*", plant=plant)
+    return Drawing(figure=FRICTION_FIGURE, job=job, shown=shown)

@@ -1,0 +1,271 @@
+"""One number of the results, files of them, and every metric a row may carry.
+
+Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table
+of `benchmarks.report.tables` that shows the metric (``none``: it stands in the results only);
+`best`, `tolerance` and `relative_tolerance` say which change is one for the worse;
+`meaning` is one line. A relative tolerance of 1 marks a number shown for reference, by
+which nothing is judged.
+"""
+
+import csv
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from sys import intern
+from typing import Literal, NamedTuple
+
+import msgspec
+
+from benchmarks import ResultsError, UnknownMetricError
+
+Source = Literal["ft", "virtual"]
+"""Which force: read by the F/T sensor, or estimated from joint signals."""
+Method = Literal["published", "published-as-run", "published-best-K", "ours", "guess"]
+"""Whose method: as published, or ours. What does not depend on it stands under
+``ours``; ``guess`` is a rule of thumb that an identification worth having must beat.
+
+``published`` has one setting and the measured speed, as ours. ``published-as-run`` is
+it as its authors ran it: commanded speed, σ₁ chosen for each recording;
+``published-best-K`` is that with the gain of the observer that suits the recording
+best, where theirs is 5/s."""
+
+
+class RowKey(NamedTuple):
+    """What makes two rows of two runs comparable."""
+
+    scenario: str
+    plant: str
+    seed: int
+    source: str
+    method: str
+    metric: str
+
+    def __str__(self) -> str:
+        """One line for people."""
+        return " ".join(map(str, self))
+
+
+class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One measured number.
+
+    Attributes:
+        scenario: Name of the benchmark.
+        plant: Plant model of a simulation, ``recording`` for real data.
+        seed: Seed of a simulation, number of the recording for real data.
+        source: See `Source`.
+        method: See `Method`.
+        metric: A name of `metrics.csv`.
+        value: The number; nan where it could not be determined.
+        unit: Its unit.
+    """
+
+    scenario: str
+    plant: str
+    seed: int
+    source: str
+    method: str
+    metric: str
+    value: float
+    unit: str
+
+    @property
+    def key(self) -> RowKey:
+        """All but value and unit."""
+        return RowKey(
+            self.scenario, self.plant, self.seed, self.source, self.method, self.metric
+        )
+
+
+NAMES = Row.__struct_fields__
+TEXTS = tuple(name for name in NAMES if name not in ("seed", "value"))
+Runs = Mapping[str, int] | None  # how many rows each has given, where that is known
+SIGNIFICANT_DIGITS = 6
+"""More would only record rounding."""
+
+
+def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
+    """Rows, and how many each run has, so that equal runs give equal bytes; not
+    finite: null.
+    """
+    lines = b",\n  ".join(map(_line, rows))
+    counts = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
+    return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, counts)
+
+
+def _line(row: Row) -> bytes:
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
+    return msgspec.json.encode(msgspec.structs.replace(row, value=value))
+
+
+def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> None:
+    """Write rows to a file, whole or not at all; raises `ResultsError` where that
+    cannot be.
+    """
+    from needleforce.plots import FiguresError
+    from needleforce.plots.chart import write_file
+
+    try:
+        write_file(path, to_json(rows, runs))
+    except FiguresError as error:
+        raise ResultsError(str(error)) from error
+
+
+class _Line(Row, frozen=True, kw_only=True):
+    value: float | None  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class _File(msgspec.Struct):
+    schema: Literal[1]
+    rows: list[msgspec.Raw]
+
+
+_decode_line = msgspec.json.Decoder(_Line).decode
+
+
+def read_results(path: str | Path) -> list[Row]:
+    """Read rows from a file; null becomes nan.
+
+    Raises:
+        ResultsError: The file cannot be read, is not JSON of this schema, lacks a
+            field, or has two rows with one key.
+    """
+    try:
+        lines = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
+        rows = [_row(_decode_line(line)) for line in lines]
+    except OSError as error:
+        raise ResultsError(f"cannot read {path}: {error.strerror}") from error
+    except msgspec.ValidationError as error:
+        raise ResultsError(f"{path} is not a file of results: {error}") from error
+    except (msgspec.DecodeError, ValueError) as error:
+        raise ResultsError(f"{path} is not JSON: {error}") from error
+    found: set[RowKey] = set()
+    for row in rows:
+        if row.key in found:
+            raise ResultsError(f"{path} has more than one row for: {row.key}")
+        found.add(row.key)
+    return rows
+
+
+def _row(line: _Line) -> Row:
+    """A campaign has millions: each text is kept once."""
+    texts = {name: intern(getattr(line, name)) for name in TEXTS}
+    return Row(
+        seed=line.seed, value=math.nan if line.value is None else line.value, **texts
+    )
+
+
+def read_merged(paths: Sequence[str | Path]) -> list[Row]:
+    """Rows of several files; a later one replaces those of the same scenario and
+    plant.
+    """
+    found: dict[tuple[str, str], list[Row]] = {}
+    for path in paths:
+        rows = read_results(path)
+        found |= {(row.scenario, row.plant): [] for row in rows}
+        for row in rows:
+            found[row.scenario, row.plant].append(row)
+    return [row for rows in found.values() for row in rows]
+
+
+UNITS = {
+    "_Ns_per_m": "Ns/m",
+    "_Nm": "Nm",
+    "_N": "N",
+    "_mm": "mm",
+    "_ms": "ms",
+    "_pct": "%",
+}
+"""By the end of a metric's name; a name that ends otherwise is that of a fraction or
+a count."""
+
+
+class Metric(msgspec.Struct, frozen=True, kw_only=True):
+    """One kind of number.
+
+    Attributes:
+        name: As in the results.
+        table: The table that shows it.
+        meaning: One line.
+        best: The value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage.
+        tolerance: Absolute worsening that is not called a regression, in the metric's
+            unit.
+        relative_tolerance: The same as a fraction of the old distance from ``best``;
+            the larger of the two counts.
+    """
+
+    name: str
+    table: str
+    meaning: str
+    best: float
+    tolerance: float
+    relative_tolerance: float
+
+    @property
+    def unit(self) -> str:
+        """As in the results; ``1`` for none."""
+        return next(
+            (unit for end, unit in UNITS.items() if self.name.endswith(end)), "1"
+        )
+
+    @property
+    def may_be_undefined(self) -> bool:
+        """Whether nan is a result of it, no failure: without an alarm there is no
+        precision.
+        """
+        return self.name == "rupture_precision"
+
+    def is_regression(self, old: float, new: float) -> bool:
+        """Whether the new value is worse beyond tolerance; a number that is not
+        finite always.
+        """
+        if not (math.isfinite(old) and math.isfinite(new)):
+            return not math.isfinite(new)
+        allowed = max(self.tolerance, self.relative_tolerance * abs(old - self.best))
+        return abs(new - self.best) - abs(old - self.best) > allowed
+
+
+def table_lines(path: Path) -> Iterator[dict[str, str]]:
+    """Lines of one of this package's data tables by column; ``#`` begins a comment
+    line.
+    """
+    with path.open(encoding="utf-8", newline="") as lines:
+        yield from csv.DictReader(line for line in lines if not line.startswith("#"))
+
+
+METRICS: Mapping[str, Metric] = {
+    line["name"]: msgspec.convert(line, Metric, strict=False)
+    for line in table_lines(Path(__file__).with_name("metrics.csv"))
+}
+"""By name."""
+
+
+def metric(name: str) -> Metric:
+    """The metric of that name.
+
+    Raises:
+        UnknownMetricError: There is none.
+    """
+    try:
+        return METRICS[name]
+    except KeyError:
+        raise UnknownMetricError(
+            f"no metric {name!r}; known: {', '.join(METRICS)}"
+        ) from None
+
+
+class Measurement(NamedTuple):
+    """One measured number, before it is known which job it belongs to; fields as in
+    `Row`.
+    """
+
+    source: Source
+    method: Method
+    metric: str
+    value: float
+
+    def row(self, scenario: str, plant: str, seed: int) -> Row:
+        """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks
+        the metric.
+        """
+        unit = metric(self.metric).unit
+        return Row(scenario, plant, seed, *self[:3], value=float(self.value), unit=unit)

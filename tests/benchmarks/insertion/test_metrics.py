@@ -1,0 +1,276 @@
+"""Metrics and bounds of online identification, on small cases whose answer is known."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.insertion.bounds import friction_bounds
+from benchmarks.insertion.methods import Alarm
+from benchmarks.insertion.metrics import (
+    EARLY_s,
+    LATE_s,
+    LayerFriction,
+    bound_metrics,
+    enhanced_metrics,
+    friction_metrics,
+    is_visible,
+    layer_frictions,
+    match,
+    offline_metrics,
+    rupture_metrics,
+)
+from benchmarks.insertion.signals import (
+    InsertionTruth,
+    NeedleSignal,
+    insertion_truth,
+    lagging,
+)
+from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
+from groundtruth.motion import constant_motion
+from groundtruth.plant_model import ForceNoise
+
+SPEED = 2e-3
+T = np.arange(0.0, 20.0, 1e-2)
+DEPTH = SPEED * (T - 2.0)
+
+
+def rupture(onset_s, layer=1, drop_N=0.5, friction_N=0.4):
+    return Rupture(
+        onset_s=onset_s,
+        end_s=onset_s + 0.1,
+        onset_m=SPEED * (onset_s - 2.0),
+        layer=layer,
+        drop_N=drop_N,
+        visible_drop_N=drop_N,
+        layer_friction_N=friction_N if layer else 0.0,
+        friction_N=friction_N,
+    )
+
+
+def alarm(alarm_s, friction_N=None, std_N=None, rupture_s=None, online_N=None):
+    layer = online = None
+    if friction_N is not None:
+        layer = SimpleNamespace(friction_N=friction_N, friction_std_N=std_N)
+    if online_N is not None:
+        online = SimpleNamespace(friction_N=online_N, friction_std_N=std_N)
+    sample = int(np.searchsorted(T, alarm_s))
+    return Alarm(
+        sample, alarm_s, alarm_s if rupture_s is None else rupture_s, layer, online
+    )
+
+
+def truth(*ruptures):
+    """One layer of 10 mm, constant friction 0.4 N from its end on, at rest from 17 s
+    on."""
+    moving = T < 17.0
+    friction = np.where(T >= 2.0, np.minimum(0.4, 40.0 * np.maximum(DEPTH, 0.0)), 0.0)
+    tip = np.where((T >= 2.0) & (T < 7.0), 0.1 * (T - 2.0), 0.0)
+    return InsertionTruth(
+        t_s=T,
+        depth_m=np.where(moving, DEPTH, SPEED * 15.0),
+        speed_m_s=np.where(moving, SPEED, 0.0),
+        axial_N=tip + friction,
+        tip_N=tip,
+        layer_friction_N=friction[:, None],
+        layer=np.select([T < 2.0, T < 7.0], [0, 1], 2),
+        ruptures=ruptures or (rupture(7.0),),
+        tare_end_s=1.0,
+        contact_s=2.0,
+        insertion_end_s=18.0,
+    )
+
+
+def identified(enhanced_N, tip_N, compensated_at=None):
+    estimates = [
+        SimpleNamespace(
+            rupture=None, identified_layer="layer" if k == compensated_at else None
+        )
+        for k in range(len(enhanced_N))
+    ]
+    return SimpleNamespace(
+        start=len(T) - len(enhanced_N),
+        series={"enhanced_force_N": enhanced_N, "tip_force_N": tip_N}.get,
+        result=SimpleNamespace(estimates=estimates, layers=()),
+    )
+
+
+@pytest.mark.parametrize(
+    ("ruptures", "alarms", "pairs"),
+    [
+        ([7.0], [7.0 - EARLY_s + 0.01], [(7.0, 7.0 - EARLY_s + 0.01)]),
+        ([7.0], [7.0], [(7.0, 7.0)]),
+        ([7.0], [7.0 + LATE_s - 0.01], [(7.0, 7.0 + LATE_s - 0.01)]),
+        ([7.0], [7.0 - EARLY_s - 0.01], []),
+        ([7.0], [7.0 + LATE_s + 0.01], []),
+        ([7.0], [7.5, 7.1], [(7.0, 7.1)]),  # the nearer one counts, the other is false
+        ([7.0, 7.4], [7.45], [(7.4, 7.45)]),  # one alarm does not find two ruptures
+        ([7.0, 7.4], [7.05, 7.5], [(7.0, 7.05), (7.4, 7.5)]),
+    ],
+)
+def test_an_alarm_belongs_to_one_rupture_in_its_window(ruptures, alarms, pairs):
+    found = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+    assert [(true.onset_s, seen.alarm_s) for true, seen in found.found] == pairs
+    assert len(found.missed) == len(ruptures) - len(pairs)
+    assert len(found.false) == len(alarms) - len(pairs)
+
+
+def test_the_window_of_an_alarm_is_the_documented_one():
+    assert (EARLY_s, LATE_s) == (0.2, 1.5)
+    values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth())
+    assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)
+    assert "rupture_delay_ms" not in values
+    # Friction that is identified by such an alarm does not count for the layer either.
+    (layer,) = layer_frictions([rupture(7.0)], [alarm(8.51, friction_N=0.4)])
+    assert layer.estimated_N == 0.0
+
+
+def test_delay_soft_transitions_silence_and_false_alarms_are_counted():
+    values = rupture_metrics(
+        match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth()
+    )
+    assert values["rupture_recall"] == values["rupture_precision"] == 1.0
+    assert values["rupture_delay_ms"] == pytest.approx(50.0)
+    assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
+    assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
+    both = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
+    missed = rupture_metrics(match(both, [alarm(7.0)]), truth())
+    assert (missed["rupture_recall"], missed["soft_transition_recall"]) == (1.0, 0.0)
+    found = rupture_metrics(match(both, [alarm(7.0), alarm(11.0)]), truth())
+    assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
+    values = rupture_metrics(match([rupture(7.0)], []), truth())
+    assert values["rupture_recall"] == 0.0
+    assert math.isnan(values["rupture_precision"])
+    assert values["false_alarms"] == 0.0
+    values = rupture_metrics(match([rupture(7.0)], [alarm(7.0), alarm(4.0)]), truth())
+    assert values["rupture_precision"] == 0.5
+    assert values["false_alarms"] == 1.0
+    visible = [is_visible(rupture(7.0, drop_N=drop_N)) for drop_N in (0.15, 0.151)]
+    assert visible == [False, True], "whatever the noise"
+
+
+def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
+    both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
+    found = layer_frictions(both, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)])
+    assert [layer.error for layer in found] == pytest.approx([0.1, 0.05])
+    values = friction_metrics(found)
+    assert values["friction_error_worst_pct"] == pytest.approx(10.0)
+    assert values["friction_error_mean_pct"] == pytest.approx(7.5)
+    assert values["friction_coverage_2sigma"] == 0.5
+    # What was known online is judged apart from what is known at the end.
+    one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
+    values = friction_metrics(
+        layer_frictions([rupture(7.0)], one, online=True), "_online"
+    )
+    assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
+    assert values["friction_coverage_online_2sigma"] == 0.0
+
+
+def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_below():
+    both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
+    found = layer_frictions(both, [alarm(11.1, 0.6)])
+    assert [layer.error for layer in found] == pytest.approx([1.0, 2.0])
+    both = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
+    (layer,) = layer_frictions(both, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)])
+    assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
+    assert layer.std_N == pytest.approx(0.05)
+    # A layer with a soft end counts together with the next one, found or not.
+    both = [
+        rupture(7.0, drop_N=0.01, friction_N=0.4),
+        rupture(11.0, layer=2, friction_N=0.2),
+    ]
+    for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
+        (layer,) = layer_frictions(both, alarms)
+        assert layer.error == pytest.approx(0.0)
+    # Without stated deviations there is no coverage.
+    values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
+    assert "friction_coverage_2sigma" not in values
+    assert friction_metrics([]) == {}
+
+
+def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_plateau():
+    true = truth()
+    values = enhanced_metrics(
+        identified(true.enhanced_N, true.tip_N, compensated_at=750), true
+    )
+    assert values == pytest.approx(
+        {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0},
+        abs=1e-12,
+    )
+    values = enhanced_metrics(identified(true.axial_N, true.axial_N), true)
+    assert values["remaining_force_pct"] == pytest.approx(100.0)
+    assert values["enhanced_rmse_N"] == pytest.approx(0.4)
+    # Errors before the first compensation and after the insertion do not count.
+    wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
+    found = identified(true.enhanced_N + wild, true.tip_N + wild, compensated_at=755)
+    assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(
+        0.0, abs=1e-12
+    )
+
+
+def signal(true, error_N=0.0, zero_m=0.0):
+    """The true force with an error, and with the zero of depth where a user has it."""
+    force_N = true.axial_N + np.resize(error_N, true.t_s.shape)
+    depth_m = true.depth_m + zero_m
+    speed_m_s = true.speed_m_s
+    return NeedleSignal(
+        source="ft", t_s=true.t_s, depth_m=depth_m, speed_m_s=speed_m_s, force_N=force_N
+    )
+
+
+def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
+    # The tip is free at 7 s already. Friction without speed, at rest, is in neither
+    # model.
+    true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
+    values = offline_metrics(signal(true, zero_m=4e-3), true)
+    assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)
+    assert values["offline_rmse_kv_N"] > 0.01
+
+
+RNG = np.random.default_rng(3)
+WHITE = 0.01 * RNG.standard_normal(8000)
+DRIFTING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
+GEL = SCENARIOS["gel-50-constant"].layers[0]
+
+
+@pytest.fixture(scope="module")
+def stack_truth():
+    layer = replace(GEL, release_m=0.3e-3, thickness_m=14e-3)
+    motion = constant_motion(speed_m_s=4e-3, depth_m=39e-3, standoff_m=5e-3)
+    chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
+    return insertion_truth(insert_needle(chosen, noise=ForceNoise()))
+
+
+def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(
+    stack_truth,
+):
+    # Small noise: what is drawn adds nothing then.
+    one, two = (
+        friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02)
+    )
+    assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
+    plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
+    assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
+    assert (
+        friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1]
+        < plain
+    )
+
+
+def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(
+    stack_truth,
+):
+    values = bound_metrics(signal(stack_truth, WHITE), stack_truth)
+    wanted = {
+        "friction_bound_pct",
+        "friction_bound_white_pct",
+        "rupture_delay_bound_ms",
+    }
+    assert set(values) == wanted
+    assert all(0.0 < value < 20.0 for value in values.values())
+    assert (
+        bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=()))
+        == {}
+    )

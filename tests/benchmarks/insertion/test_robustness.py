@@ -1,0 +1,106 @@
+"""Perturbed worlds: drawn from the seed, what they change, and what becomes of their
+numbers."""
+
+import numpy as np
+import pytest
+
+from benchmarks.catalogue import Request, make_plan
+from benchmarks.insertion.perturbations import (
+    ARM_ONLY,
+    FT_ONLY,
+    GROUPS,
+    MIXED,
+    PERTURBATIONS,
+    perturbed,
+)
+from benchmarks.insertion.robustness import SCENARIOS, perturbed_needle, run_robustness
+from benchmarks.jobs import Job
+from benchmarks.report.tables import TABLES, fill, result_tables, worst_rows
+from groundtruth import scenario
+from tests.benchmarks.benchmark_cases import gel_slice, make_row, silent
+
+BRIEF = gel_slice(25, thickness_m=10e-3, speed_m_s=10e-3)
+
+
+@pytest.mark.parametrize("name", [*PERTURBATIONS, MIXED])
+def test_a_perturbation_is_drawn_from_the_seed_and_changes_something(name):
+    chosen = scenario("stack-constant")
+    world, names = perturbed(name, chosen, 1)
+    assert (world, names) == perturbed(name, chosen, 1)
+    plain, _ = perturbed("none", chosen, 1)
+    assert (world == plain) == (name == "none")
+    # Plants and a tare at rest have no size to draw.
+    if name not in (*GROUPS["plants"], "tare-at-rest"):
+        assert world != perturbed(name, chosen, 2)[0]
+    # Whatever the hand does, it goes as deep, and the tare is done in free air.
+    motion = world.scenario.motion
+    assert motion.deepest_m == pytest.approx(chosen.motion.deepest_m)
+    assert motion.position_m(motion.tare_end_s) == pytest.approx(-5e-3)
+    if name != MIXED and name in ARM_ONLY:
+        assert world.scenario.layers == chosen.layers
+
+
+def test_every_size_has_a_source_and_a_mixture_is_of_three_groups():
+    assert all(
+        item.what and item.source
+        for name, item in PERTURBATIONS.items()
+        if name != "none"
+    )
+    group_of = {name: group for group, items in GROUPS.items() for name in items}
+    drawn = [perturbed(MIXED, BRIEF, seed)[1] for seed in range(40)]
+    assert all(len({group_of[name] for name in names}) == 3 for names in drawn)
+    assert len({name for names in drawn for name in names}) > 25
+
+
+def test_a_needle_sees_the_tissue_move_and_its_truth_is_that_of_the_tissue():
+    (still, before), (moved, after) = (
+        perturbed_needle(name, BRIEF, 3) for name in ("none", "breathing")
+    )
+    assert np.allclose(still.depth_m, moved.depth_m, atol=1e-4)
+    assert 0.5e-3 < np.abs(after.depth_m - before.depth_m).max() < 3e-3
+    (rupture,) = after.ruptures
+    at = float(np.interp(rupture.onset_s, after.t_s, after.depth_m))
+    assert at == pytest.approx(rupture.onset_m, abs=5e-5)
+
+
+def test_the_robustness_of_a_sensor_is_measured_without_an_arm_where_that_is_enough():
+    assert FT_ONLY.isdisjoint(ARM_ONLY)
+    job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
+    found = run_robustness(job, silent).measurements
+    assert {item.source for item in found} == {"ft"}
+    assert {item.method for item in found} == {"ours", "published-as-run"}
+    assert {"rupture_recall", "false_alarms"} <= {item.metric for item in found}
+
+
+def test_robustness_runs_every_perturbation_and_seeds_begin_where_asked():
+    plan = make_plan(Request(ids=("robustness",), seeds=2, first_seed=1000))
+    assert len(plan.jobs) == 2 * len(SCENARIOS) * len(PERTURBATIONS)
+    assert {job.seed for job in plan.jobs} == {1000, 1001}
+    some = make_plan(Request(ids=("robustness",), plants=("fri", "lateral")))
+    assert {job.plant for job in some.jobs} == {"fri", "lateral"}
+    assert {
+        job.plant for job in make_plan(Request(ids=("robustness-mixed",))).jobs
+    } == {MIXED}
+
+
+def test_the_worst_comes_first_and_other_tables_leave_these_runs_out():
+    rows = [
+        make_row(
+            scenario=f"robustness-{at}",
+            plant=plant,
+            source="ft",
+            metric=metric,
+            value=value,
+        )
+        for at in SCENARIOS
+        for plant, recall in (("none", 1.0), ("heartbeat", 0.5))
+        for metric, value in (("rupture_recall", recall), ("false_alarms", 2.0))
+    ]
+    table = TABLES["robustness"](rows)
+    assert [line[:3] for line in table.lines] == [
+        ("heartbeat", "ft", "4"),
+        ("none", "ft", "4"),
+    ]
+    assert [table.title for table in result_tables(rows)] == ["Robustness"]
+    page = fill("a <!-- results:begin -->\n<!-- results:end --> z", worst_rows(rows))
+    assert PERTURBATIONS["heartbeat"].what in page

@@ -1,0 +1,247 @@
+"""From what was asked for to jobs, simulated benchmarks end to end, errors of a
+force."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from benchmarks import DataError
+from benchmarks.catalogue import BENCHMARKS, Request, make_plan
+from benchmarks.insertion.methods import ForceReading, force_lag_s, wrench_metrics
+from benchmarks.insertion.signals import ForceTruth
+from benchmarks.insertion.simulated import read_sensors, run_needle, simulated_metrics
+from benchmarks.jobs import Job
+from benchmarks.report.published_figures import NEEDED
+from benchmarks.report.tables import TABLES
+from groundtruth import SCENARIOS, simulate
+from tests.benchmarks.benchmark_cases import gel_slice, silent
+
+SHORT = gel_slice()
+BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
+TOUCHLESS = replace(BRIEF, layers=())
+
+
+def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp_path):
+    job = Job(benchmark="short", plant="needle", drawings=tmp_path)
+    found = run_needle(job, SHORT, silent, is_drawn=False)
+    by_key = {
+        (item.source, item.method, item.metric): item.value
+        for item in found.measurements
+    }
+    methods = {"ours", "published", "published-as-run"}
+    assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
+    assert by_key["ft", "ours", "rupture_recall"] == 1.0
+    assert by_key["ft", "ours", "rupture_precision"] == 1.0
+    assert by_key["ft", "ours", "friction_error_worst_pct"] < 10.0
+    true = by_key["ft", "ours", "cumulative_friction_true_Ns_per_m"]
+    assert true == by_key["ft", "published", "cumulative_friction_true_Ns_per_m"] > 0.0
+    assert ("ft", "published", "offline_rmse_ml_N") not in by_key
+    ml, kv = (by_key["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
+    assert 0.0 < ml < kv
+    assert [drawing.shown.path.name for drawing in found.drawings] == [
+        "short-needle-0-ft-published.svg",
+        "short-needle-0-ft-ours.svg",
+    ]
+    assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
+    rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
+    for name in ("friction", "ruptures", "table I"):
+        assert len(TABLES[name](rows).lines) == 3
+        assert TABLES[name]([]).lines == ()
+    # Without tissue there is nothing to identify.
+    assert (
+        run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements
+        == []
+    )
+
+
+def case_of(plant, chosen=BRIEF):
+    return read_sensors(simulate(chosen, plant), silent)
+
+
+def values(case):
+    found = simulated_metrics(case)
+    return {(item.source, item.method, item.metric): item.value for item in found}
+
+
+def test_the_ideal_arm_has_the_ideal_filter_the_true_force_and_known_lags():
+    case = case_of("ideal")
+    found = values(case)
+    assert found["virtual", "ours", "residual_rms_Nm"] < 1e-6
+    # 68 g of needle are started and stopped: that much inertia is in the reading.
+    assert found["ft", "ours", "wrench_rmse_N"] < 2e-3
+    assert abs(found["ft", "ours", "wrench_lag_ms"]) < 5.0
+    assert found["virtual", "published", "wrench_lag_ms"] > 100.0
+    assert 0.0 < found["virtual", "ours", "wrench_lag_ms"] < 50.0
+    # A wrong sign would be seen: the error of the force turned round is twice the
+    # force.
+    force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
+    assert force > 0.05
+    assert found["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
+
+
+def test_equal_runs_give_equal_numbers_four_for_every_source_and_method():
+    case = case_of("degraded")
+    found = values(case)
+    assert found == values(case)
+    for source, method in (
+        ("ft", "ours"),
+        ("virtual", "ours"),
+        ("virtual", "published"),
+    ):
+        for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
+            assert np.isfinite(found[source, method, f"wrench_{name}"])
+    assert len(found) == 18
+
+
+def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on():
+    case = case_of("clean", TOUCHLESS)
+    assert {item.source for item in case.readings} == {"virtual"}
+    assert case.truth.start_s == case.run.tare_end_s
+    numbers = {
+        "wrench_rmse_N",
+        "wrench_bias_N",
+        "wrench_coverage_2sigma",
+        "tare_refused",
+    }
+    assert {metric for _, _, metric in values(case)} == numbers
+
+
+@pytest.fixture
+def data(tmp_path):
+    """A folder that looks like the recordings."""
+    for item in BENCHMARKS.values():
+        for name in item.needs:
+            (tmp_path / name).mkdir(exist_ok=True)
+    return tmp_path
+
+
+def plan(*ids, **asked):
+    return make_plan(Request(ids=ids, **asked))
+
+
+def names(found):
+    return list(dict.fromkeys(job.benchmark for job in found.jobs))
+
+
+def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
+    quick = [item for item in BENCHMARKS.values() if item.is_default]
+    assert set(plan().skipped) == {item.id for item in quick if item.is_recorded}
+    assert names(plan()) == [item.id for item in quick if not item.is_recorded]
+    (data / "liver_dejong2017").rmdir()
+    assert plan(data=data).skipped == ("panda-liver", "liver-real")
+    assert "panda-real" in names(plan(data=data))
+
+
+def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
+    assert names(plan("all", data=data)) == [
+        n for n, b in BENCHMARKS.items() if not b.perturbs
+    ]
+    assert plan("all", data=data).skipped == ()
+    tissue = [name for name, item in SCENARIOS.items() if item.layers]
+    assert len(tissue) == 12
+    assert names(plan("tissue")) == tissue
+    assert names(plan("free-motion", "tissue")) == [*tissue, "free-motion"]
+
+
+def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path):
+    found = plan(
+        "liver-constant",
+        "liver-constant",
+        plants=["degraded", "degraded", "ideal"],
+        seeds=3,
+    )
+    jobs = [(job.plant, job.seed) for job in found.jobs]
+    assert jobs == [
+        (plant, seed) for plant in ("degraded", "ideal") for seed in range(3)
+    ]
+    # A recording knows no plants and no more seeds than it has.
+    recorded = plan(
+        "panda-real", "panda-liver", plants=["degraded", "ideal"], seeds=100, data=data
+    )
+    assert {job.plant for job in recorded.jobs} == {"recording"}
+    assert [job.benchmark for job in recorded.jobs].count("panda-real") == 1
+    assert [job.benchmark for job in recorded.jobs].count("panda-liver") == 19
+    drawn = plan("liver-constant", seeds=2, drawings=tmp_path).jobs
+    assert [job.drawings for job in drawn] == [tmp_path, None]
+    # A report without names runs all that the published figures need.
+    assert set(names(plan(drawings=tmp_path))) == set(NEEDED) | set(names(plan()))
+    assert set(NEEDED) <= set(BENCHMARKS)
+    assert names(plan("liver-constant", drawings=tmp_path)) == ["liver-constant"]
+
+
+def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
+    with pytest.raises(
+        DataError, match="free-motion needs a plant, one of ideal, clean"
+    ):
+        plan("free-motion", plants=["needle"])
+    with pytest.raises(DataError, match="panda-real needs the folder panda_gaz2019"):
+        plan("panda-real", data=tmp_path)
+    # A needle alone leaves out what needs an arm.
+    assert {job.plant for job in plan("random-stack").jobs} == {"needle"}
+    assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {
+        "clean"
+    }
+    found = names(plan("all", plants=["needle"]))
+    assert set(found) == set(SCENARIOS) - {"free-motion"} | {
+        "random-stack",
+        "random-tissue",
+    }
+
+
+T = np.arange(0.0, 20.0, 1e-3)
+
+
+def saw(t):
+    """A force that climbs and ruptures, zero before 5 s."""
+    return np.where(t < 5.0, 0.0, np.mod(t, 5.0) * 0.3)
+
+
+def reading(axial, std=0.1):
+    return ForceReading(
+        source="virtual", method="ours", axial_N=axial, std_N=np.full(len(axial), std)
+    )
+
+
+def truth(axial, start=2.0, end=18.0):
+    return ForceTruth(
+        t_s=T, depth_m=T, axial_N=axial, zeroed_s=1.0, start_s=start, end_s=end
+    )
+
+
+def measured(axial, true, **kw):
+    return {
+        item.metric: item.value
+        for item in wrench_metrics(reading(axial, **kw), truth(true))
+    }
+
+
+@given(delay=st.floats(-0.05, 0.5), offset=st.floats(-1.0, 1.0))
+def test_a_delay_is_found_whatever_the_offset(delay, offset):
+    found = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))
+    assert found == pytest.approx(delay, abs=1e-4)
+
+
+def test_a_constant_error_is_a_bias_and_coverage_counts_two_stated_deviations():
+    found = measured(saw(T) + 0.05, saw(T))
+    assert found["wrench_rmse_N"] == pytest.approx(0.05)
+    assert found["wrench_bias_N"] == pytest.approx(0.05)
+    assert found["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
+    noise = np.random.default_rng(0).normal(scale=0.2, size=len(T))
+    for std, fraction in ((0.1, 0.6827), (0.2, 0.9545)):
+        found = measured(saw(T) + noise, saw(T), std=std)
+        assert found["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
+
+
+def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():
+    wild = saw(T) + np.where((T < 2.0) | (T > 18.0), 100.0, 0.0)
+    assert measured(wild, saw(T))["wrench_rmse_N"] == 0.0
+    wild[10_000] = np.nan  # in the judged part it does not hide
+    assert math.isnan(measured(wild, saw(T))["wrench_rmse_N"])
+    never = truth(saw(T), start=30.0, end=40.0)
+    found = {item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)}
+    assert "wrench_rmse_N" in found
+    assert all(math.isnan(value) for value in found.values())

@@ -1,0 +1,70 @@
+"""The comparison with orocos KDL: one robot in both libraries."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from benchmarks.cli import main
+from benchmarks.insertion.signals import JointSignals
+from benchmarks.performance import kdl_peer
+from benchmarks.performance.kdl_peer import (
+    KdlAbsentError,
+    KdlEstimator,
+    PlainEstimator,
+    kdl_library,
+)
+from urdf import NeedleTool, load_lwr
+
+GAIN_per_s = 70.0
+PERIOD_s = 1e-3
+
+
+def pushed(robot, samples=600):
+    """Slow motion with an exact model, and a push of 2 N against the needle; its
+    true force."""
+    t = PERIOD_s * np.arange(samples)
+    middle = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
+    q = middle + 0.1 * np.sin(np.outer(t, np.arange(1.0, 8.0)))
+    dq = np.gradient(q, PERIOD_s, axis=0)
+    data = robot.create_data()
+    ddq = np.gradient(dq, PERIOD_s, axis=0)
+    axes = pin.ReferenceFrame.LOCAL
+    force_N = np.where(t > 0.1, 2.0, 0.0)
+    tau = []
+    for row, force in zip(zip(q, dq, ddq, strict=True), force_N, strict=True):
+        free = pin.rnea(robot.model, data, *row)
+        lever = pin.computeFrameJacobian(
+            robot.model, data, row[0], robot.tool_frame_id, axes
+        )
+        tau.append(free + force * lever[2])
+    return JointSignals(t_s=t, q_rad=q, dq_rad_s=dq, tau_Nm=np.array(tau)), force_N
+
+
+def test_both_libraries_see_the_same_robot():
+    try:
+        library = kdl_library()
+    except KdlAbsentError as error:
+        pytest.skip(str(error))
+    robot = load_lwr(payload=NeedleTool())
+    signals, force_N = pushed(robot)
+    kdl = KdlEstimator(library, robot, signals, GAIN_per_s)
+    ours = PlainEstimator(robot, signals, GAIN_per_s)
+    found = []
+    for k in range(len(force_N)):
+        kdl(k)
+        ours(k)
+        found.append((kdl.axial_N, ours.axial_N))
+    late = np.array(found)[300:]
+    assert late[:, 1] == pytest.approx(force_N[300:], abs=0.02)
+    assert late[:, 0] == pytest.approx(force_N[300:], abs=0.1)
+
+
+def test_without_it_the_comparison_is_skipped_and_says_so(monkeypatch, capsys):
+    monkeypatch.setenv("PATH", "")
+    assert main(["speed", "--kdl", "--strict"]) == 0
+    assert (
+        "skipped: no comparison with KDL: it needs g++ and Debian's"
+        in capsys.readouterr().err
+    )
+    # So that nobody eases one unseen.
+    assert (kdl_peer.TIME_RATIO, kdl_peer.ERROR_RATIO) == (0.6, 0.05)

@@ -1,0 +1,97 @@
+"""Cost of updates, soak, long recordings."""
+
+import numpy as np
+import pytest
+
+from benchmarks.cli import main
+from benchmarks.performance import long_runs, speed
+
+
+def timing(*medians):
+    return np.array([[m, m, m] for m in medians])
+
+
+def report(**changed):
+    known = {
+        "times": {
+            "dynamics of the sensor": timing(2.0),
+            "sensor": timing(6.0),
+            "chain": np.array([[10.0, 11.0, 80.0], [10.0, 40.0, 10.0]]),
+        },
+        "alarms": {"chain": [2]},
+        "layers": {"chain": [4, 100]},
+    }
+    return speed.SpeedReport(**(known | changed))
+
+
+def test_ratios_compare_neighbours_and_ticks_with_an_event_are_shown_apart():
+    # A slow machine cancels.
+    assert speed.cost_ratio(
+        timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
+    ) == pytest.approx(2.0)
+    raised, identified = speed.event_table(report()).lines
+    assert (raised[0], raised[4:]) == ("rupture raised", ("80", "40"))
+    assert (identified[0], identified[4:]) == ("layer identified", ("40", "20"))
+
+
+@pytest.mark.parametrize(("compiler", "sensor"), [("numba", "missed"), ("", "met")])
+def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
+    monkeypatch.setattr(speed, "COMPILER", compiler)
+    medians = {"dynamics of the observer": 1.0, "observer": 1.9}
+    medians |= {"dynamics of the sensor": 1.0, "sensor": 3.1}
+    medians["chain"] = 4.5
+    timings = {name: timing(median) for name, median in medians.items()}
+    lines = speed.speed_table(report(times=timings)).lines
+    assert [line[8] for line in lines] == ["", "met", "", sensor, "met"]
+    assert [line[6] for line in lines] == ["", "1.90", "", "3.10", "4.50"]
+
+
+def soaked(**changes):
+    known = {
+        "tick_us": (10.0, 11.0),
+        "python_kB": (5.0, 25.0),
+        "process_MB": (1.0, 1.0),
+    }
+    return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
+
+
+def test_a_soak_compares_end_with_start():
+    assert soaked().is_met
+    bad = {
+        "tick_us": (10.0, 11.1),
+        "python_kB": (5.0, 106.0),
+        "ruptures": (1, 0),
+        "skipped": 1,
+    }
+    for name, value in bad.items():
+        assert not soaked(**{name: value}).is_met
+
+
+STEADY = (100.0,) * 10
+
+
+def test_speed_and_memory_of_a_long_recording_count():
+    for cpu_s, memory_MB, is_met in (
+        (4.9, STEADY, True),
+        (5.1, STEADY, False),
+        (4.9, (*STEADY[1:], 150.0), False),
+        (4.9, (), False),
+    ):
+        use = long_runs.ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB)
+        found = long_runs.StreamSpeed("residual", ".csv", 100.0, 200_000, use)
+        assert found.is_met == is_met
+        assert found.times_real == pytest.approx(100.0 / cpu_s)
+
+
+def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(
+    capsys, tmp_path
+):
+    assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
+    printed = capsys.readouterr().out
+    assert "│ residual" in printed
+    assert "│ identification │ .csv" in printed
+    assert printed.count("20000") == 2
+    assert not list(tmp_path.iterdir())
+    assert main(["stream", "--seconds", "5"]) == 2
+    assert main(["stream", "--seconds", "20", "--folder", str(tmp_path / "none")]) == 2
+    assert "no recording to stream" in capsys.readouterr().err

@@ -1,0 +1,112 @@
+"""The report of a run: every figure, the published numbers beside ours, nothing
+passed off."""
+
+from itertools import product
+
+import pytest
+
+from benchmarks.cli import main
+from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.report.page import (
+    friction_chart,
+    gel_friction,
+    gel_table,
+    published_sections,
+    write_report,
+)
+from benchmarks.report.published_figures import PUBLISHED_FIGURES
+from benchmarks.results import read_results
+from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
+from needleforce.plots import PageFigure
+from tests.benchmarks.benchmark_cases import make_row
+
+pytest.importorskip("matplotlib")
+
+NUMBERS = ("2", "3", "5", "8", "9", "10", "I", "11", "12", "13", "14")
+
+
+def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):
+    fact = Fact(what="RMSE [N]", published="0.2444", here=(("ours, here", "0.0190"),))
+    return Drawing(
+        figure=figure,
+        job=Job(benchmark=scenario, plant=plant),
+        shown=PageFigure(path=path, alt="a chart", caption=f"What to see in {figure}."),
+        facts=(fact,) if figure == "5" else (),
+        **more,
+    )
+
+
+def rows(plant="clean", scenarios=GELS, seeds=(0,)):
+    """Friction of gels: true 100, offline 110, online 104, more with the seed."""
+    values = {"true": 100.0, "offline": 110.0, "online": 104.0}
+    keys = ("scenario", "plant", "seed", "source", "method")
+    offsets = {"published": 0.0, "published-as-run": -2.0, "ours": 0.0}
+    found = []
+    for names in product(scenarios, [plant], seeds, ("ft", "virtual"), offsets):
+        key = dict(zip(keys, names, strict=True))
+        for kind, value in values.items():
+            metric = f"cumulative_friction_{kind}_Ns_per_m"
+            value += key["seed"] + offsets[key["method"]]
+            found.append(make_row(**key, metric=metric, value=value, unit="Ns/m"))
+    return found
+
+
+def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
+    figures = [item for item in PUBLISHED_FIGURES if item.number not in ("10", "I")]
+    drawn = [
+        drawing(dot, item.number, name) for item in figures for name in item.scenarios
+    ]
+    page = write_report(tmp_path, rows(), drawn).read_text(encoding="utf-8")
+    for number in NUMBERS:
+        anchor = f"table-{number}" if number == "I" else f"figure-{number}"
+        assert f'<section id="{anchor}">' in page
+    assert "Not among these runs" not in page
+    assert "0.2444" in page
+    assert "534 ± 56" in page
+
+
+def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
+    sections = published_sections([drawing(dot, "11"), drawing(dot, "5")], [])
+    half, whole = sections
+    assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
+    assert "stack-glove-constant" in half.notices[0]
+    command = (
+        "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
+    )
+    assert (half.command, whole.command) == (command, "")
+
+
+def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
+    gels = gel_friction(rows(seeds=(0, 2)))
+    assert gels is not None
+    table = gel_table(gels)
+    first = dict(zip(table.head, table.rows[0], strict=True))
+    assert first["published\noffline"] == "113 ± 14"
+    assert first["published\nonline"] == "84 ± 10 (-26 %)"
+    assert first["here\ntrue"] == "101 ± 1"
+    assert first["here online\nours, F/T"] == "105 ± 1 (-5 %)"
+    assert first["here online\npublished, tuned, F/T"] == "103 ± 1 (-7 %)"
+    assert [row[0] for row in table.rows] == [
+        f"{percent} %" for percent in TABLE_ONE_Ns_per_m
+    ]
+    points = {
+        curve.label: curve for curve in friction_chart("a", gels).panels[0].curves
+    }
+    assert list(points["published, offline"].y) == [113.0, 283.0, 534.0]
+    assert points["ours, F/T, constant"].y[1] == 105.0
+
+
+def test_the_command_writes_page_drawings_and_numbers(tmp_path, capsys):
+    folder = tmp_path / "deep" / "report"
+    written = tmp_path / "a.json"
+    options = ["--plant", "needle", "--workers", "1", "--json", str(written)]
+    assert main(["run", "gel-70-constant", *options, "--report", str(folder)]) == 0
+    assert "index.html" in capsys.readouterr().out
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    for anchor in ("figure-2", "figure-8", "figure-10", "table-I"):
+        assert f'<section id="{anchor}">' in page
+    assert "<caption>Online identification: ruptures" in page
+    # A figure that stands alone is there in a wide form as well.
+    narrow = [path for path in folder.glob("*.svg") if not path.stem.endswith("-wide")]
+    assert len(narrow) == page.count("<figcaption>")
+    assert read_results(folder / "results.json") == read_results(written) != []
