@@ -319,8 +319,8 @@ def compare(old: Path, new: Path) -> int:
     return FAILURE if any(item.is_failure for item in found) else 0
 
 
-@app.command
-def results(
+@app.command(name="results")
+def show_results(
     *files: Annotated[Path, Parameter(required=True)],
     page: Path | None = None,
     readme: Path | None = None,

@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.control.published import published
+from benchmarks.control.published import solve_published
 from benchmarks.control.study import Figure
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
@@ -209,7 +209,7 @@ def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The circle by the published recursion."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, contacts=contacts, solver=published
+        servo=servo, plant=plant, seed=seed, contacts=contacts, solver=solve_published
     )
     worst = MILLI * _circle(test)[0].max()
     yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
@@ -291,7 +291,7 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """The same by the published recursion: what is left of the travel, too."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, scenario=scenario, solver=published
+        servo=servo, plant=plant, seed=seed, scenario=scenario, solver=solve_published
     )
     error, travel = _insertion(test)
     worst = MILLI * error.max()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
-from benchmarks.control.published import published
+from benchmarks.control.published import solve_published
 from benchmarks.control.study import Figure
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
@@ -129,7 +129,7 @@ def solved(
 def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """How far lower tasks move what higher ones get."""
     solver: Solver
-    for solver, target in ((hierarchical, 1e-12), (published, None)):
+    for solver, target in ((hierarchical, 1e-12), (solve_published, None)):
         stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
         worst = [0.0, 0.0]
         for index in range(STACKS):

@@ -13,7 +13,7 @@ from needleforce.control.errors import ControlError
 Array = NDArray[np.float64]
 
 
-def published(stack: Stack) -> tuple[Array, bool]:
+def solve_published(stack: Stack) -> tuple[Array, bool]:
     """Joint velocities, and False, see `needleforce.control.controller.Solver`.
 
     dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
