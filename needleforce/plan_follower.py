@@ -1,6 +1,4 @@
-"""The plan beside a session: ruptures are matched with it, false alarms taken back
-from it.
-"""
+"""The plan beside a session: the ruptures of the session are matched with it."""
 
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
@@ -12,14 +10,16 @@ from identification import Estimate, Identifier
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
 
-STEP_m = 0.1e-3  # Travel after which the plan is read again, besides at events: it takes its time
+STEP_m = 0.1e-3
+"""Travel after which the plan is evaluated again, besides at events: an evaluation takes
+much longer than a tick."""
 
 
 class Plan(Protocol):
-    """What a session needs of a plan; `needleforce.anatomy.PlanMatch` is one.
+    """Interface of a plan that a session can follow, as `needleforce.anatomy.PlanMatch`.
 
     Attributes:
-        fingerprint: Of the plan: equal for equal plans.
+        fingerprint: Text that is equal for equal plans.
     """
 
     fingerprint: str
@@ -33,35 +33,63 @@ class Plan(Protocol):
         deepest_m: float,
         entry_depth_m: float,
     ) -> "PlanState":
-        """What is known with the tip at a depth; of the same depths always the same."""
+        """Return the state of plan and ruptures with the tip at a depth.
+
+        Equal depths always give an equal state.
+
+        Args:
+            depth_m: Depth of the tip [m].
+            ruptures_m: Depths of the ruptures, in the order in which they came [m].
+            contact_m: Depth of first contact [m]; None before contact.
+            deepest_m: Largest depth of the tip so far [m].
+            entry_depth_m: Depth of the plan's entry point [m].
+        """
         ...
 
 
+class MatchedRupture(NamedTuple):
+    """A rupture that counts for the plan.
+
+    Attributes:
+        alarm_s: Time of its alarm, by which a retraction finds it.
+        depth_m: Depth of the rupture.
+    """
+
+    alarm_s: float
+    depth_m: float
+
+
 class PlanMemory(NamedTuple):
-    """What a session remembers of its plan: with what that was last read.
+    """State of a `PlanFollower`: the depths of its last evaluation.
 
     Attributes:
         fingerprint: Of plan and entry; empty without a plan.
         entry_depth_m: Depth of the plan's entry.
-        ruptures: Time of the alarm, depth [m].
-        depth_m: None: not read yet.
-        contact_m: None: the surface has not been met.
+        ruptures: Ruptures that were not retracted, in the order in which they came.
+        depth_m: Depth of the tip; None where the plan was not evaluated yet.
+        deepest_m: Largest depth of the tip so far.
+        contact_m: Depth of first contact; None where the surface has not been met.
     """
 
     fingerprint: str
     entry_depth_m: float = 0.0
-    ruptures: tuple[tuple[float, float], ...] = ()
+    ruptures: tuple[MatchedRupture, ...] = ()
     depth_m: float | None = None
     deepest_m: float = 0.0
     contact_m: float | None = None
 
 
 class PlanFollower:
-    """Takes a session's events to a plan; does nothing without one.
+    """Brings the events of a session to a plan; without a plan it does nothing.
+
+    Args:
+        plan: The plan; None for none.
+        entry_in_base_m: The plan's entry point in the robot's base, shape (3,); None
+            where the plan's depths count from where the session's do.
 
     Attributes:
         memory: Immutable.
-        state: What the plan says; None without one, or not read yet.
+        state: Result of the last evaluation; None without a plan, or before the first.
     """
 
     def __init__(
@@ -69,63 +97,80 @@ class PlanFollower:
     ) -> None:
         self._plan = plan
         self._entry_m = entry_in_base_m
-        where = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
-        self.memory = PlanMemory("" if plan is None else plan.fingerprint + where)
+        entry = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
+        self.memory = PlanMemory("" if plan is None else plan.fingerprint + entry)
         self.state: PlanState | None = None
 
     def begin(
         self, start_in_base_m: NDArray[np.float64], axis: NDArray[np.float64]
     ) -> None:
-        """Count depth from a point, and forget the ruptures."""
-        above_m = (
-            0.0 if self._entry_m is None else axis.dot(self._entry_m - start_in_base_m)
-        )
-        self.resume(PlanMemory(self.memory.fingerprint, float(above_m)), None)
+        """Begin an insertion: count depth from a point along an axis, without ruptures.
 
-    def follow(self, found: Estimate, depth_m: float, identifier: Identifier) -> None:
-        """Take events to the plan, and read it where there was one or the tip has
-        moved.
+        Args:
+            start_in_base_m: Position of the tip at depth zero, shape (3,).
+            axis: Direction of the needle in base axes, shape (3,).
+        """
+        entry_depth_m = 0.0
+        if self._entry_m is not None:
+            entry_depth_m = float(axis.dot(self._entry_m - start_in_base_m))
+        self.resume(PlanMemory(self.memory.fingerprint, entry_depth_m), None)
+
+    def update(
+        self, identification: Estimate, depth_m: float, identifier: Identifier
+    ) -> None:
+        """Match new events, and evaluate the plan after events or travel.
+
+        Args:
+            identification: Estimate of this sample, with its events.
+            depth_m: Depth of the tip at this sample [m].
+            identifier: Gives the depth of first contact.
         """
         if self._plan is None or not np.isfinite(depth_m):
             return
-        last = self.memory
-        ruptures = self.memory.ruptures
-        rupture = found.rupture
-        if found.retracted is not None:
-            wrong_s = found.retracted.alarm_s
-            ruptures = tuple(one for one in ruptures if one[0] != wrong_s)
-        # A needle that is pushed in again may rupture what it has ruptured before.
-        if rupture is not None and all(
-            rupture.depth_m >= depth_m for _, depth_m in ruptures
-        ):
-            ruptures = (*ruptures, (rupture.alarm_s, rupture.depth_m))
-        is_same = ruptures == last.ruptures
-        if (
-            is_same
-            and last.depth_m is not None
-            and abs(depth_m - last.depth_m) < STEP_m
-        ):
+        memory = self.memory
+        ruptures = _after_events(memory.ruptures, identification)
+        has_moved = memory.depth_m is None or abs(depth_m - memory.depth_m) >= STEP_m
+        if ruptures == memory.ruptures and not has_moved:
             return
-        deepest_m = depth_m if last.depth_m is None else max(last.deepest_m, depth_m)
-        entry = last.fingerprint, last.entry_depth_m
-        memory = PlanMemory(
-            *entry, ruptures, depth_m, deepest_m, identifier.contact_depth_m
+        was_evaluated = memory.depth_m is not None
+        memory = memory._replace(
+            ruptures=ruptures,
+            depth_m=depth_m,
+            deepest_m=max(memory.deepest_m, depth_m) if was_evaluated else depth_m,
+            contact_m=identifier.contact_depth_m,
         )
-        self.resume(memory, self.read(memory))
+        self.resume(memory, self.evaluate(memory))
 
-    def read(self, memory: PlanMemory) -> "PlanState | None":
-        """What the plan says with a memory."""
+    def evaluate(self, memory: PlanMemory) -> "PlanState | None":
+        """Return what the plan makes of the depths in ``memory``."""
         if self._plan is None or memory.depth_m is None:
             return None
         return self._plan.state(
             memory.depth_m,
-            tuple(depth_m for _, depth_m in memory.ruptures),
+            tuple(rupture.depth_m for rupture in memory.ruptures),
             contact_m=memory.contact_m,
             deepest_m=memory.deepest_m,
             entry_depth_m=memory.entry_depth_m,
         )
 
     def resume(self, memory: PlanMemory, state: "PlanState | None") -> None:
-        """Go on from a memory and what `read` makes of it."""
+        """Continue from ``memory`` and the state that `evaluate` makes of it."""
         self.memory = memory
         self.state = state
+
+
+def _after_events(
+    ruptures: tuple[MatchedRupture, ...], identification: Estimate
+) -> tuple[MatchedRupture, ...]:
+    """Return the ruptures after the events of a sample: one retracted, one added.
+
+    A needle that is pushed in again may rupture what it has ruptured before: a rupture
+    above an earlier one is not added.
+    """
+    retracted = identification.retracted
+    if retracted is not None:
+        ruptures = tuple(r for r in ruptures if r.alarm_s != retracted.alarm_s)
+    rupture = identification.rupture
+    if rupture is not None and all(rupture.depth_m >= r.depth_m for r in ruptures):
+        ruptures = (*ruptures, MatchedRupture(rupture.alarm_s, rupture.depth_m))
+    return ruptures

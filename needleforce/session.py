@@ -16,11 +16,10 @@ from identification import (
     LayerEstimate,
     MultilayerConfig,
     PublishedConfig,
-    SampleStatus,
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
-from needleforce.tip_travel import TravelZero, travel_step
+from needleforce.tip_travel import TipTravel, TravelLags, TravelZero, tip_motion
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import (
     SensorConfig,
@@ -36,12 +35,26 @@ from urdf import Robot
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
 
-_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+UNUSABLE = (
+    SensorWarning.JOINT_LIMIT
+    | SensorWarning.NEAR_SINGULAR
+    | SensorWarning.MODEL_MISMATCH
+    | SensorWarning.FROZEN
+    | SensorWarning.TARE_EXPIRED
+    | SensorWarning.VELOCITY
+)
+"""Warnings with which the force of a sample is not used for identification."""
+PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
+"""Warnings that indicate a contact elsewhere than at the tip."""
+CHECKPOINT_PERIOD_S = 0.25
+"""Time between states to rewind to: a push on the arm grows for up to this long before
+it is detected."""
 
 
 class InsertionError(Exception):
-    """Base of the errors of a session; errors of `residual` and `identification`
-    pass through.
+    """Base of a session's errors.
+
+    Errors of `residual` and `identification` pass through a session unchanged.
     """
 
 
@@ -92,52 +105,60 @@ class SessionEstimate(NamedTuple):
 
 
 class Checkpoint(NamedTuple):
-    """Where the identification can go back to.
+    """State of the identification at one instant, to which a session can rewind.
 
     Attributes:
         time_s: See `SessionEstimate`.
+        identifier: State of the identifier at that time.
     """
 
     time_s: float
     identifier: IdentifierSnapshot
 
 
-class SessionSnapshot(NamedTuple):
-    """All that an `InsertionSession` remembers; immutable.
+class Checkpoints(NamedTuple):
+    """The two checkpoints that a session keeps.
+
+    A push on the arm rewinds to the older one, so that at least `CHECKPOINT_PERIOD_S`
+    is undone.
 
     Attributes:
-        travel: See `travel_step`.
+        older: Equal to the newer one after events, which are never rewound.
+        newer: Saved in the sample after it became due.
+    """
+
+    older: Checkpoint
+    newer: Checkpoint
+
+
+class SessionSnapshot(NamedTuple):
+    """Complete state of an `InsertionSession`; immutable.
+
+    Attributes:
+        sensor: State of the virtual sensor.
+        identifier: State of the identifier.
+        zero: Where depth counts from.
+        travel: Depth and speed of the tip.
         speed_lag_s: Setting of the session.
         unused_s: Time of valid samples that were not used for identification.
         time_s: See `SessionEstimate`.
-        earlier: Older and newer.
+        checkpoints: States of the identification to rewind to.
+        plan: State of the plan's follower.
     """
 
     sensor: SensorState
     identifier: IdentifierSnapshot
     zero: TravelZero
-    travel: tuple[float, float, float, float]
+    travel: TipTravel
     speed_lag_s: float
     unused_s: float
     time_s: float
-    earlier: tuple[Checkpoint, Checkpoint]
+    checkpoints: Checkpoints
     plan: PlanMemory
 
 
-_NOT_USED = (
-    SensorWarning.JOINT_LIMIT
-    | SensorWarning.NEAR_SINGULAR
-    | SensorWarning.MODEL_MISMATCH
-    | SensorWarning.FROZEN
-    | SensorWarning.TARE_EXPIRED
-    | SensorWarning.VELOCITY
-)
-_PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
-_TAKEN_BACK_S = 0.25  # A push on the arm grows for so long before it is known as one
-# Looking up a name of an enumeration takes as long as a call, so it is done once.
-_OK = Status.OK
-_REJECTED = Status.REJECTED
-_USED = tuple(status for status in SampleStatus if status.is_used)
+_TRIAL_UPDATES = 3  # Updates that a restored identifier must survive
+_TRIAL_STEP_S = 1e-3  # Time step of these updates
 
 
 class InsertionSession:
@@ -181,25 +202,7 @@ class InsertionSession:
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
-        for name, value, kind, hint in (
-            ("robot", robot, Robot, "load_lwr() or load_urdf(path) of urdf makes one"),
-            (
-                "sensor_config",
-                sensor_config,
-                SensorConfig,
-                "SensorConfig() is the default",
-            ),
-        ):
-            if not isinstance(value, kind):
-                given = f"{name} is a {type(value).__name__}"
-                raise SettingError(f"{given}, expected a {kind.__name__}; {hint}")
-        if not (
-            isinstance(speed_lag_s, numbers.Real)
-            and 0.0 <= float(speed_lag_s) < math.inf
-        ):
-            raise SettingError(
-                f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
-            )
+        _check_settings(robot, sensor_config, speed_lag_s)
         self._sensor = VirtualForceSensor(robot, sensor_config)
         self.sensor_config = sensor_config
         self._identifier = Identifier(identifier_config)
@@ -216,9 +219,7 @@ class InsertionSession:
 
     @property
     def lag_s(self) -> float:
-        """Time by which the estimate follows the force [s]; 0 before the first
-        sample.
-        """
+        """Time by which the estimate follows the force [s]; 0 before any sample."""
         return self._sensor.lag_s
 
     @property
@@ -234,7 +235,7 @@ class InsertionSession:
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
     ) -> SessionEstimate:
-        """Take one sample of joint signals; see `VirtualForceSensor.update`.
+        """Process one sample of joint signals; see `VirtualForceSensor.update`.
 
         Args:
             q: Joint positions [rad], shape (n,).
@@ -244,9 +245,10 @@ class InsertionSession:
             dt_s: Time since the previous call [s]; not read on the first one.
 
         Returns:
-            What is known now. A bad sample does not raise: the status reports it.
+            The estimate after this sample. A bad sample does not raise: the status
+            reports it.
         """
-        return self._follow(self._sensor.update(q, dq, tau, dt_s))
+        return self._process(self._sensor.update(q, dq, tau, dt_s))
 
     def update_external_torque(
         self,
@@ -255,13 +257,12 @@ class InsertionSession:
         external_torque: ArrayLike,
         dt_s: float,
     ) -> SessionEstimate:
-        """Take one sample of an external-torque estimate that the robot supplies
-        itself.
+        """Process one sample of the robot's own estimate of the external torque.
 
         As `update`, with the torque of the environment on the joints [Nm], shape (n,),
         in place of the measured one.
         """
-        return self._follow(
+        return self._process(
             self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         )
 
@@ -282,8 +283,9 @@ class InsertionSession:
         return tare
 
     def start_tare_recording(self) -> None:
-        """Record free motion anew for the next `tare`; estimates are `NOT_TARED`
-        until then.
+        """Record free motion anew for the next `tare`.
+
+        Estimates are `NOT_TARED` until then.
         """
         self._sensor.start_tare_recording()
 
@@ -320,12 +322,13 @@ class InsertionSession:
     def begin_insertion(self) -> None:
         """Count depth from here and forget the layers; the tare stays."""
         self._zero_depth()
-        self._travel = 0.0, 0.0, 0.0, 0.0
+        self._travel = TipTravel()
         self._identifier.reset()
         self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
-        self._is_due = self._had_events = True  # There is nothing before it
-        self._keep_checkpoint()
+        self._is_checkpoint_due = True
+        self._had_events = True  # so that no checkpoint of an earlier insertion stays
+        self._save_checkpoint_if_due()
         self._plan.begin(*self.zero)
 
     def reset(self) -> None:
@@ -336,20 +339,24 @@ class InsertionSession:
         self.begin_insertion()
 
     def snapshot(self) -> SessionSnapshot:
-        """All that the session remembers; `write_snapshot` stores it."""
-        self._keep_checkpoint()
-        parts = (
-            self._sensor.snapshot(),
-            self._identifier.snapshot(),
-            self.zero,
-            self._travel,
+        """Return the complete state of the session; `write_snapshot` stores it."""
+        self._save_checkpoint_if_due()
+        return SessionSnapshot(
+            sensor=self._sensor.snapshot(),
+            identifier=self._identifier.snapshot(),
+            zero=self.zero,
+            travel=self._travel,
+            speed_lag_s=self._speed_lag_s,
+            unused_s=self._unused_s,
+            time_s=self._time_s,
+            checkpoints=self._checkpoints,
+            plan=self._plan.memory,
         )
-        times_s = self._speed_lag_s, self._unused_s, self._time_s
-        return SessionSnapshot(*parts, *times_s, self._earlier, self._plan.memory)
 
     def restore(self, snapshot: SessionSnapshot) -> None:
-        """Go on, bit for bit, from where `snapshot` was taken; an error changes
-        nothing.
+        """Continue, bit for bit, from where ``snapshot`` was taken.
+
+        An error changes nothing.
 
         Raises:
             SnapshotMismatchError: Not a snapshot of a session, a damaged one, or one of
@@ -358,67 +365,57 @@ class InsertionSession:
                 the sensor.
             identification.IdentificationError: One of other settings of the identifier.
         """
-        if not isinstance(snapshot, SessionSnapshot):
-            raise SnapshotMismatchError(
-                f"expected a SessionSnapshot, got {type(snapshot).__name__}"
-            )
-        if (
-            type(snapshot.plan) is not type(self._plan.memory)
-            or len(snapshot.earlier) != 2
-        ):
-            raise SnapshotMismatchError("the snapshot is damaged: plan or checkpoints")
-        if snapshot.speed_lag_s != self._speed_lag_s:
-            raise SnapshotMismatchError(
-                f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this session has "
-                f"{self._speed_lag_s:g}"
-            )
-        if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
-            what = "with another plan or entry: follow() the same"
-            what = what if snapshot.plan.fingerprint else "without a plan: follow(None)"
-            raise SnapshotMismatchError(
-                f"the snapshot is of a session {what} before restore()"
-            )
-        plan_state = self._try_out(snapshot)
-        # The last that can fail, and it fails as a whole.
+        self._check_kind_and_settings(snapshot)
+        plan_state = self._check_parts(snapshot)
+        # The last step that can fail; where it does, the sensor has not changed either.
         self._sensor.restore(snapshot.sensor)
         self._identifier.restore(snapshot.identifier)
-        self._count_from(snapshot.zero)
+        self._count_depth_from(snapshot.zero)
         self._is_started = snapshot.sensor.last is not None
         self._travel = snapshot.travel
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
-        self._earlier = snapshot.earlier
-        self._is_due = False
+        self._checkpoints = snapshot.checkpoints
+        self._is_checkpoint_due = False
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
 
-    def _try_out(self, snapshot: SessionSnapshot) -> "PlanState | None":
-        """Refuse what would fail in later updates; nothing of this session changes."""
-        twin = Identifier(self._identifier_config)
-        try:
-            for part in (
-                *(each.identifier for each in snapshot.earlier),
-                snapshot.identifier,
-            ):
-                twin.restore(part)
-            for _ in range(3):
-                twin.update(*snapshot.travel[:2], 0.0, 1e-3)
-            numbers = (
-                *snapshot.travel,
-                snapshot.unused_s,
-                snapshot.time_s,
-                *np.ravel(snapshot.zero),
+    def _check_kind_and_settings(self, snapshot: SessionSnapshot) -> None:
+        """Refuse what is no snapshot of a session with these settings and this plan."""
+        if not isinstance(snapshot, SessionSnapshot):
+            raise SnapshotMismatchError(
+                f"expected a SessionSnapshot, got {type(snapshot).__name__}"
             )
-            shapes = np.shape(snapshot.zero), np.shape(snapshot.travel)
-            if (
-                shapes != ((2, 3), (4,))
-                or not np.isfinite(numbers).all()
-                or snapshot.time_s < 0.0
-            ):
-                raise SnapshotMismatchError(
-                    "the snapshot is damaged: zero, travel or time"
-                )
-            return self._plan.read(snapshot.plan)
+        if not (
+            isinstance(snapshot.plan, PlanMemory)
+            and isinstance(snapshot.checkpoints, Checkpoints)
+        ):
+            raise SnapshotMismatchError("the snapshot is damaged: plan or checkpoints")
+        if snapshot.speed_lag_s != self._speed_lag_s:
+            raise SnapshotMismatchError(
+                f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this "
+                f"session has {self._speed_lag_s:g}"
+            )
+        if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
+            difference = (
+                "with another plan or entry: follow() the same"
+                if snapshot.plan.fingerprint
+                else "without a plan: follow(None)"
+            )
+            raise SnapshotMismatchError(
+                f"the snapshot is of a session {difference} before restore()"
+            )
+
+    def _check_parts(self, snapshot: SessionSnapshot) -> "PlanState | None":
+        """Refuse a snapshot that would fail in later updates; the session stays as is.
+
+        Returns:
+            The state of the plan that belongs to the snapshot.
+        """
+        try:
+            self._check_identifiers(snapshot)
+            _check_numbers(snapshot)
+            return self._plan.evaluate(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
         except Exception as error:  # whatever a damaged state makes of its parts
@@ -426,95 +423,186 @@ class InsertionSession:
                 f"the snapshot is damaged: {error!r}"
             ) from error
 
+    def _check_identifiers(self, snapshot: SessionSnapshot) -> None:
+        """Restore each state of an identifier in a trial one, and update the last."""
+        trial = Identifier(self._identifier_config)
+        trial.restore(snapshot.checkpoints.older.identifier)
+        trial.restore(snapshot.checkpoints.newer.identifier)
+        trial.restore(snapshot.identifier)
+        travel = snapshot.travel
+        for _ in range(_TRIAL_UPDATES):
+            trial.update(travel.depth_m, travel.speed_m_s, 0.0, _TRIAL_STEP_S)
+
     def _zero_depth(self) -> None:
         """Count depth from where the tip is, along the needle's present direction."""
         tool = self._tool
-        self._count_from(TravelZero(tool.pose[:3, 3].copy(), tool.axis_in_base.copy()))
+        self._count_depth_from(
+            TravelZero(
+                start_in_base_m=tool.pose[:3, 3].copy(),
+                axis_in_base=tool.axis_in_base.copy(),
+            )
+        )
 
-    def _count_from(self, zero: TravelZero) -> None:
+    def _count_depth_from(self, zero: TravelZero) -> None:
         self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
         self.zero = zero
 
-    def _follow(self, wrench: WrenchEstimate) -> SessionEstimate:
-        """Depth, speed and, where the force can be used, the identification."""
-        self._keep_checkpoint()
-        status = wrench.status
-        if status is _REJECTED:
-            return self._idle(wrench)
-        if not self._is_started:
+    def _process(self, wrench: WrenchEstimate) -> SessionEstimate:
+        """Update depth, speed and, where the force is usable, the identification."""
+        self._save_checkpoint_if_due()
+        if wrench.status is Status.REJECTED:
+            return self._repeat_last(wrench)
+        self._advance_clock()
+        self._update_travel()
+        elapsed_s = self._sensor.elapsed_s
+        if wrench.status is not Status.OK or wrench.warnings & UNUSABLE:
+            return self._skip_sample(wrench, elapsed_s)
+        is_resuming = self._unused_s > 0.0
+        if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
+            return self._skip_sample(wrench, elapsed_s)
+        identification = self._identify(wrench, elapsed_s + self._unused_s)
+        self._unused_s = 0.0
+        if identification.rupture is not None:
+            # A push on the arm looks like a rupture, even before the periodic checks
+            # detect it.
+            wrench = self._sensor.recheck(wrench)
+            if wrench.warnings & PUSHED:
+                # The time of this sample was used: only rewinding makes it unused.
+                return self._skip_sample(wrench, elapsed_s=0.0)
+        self._accept(identification)
+        return self._estimate(wrench, is_used=identification.status.is_used)
+
+    def _advance_clock(self) -> None:
+        """Add the time since the last valid sample; the first one sets zero depth.
+
+        The sensor counts the time of rejected samples, and none where the clock of the
+        samples was set.
+        """
+        if self._is_started:
+            self._time_s += self._sensor.elapsed_s
+        else:
             self._zero_depth()
             self._is_started = True
-        else:
-            # The sensor's clock counts the time of rejected samples and knows one that
-            # was set.
-            self._time_s += self._sensor.elapsed_s
+
+    def _update_travel(self) -> None:
+        """Update depth and speed of the tip from the sample's joint signals."""
         sensor = self._sensor
-        tool = self._tool
-        axis = self.zero.axis_in_base
-        elapsed_s = sensor.elapsed_s
-        lags_s = (self._speed_lag_s, sensor.filter_lag_s)
-        tip = axis, tool.needle, sensor.velocity_rad_s
-        self._travel = travel = travel_step(
-            tip, self._start_m, self._travel, elapsed_s, lags_s
+        position_m, speed_m_s = tip_motion(
+            self.zero.axis_in_base, self._tool.needle, sensor.velocity_rad_s
         )
-        if status is not _OK or (wrench.warnings and wrench.warnings & _NOT_USED):
-            return self._skip(wrench, elapsed_s)
-        if self._unused_s:
-            if sensor.recheck(wrench).warnings & _PUSHED:
-                return self._skip(wrench, elapsed_s)
-            elapsed_s = elapsed_s + self._unused_s
-            self._unused_s = 0.0
-        _, _, depth_m, speed_m_s = travel
-        time_s = self._time_s
-        force_N = wrench.axial_unsmoothed
-        std_N = wrench.axial_std
-        found = self._identifier.update(
-            depth_m, speed_m_s, force_N, elapsed_s, time_s, std_N
+        self._travel = self._travel.advanced(
+            position_m - self._start_m,
+            speed_m_s,
+            sensor.elapsed_s,
+            TravelLags(speed_s=self._speed_lag_s, force_s=sensor.filter_lag_s),
         )
-        if found.rupture is not None:
-            # A push on the arm looks like a rupture, even before the checks, every 20
-            # ms, know it.
-            wrench = self._sensor.recheck(wrench)
-            if wrench.warnings & _PUSHED:
-                return self._skip(wrench, 0.0)  # its time was used: that is taken back
-        self._identification = found
-        self._had_events = found.has_events
-        due_s = self._earlier[1].time_s + _TAKEN_BACK_S
-        self._is_due = self._had_events or self._time_s >= due_s
-        self._plan.follow(found, depth_m, self._identifier)
-        at = (found.status in _USED, self._time_s, self._plan.state)
-        return _new(SessionEstimate, (wrench, *travel[:2], found, status, *at))
 
-    def _keep_checkpoint(self) -> None:
-        """Keep where to go back to, not before events: what was reported is not
-        reported again.
+    def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
+        """Return the identifier's estimate after this sample."""
+        return self._identifier.update(
+            self._travel.delayed_depth_m,
+            self._travel.delayed_speed_m_s,
+            wrench.axial_unsmoothed,
+            elapsed_s,
+            time_s=self._time_s,
+            force_std_N=wrench.axial_std,
+        )
+
+    def _accept(self, identification: Estimate) -> None:
+        """Keep the identification of this sample, and match its events with the plan."""
+        self._identification = identification
+        self._had_events = identification.has_events
+        due_s = self._checkpoints.newer.time_s + CHECKPOINT_PERIOD_S
+        self._is_checkpoint_due = self._had_events or self._time_s >= due_s
+        self._plan.update(
+            identification, self._travel.delayed_depth_m, self._identifier
+        )
+
+    def _save_checkpoint_if_due(self) -> None:
+        """Save a state to rewind to.
+
+        This is done in the sample after the one that made it due, which had more to do.
         """
-        if self._is_due:  # since the last sample, which had enough to do
-            now = Checkpoint(self._time_s, self._identifier.snapshot())
-            self._is_due = False
-            self._earlier = now if self._had_events else self._earlier[1], now
+        if not self._is_checkpoint_due:
+            return
+        newer = Checkpoint(self._time_s, self._identifier.snapshot())
+        # A reported event is not reported again: nothing before it is kept.
+        older = newer if self._had_events else self._checkpoints.newer
+        self._checkpoints = Checkpoints(older, newer)
+        self._is_checkpoint_due = False
 
-    def _skip(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
-        """A valid tick that the identification does not get, or that raised a rupture
-        in a push.
-
-        The first with a push on the arm also takes back what that has done before it
-        was known.
-        """
+    def _skip_sample(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
+        """Leave a valid sample out of the identification; rewind where a push begins."""
         self._unused_s += elapsed_s
-        before = self._earlier[0]
-        used_s = self._time_s - self._unused_s - before.time_s
-        if used_s > 0.5 * elapsed_s and wrench.warnings & _PUSHED:
-            self._identifier.resume(before.identifier)  # checks take longer than a tick
-            self._identification = before.identifier.last
-            self._unused_s = self._time_s - before.time_s
-            self._earlier = (before, before)
-        return self._idle(wrench)
+        if self._is_rewindable(elapsed_s) and wrench.warnings & PUSHED:
+            self._rewind()
+        return self._repeat_last(wrench)
 
-    def _idle(self, wrench: WrenchEstimate) -> SessionEstimate:
-        """A tick that is not used for identification."""
-        last = self._identification = self._identification.without_events()
-        at = (False, self._time_s, self._plan.state)
-        return _new(
-            SessionEstimate, (wrench, *self._travel[:2], last, wrench.status, *at)
+    def _is_rewindable(self, elapsed_s: float) -> bool:
+        """Return whether samples were used since the older checkpoint.
+
+        Half a time step allows for the rounding of sums of time steps.
+        """
+        used_s = self._time_s - self._unused_s - self._checkpoints.older.time_s
+        return used_s > 0.5 * elapsed_s
+
+    def _rewind(self) -> None:
+        """Undo what the identification made of the push before it was detected."""
+        checkpoint = self._checkpoints.older
+        self._identifier.resume(checkpoint.identifier)
+        self._identification = checkpoint.identifier.last
+        self._unused_s = self._time_s - checkpoint.time_s
+        self._checkpoints = Checkpoints(checkpoint, checkpoint)
+
+    def _repeat_last(self, wrench: WrenchEstimate) -> SessionEstimate:
+        """Return the estimate of a sample that is not used for identification."""
+        self._identification = self._identification.without_events()
+        return self._estimate(wrench, is_used=False)
+
+    def _estimate(self, wrench: WrenchEstimate, *, is_used: bool) -> SessionEstimate:
+        return SessionEstimate(
+            wrench=wrench,
+            depth_m=self._travel.depth_m,
+            speed_m_s=self._travel.speed_m_s,
+            identification=self._identification,
+            status=wrench.status,
+            used_for_identification=is_used,
+            time_s=self._time_s,
+            plan=self._plan.state,
         )
+
+
+def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -> None:
+    """Raise `SettingError` for arguments of `InsertionSession` that cannot work."""
+    if not isinstance(robot, Robot):
+        raise SettingError(
+            f"robot is a {type(robot).__name__}, expected a Robot; load_lwr() or "
+            "load_urdf(path) of urdf makes one"
+        )
+    if not isinstance(sensor_config, SensorConfig):
+        raise SettingError(
+            f"sensor_config is a {type(sensor_config).__name__}, expected a "
+            "SensorConfig; SensorConfig() is the default"
+        )
+    is_number = isinstance(speed_lag_s, numbers.Real)
+    if not (is_number and 0.0 <= float(speed_lag_s) < math.inf):
+        raise SettingError(
+            f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
+        )
+
+
+def _check_numbers(snapshot: SessionSnapshot) -> None:
+    """Raise `SnapshotMismatchError` for a zero, a travel or a time that cannot be."""
+    quantities = (
+        *snapshot.travel,
+        snapshot.unused_s,
+        snapshot.time_s,
+        *np.ravel(snapshot.zero),
+    )
+    if (
+        np.shape(snapshot.zero) != (2, 3)
+        or not isinstance(snapshot.travel, TipTravel)
+        or not np.isfinite(quantities).all()
+        or snapshot.time_s < 0.0
+    ):
+        raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")

@@ -21,13 +21,18 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer.method import SwitchingState
 from identification.published.online import PublishedState
 from needleforce.files import whole_file
-from needleforce.session import Checkpoint, SessionSnapshot, SnapshotFileError
+from needleforce.session import (
+    Checkpoint,
+    Checkpoints,
+    SessionSnapshot,
+    SnapshotFileError,
+)
 from residual.snapshot import arrays
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
 SNAPSHOT_VERSION = (
-    26  # Grows whenever a file of the one before cannot be read, or is misread
+    27  # Grows whenever a file of the one before cannot be read, or is misread
 )
 MOST_BYTES = (
     64 << 20
@@ -163,13 +168,16 @@ def _decoded(envelope: _Envelope) -> AnySnapshot:
     if envelope.kind == "identifier":
         return IdentifierSnapshot(*_typed(envelope.data, identifier))
     checkpoint = _annotated(Checkpoint, {"identifier": identifier})
-    special = {"identifier": identifier, "earlier": tuple[checkpoint, checkpoint]}
-    found = _typed(envelope.data, _annotated(SessionSnapshot, special))
+    checkpoints = _annotated(Checkpoints, {"older": checkpoint, "newer": checkpoint})
+    special = {"identifier": identifier, "checkpoints": checkpoints}
+    session = _typed(envelope.data, _annotated(SessionSnapshot, special))
     older, newer = (
-        Checkpoint(at, IdentifierSnapshot(*part)) for at, part in found.earlier
+        Checkpoint(time_s, IdentifierSnapshot(*state))
+        for time_s, state in session.checkpoints
     )
-    return SessionSnapshot(*found)._replace(
-        identifier=IdentifierSnapshot(*found.identifier), earlier=(older, newer)
+    return SessionSnapshot(*session)._replace(
+        identifier=IdentifierSnapshot(*session.identifier),
+        checkpoints=Checkpoints(older, newer),
     )
 
 

@@ -1,6 +1,4 @@
-"""Travel of the needle's tip from joint positions and velocities, also as late as
-the force.
-"""
+"""Travel of the needle's tip from joint positions and velocities."""
 
 import math
 from typing import NamedTuple
@@ -17,26 +15,89 @@ Needle = tuple[
 
 
 class TravelZero(NamedTuple):
-    """Where depth is counted from.
+    """Point and direction from which depth is counted, in base axes.
 
     Attributes:
-        start_in_base_m: The tip's place, shape (3,).
-        axis_in_base: The needle's direction, shape (3,).
+        start_in_base_m: Position of the tip at depth zero, shape (3,).
+        axis_in_base: Direction of the needle there, length one, shape (3,).
     """
 
     start_in_base_m: Array
     axis_in_base: Array
 
 
+class TravelLags(NamedTuple):
+    """Time constants of the low-passes of `TipTravel`; 0 for none.
+
+    Attributes:
+        speed_s: Low-pass of the speed.
+        force_s: Lag of the force estimate, which depth and speed are delayed by.
+    """
+
+    speed_s: float
+    force_s: float
+
+
+class TipTravel(NamedTuple):
+    """Depth and speed of the tip, and the same delayed by as much as the force.
+
+    A needle that a hand drives changes its speed within the observer's lag: the force
+    of a moment ago, beside the present speed, would look like friction that comes and
+    goes.
+
+    Attributes:
+        depth_m: Travel since the zero, positive inwards, along the needle's direction
+            at the zero.
+        speed_m_s: Speed along the needle's present direction.
+        delayed_depth_m: Depth behind a first-order low-pass with the lag of the force.
+        delayed_speed_m_s: Speed behind the same low-pass.
+    """
+
+    depth_m: float = 0.0
+    speed_m_s: float = 0.0
+    delayed_depth_m: float = 0.0
+    delayed_speed_m_s: float = 0.0
+
+    def advanced(
+        self, depth_m: float, speed_m_s: float, dt_s: float, lags: TravelLags
+    ) -> "TipTravel":
+        """Return the travel a time step later, from its present depth and speed.
+
+        With the lag T each low-pass follows x by y += (1 - exp(-dt / T)) (x - y).
+
+        Args:
+            depth_m: Measured depth [m].
+            speed_m_s: Measured speed [m/s].
+            dt_s: Time since the step before [s].
+            lags: Time constants of the low-passes.
+        """
+        if lags.speed_s > 0.0:
+            passed = -math.expm1(-dt_s / lags.speed_s)
+            speed_m_s = self.speed_m_s + passed * (speed_m_s - self.speed_m_s)
+        if lags.force_s <= 0.0:
+            return TipTravel(depth_m, speed_m_s, depth_m, speed_m_s)
+        remaining = math.exp(-dt_s / lags.force_s)
+        return TipTravel(
+            depth_m=depth_m,
+            speed_m_s=speed_m_s,
+            delayed_depth_m=depth_m + remaining * (self.delayed_depth_m - depth_m),
+            delayed_speed_m_s=speed_m_s
+            + remaining * (self.delayed_speed_m_s - speed_m_s),
+        )
+
+
 @compiled
 def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
-    """Place of the tip along an axis in base axes [m], and its speed along the needle
-    [m/s].
+    """Return the tip's position along an axis [m] and its speed along the needle [m/s].
 
-    The axis has length one, shape (3,); joint velocities are in rad/s, shape (n,). With
-    linear and angular velocity v and w of the link that carries the needle, at the
-    base's origin, the tip at r has the speed v . d + w . (r x d) along the needle's
-    direction d.
+    With linear and angular velocity v and w of the link that carries the needle, taken
+    at the base's origin, the tip at r has the speed v . d + w . (r x d) along the
+    needle's direction d.
+
+    Args:
+        axis: Direction in base axes, length one, shape (3,).
+        needle: `residual.ToolKinematics.needle`.
+        dq: Joint velocities [rad/s], shape (n,).
     """
     place, axes, jacobian, tip, direction = needle
     at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
@@ -51,44 +112,3 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         + (x * b - y * a) * twist[5]
     )
     return float(dot(axis, at)), float(speed)
-
-
-@compiled
-def travel_step(
-    tip: tuple[Vector, Needle, Vector],
-    start_m: float,
-    last: tuple[float, float, float, float],
-    dt_s: float,
-    lags_s: tuple[float, float],
-) -> tuple[float, float, float, float]:
-    """Depth [m] and speed [m/s] of the tip, and the same as late as the force.
-
-    Depth grows inwards along the needle's direction at the zero; speed is along its
-    present one.
-
-    A needle that a hand drives changes its speed within the observer's lag: the force
-    of a moment ago, beside the speed of now, would look like friction that comes and
-    goes.
-
-    Args:
-        tip: What `tip_motion` takes.
-        start_m: Place at depth zero.
-        last: What the step before returned.
-        dt_s: Time since then.
-        lags_s: Of the speed's own low-pass, 0 for none, and of the force.
-    """
-    along, speed = tip_motion(*tip)
-    depth = along - start_m
-    speed_lag_s, force_lag_s = lags_s
-    _, last_speed, late_depth, late_speed = last
-    if speed_lag_s > 0.0:
-        speed = last_speed - math.expm1(-dt_s / speed_lag_s) * (speed - last_speed)
-    if force_lag_s <= 0.0:
-        return depth, speed, depth, speed
-    kept = math.exp(-dt_s / force_lag_s)
-    return (
-        depth,
-        speed,
-        depth + kept * (late_depth - depth),
-        speed + kept * (late_speed - speed),
-    )

@@ -110,7 +110,7 @@ def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
     deep = session.update(*first)
     with pytest.raises(TareError, match="start_tare_recording"):
         session.tare()
-    assert session.snapshot().travel[0] == deep.depth_m > 5e-3
+    assert session.snapshot().travel.depth_m == deep.depth_m > 5e-3
     session.begin_insertion()
     assert session.tared
     assert session.layers == ()
@@ -319,10 +319,10 @@ def test_a_push_that_begins_in_a_tick_that_is_not_used_is_taken_back_once():
     used = session.snapshot()
     wrench = session.update(*rows[700]).wrench._replace(status=Status.OK)
     for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
-        session._follow(wrench._replace(warnings=warning))
+        session._process(wrench._replace(warnings=warning))
     found = session.snapshot()
-    assert same(found.identifier, used.earlier[0].identifier)
-    assert found.unused_s == pytest.approx(found.time_s - used.earlier[0].time_s)
+    assert same(found.identifier, used.checkpoints.older.identifier)
+    assert found.unused_s == pytest.approx(found.time_s - used.checkpoints.older.time_s)
 
 
 @pytest.mark.parametrize(

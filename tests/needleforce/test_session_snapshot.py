@@ -150,7 +150,7 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
 
 @pytest.mark.parametrize(
     "fields",
-    [{"travel": (0.0, 0.0)}, {"earlier": ()}, {"plan": None}, {"time_s": -1e300}],
+    [{"travel": (0.0, 0.0)}, {"checkpoints": ()}, {"plan": None}, {"time_s": -1e300}],
     ids=str,
 )
 def test_a_snapshot_edited_in_memory_is_refused(fields):

@@ -163,18 +163,18 @@ def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
     wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
     for follower in (wrong, right):
         follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        follower.follow(quiet, 0.0125, unmet)
+        follower.update(quiet, 0.0125, unmet)
     unmoved = right.state
-    wrong.follow(quiet._replace(rupture=alarm), 0.0125, unmet)
+    wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.state != unmoved
     # The depth may have been counted anew since.
-    wrong.follow(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, unmet)
+    wrong.update(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, unmet)
     assert (wrong.memory, wrong.state) == (right.memory, unmoved)
     # Above a rupture there is no other one: the needle has been pushed in again.
-    wrong.follow(quiet._replace(rupture=alarm), 0.0125, unmet)
+    wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
     shallow = SimpleNamespace(depth_m=0.005)
-    wrong.follow(quiet._replace(rupture=shallow), 0.005, unmet)
+    wrong.update(quiet._replace(rupture=shallow), 0.005, unmet)
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.memory.deepest_m == 0.0125
 

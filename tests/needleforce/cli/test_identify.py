@@ -118,7 +118,7 @@ def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
     assert tuple(status.value for status in Status) == FORCE_STATUS
     for word, bit in WORTHLESS.items():
         assert SensorWarning[word.upper().replace(" ", "_")] == bit
-    assert sum(WORTHLESS.values()) == session._NOT_USED
+    assert sum(WORTHLESS.values()) == session.UNUSABLE
 
 
 def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
