@@ -38,7 +38,8 @@ for t_s, q, dq, tau in read_arm():
     worst_N = max(worst_N, now.identification.tip_force_N)
     if (rupture := now.identification.rupture) is not None:
         print(
-            f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {1e3 * rupture.depth_m:.1f} mm"
+            f"{t_s:6.2f} s: layer {rupture.layer} ruptured at "
+            f"{1e3 * rupture.depth_m:.1f} mm"
         )
 
 print(f"at most {worst_N:.2f} N at the tip; {session.rejected} samples rejected")

@@ -33,7 +33,8 @@ def watch(arm):
                 plan = now.plan
                 rupture = now.identification.rupture
                 print(
-                    f"rupture at {1e3 * rupture.depth_m:.1f} mm, into {plan.matched_name}"
+                    f"rupture at {1e3 * rupture.depth_m:.1f} mm, into "
+                    f"{plan.matched_name}"
                 )
     mm = 1e3 * plan.offset_m, 1e3 * plan.offset_std_m
     print(f"everything lies {mm[0]:+.1f} ± {mm[1]:.1f} mm deeper than planned")

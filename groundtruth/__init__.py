@@ -1,5 +1,8 @@
-"""The simulated ground truth: arm, needle, tissue and sensors, which the estimators
-never see.
+"""The simulated ground truth: arm, needle, tissue and sensors.
+
+The estimators never see it.
+
+There are two simulations of one scenario.
 
 Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a
 second; `simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors

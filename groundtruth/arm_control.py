@@ -23,9 +23,8 @@ BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons
 of a rupture move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
-MASS_TICKS = (
-    10  # For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most
-)
+# For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most.
+MASS_TICKS = 10
 
 _REPORT_TICKS = 500
 _MAX_POSITION_ERROR_rad = 0.02
@@ -34,30 +33,32 @@ _OF_JOINTS = ("q_rad", "dq_rad_s", "tau_Nm", "joint_friction_Nm")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmTrace:
-    """True signals of n ticks of an arm with m joints; row k belongs to the tick's
-    start.
+    """True signals of n ticks of an arm with m joints.
+
+    Row k belongs to the start of tick k.
 
     Attributes:
-        q_rad: Shape (n, m), as the next two.
-        tau_Nm: Held over the tick.
+        q_rad: Joint positions, shape (n, m).
+        dq_rad_s: Joint velocities, shape (n, m).
+        tau_Nm: Joint torques held over the tick, shape (n, m).
         ft_wrench: Reading of the F/T sensor, shape (n, 6), see `ArmPlant`.
-        depth_m: Of the tip, shape (n,).
+        axial_jacobian: Speed of the tip along the needle per joint velocity, shape (n +
+            1, m).
+        depth_m: Depth of the tip, shape (n,).
         mean_axial_N: Force of the tissue, mean over the tick, shape (n,).
-        forces: The tissue's answer, n of them.
+        joint_friction_Nm: Torque of the bearings on the links, mean over the tick,
+            shape (n, m).
+        forces: Forces of the tissue, n of them.
     """
 
     q_rad: Array
     dq_rad_s: Array
     tau_Nm: Array
     ft_wrench: Array
-    axial_jacobian: (
-        Array  # speed of the tip along the needle per joint velocity, (n + 1, m)
-    )
+    axial_jacobian: Array
     depth_m: Array
     mean_axial_N: Array
-    joint_friction_Nm: (
-        Array  # of the bearings on the links, mean over the tick, shape (n, m)
-    )
+    joint_friction_Nm: Array
     forces: list[TissueForce]
 
     @property
@@ -78,10 +79,16 @@ def drive(
     motion: JointMotion,
     progress: Callable[[float], None] = lambda _: None,
 ) -> ArmTrace:
-    """Place the arm at the start of a motion and let the controller follow it, n ticks.
+    """Let the controller follow a motion of n ticks, and return the true signals.
 
-    The model of the true arm gives the feed-forward; `progress` gets the fraction done,
-    0 to 1. `PlantError` if the arm has lost the motion.
+    Args:
+        plant: The arm; it is placed at the start of the motion.
+        model: Model of the true arm, which gives the feed-forward.
+        motion: Commanded joint positions and velocities.
+        progress: Called with the fraction done, 0 to 1.
+
+    Raises:
+        PlantError: The arm has lost the motion.
     """
     feed_forward, mass = _dynamics_along(model, motion)
     ticks, joints = feed_forward.shape
@@ -103,8 +110,9 @@ def drive(
         if k % _REPORT_TICKS == 0:
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
                 raise PlantError(
-                    f"a joint is {worst:.3g} rad off its motion at tick {k}, expected less than "
-                    f"{_MAX_POSITION_ERROR_rad}; use softer tissue or a slower motion"
+                    f"a joint is {worst:.3g} rad off its motion at tick {k}, expected "
+                    f"less than {_MAX_POSITION_ERROR_rad}; use softer tissue or a "
+                    "slower motion"
                 )
             progress(k / ticks)
         trace.q_rad[k] = plant.q_rad
@@ -123,8 +131,10 @@ def drive(
 
 
 def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array]:
-    """Feed-forward torque, shape (n, 7), and mass matrices, shape (ceil(n /
-    MASS_TICKS), 7, 7).
+    """Return feed-forward torques and mass matrices along a motion.
+
+    Returns:
+        Torques, shape (n, 7), and mass matrices, shape (ceil(n / MASS_TICKS), 7, 7).
     """
     # At the middle of each tick: a torque held over it sets the mean acceleration.
     q, dq = motion

@@ -1,6 +1,4 @@
-"""What the arm is commanded: the needle's straight line in joint space, and free
-joint motion.
-"""
+"""Commanded motion of the arm: the needle's straight line, and free joint motion."""
 
 import numpy as np
 import pinocchio as pin
@@ -17,9 +15,8 @@ LWR_POSTURE_rad = (0.2, 0.4, 0.3, -1.5, -0.2, 1.2, 0.1)
 elbow bent and out of the vertical plane, tip 0.29 m above the base. Condition number of
 the Jacobian 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limit."""
 
-FREE_MOTION_s = (
-    20.0  # Length of the joint motion after the tare stroke where there is no tissue
-)
+# Length of the joint motion after the tare stroke where there is no tissue.
+FREE_MOTION_s = 20.0
 
 _KNOT_SPACING_m = 5e-3
 _TOLERANCE = 1e-12
@@ -92,7 +89,7 @@ def insertion_path(
 
 
 def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
-    """Inverse kinematics by Newton steps of least norm."""
+    """Return a posture that reaches a placement, by Newton steps of least norm."""
     posture = np.array(posture_rad)
     for _ in range(_ITERATIONS):
         pin.framesForwardKinematics(robot.model, data, posture)
@@ -104,7 +101,8 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
         )
         posture = posture + np.linalg.pinv(jacobian) @ error
     raise MotionError(
-        f"no posture reaches {target.translation.round(4)} m; start elsewhere or travel less"
+        f"no posture reaches {target.translation.round(4)} m; start elsewhere or "
+        "travel less"
     )
 
 
@@ -128,8 +126,9 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
 
 
 def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
-    """Move all joints about a posture by slow sines; the first and the last second
-    are at rest.
+    """Return a motion of all joints about a posture by slow sines.
+
+    The first and the last second are at rest.
     """
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     moving_s = duration_s - 2.0 * _REST_s
@@ -147,8 +146,9 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
-    """Plan a scenario's line from the LWR's posture at the start straight down;
-    `MotionError`.
+    """Plan a scenario's line from the LWR's posture at the start straight down.
+
+    `MotionError` if the arm cannot follow it.
     """
     start = needle_down(robot, np.array(LWR_POSTURE_rad))
     motion = scenario.motion
@@ -156,8 +156,9 @@ def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
 
 
 def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
-    """Sample a scenario's motion at the controller's ticks: q(s(t)) and dq/ds ds/dt,
-    travel s.
+    """Return a scenario's joint motion at the controller's ticks.
+
+        q(t) = q(s(t)),  dq/dt = dq/ds ds/dt,  s the travel.
 
     A scenario without layers keeps its tare stroke; a motion of all joints then takes
     the place of the insertion.

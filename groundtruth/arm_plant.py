@@ -117,8 +117,9 @@ _CAD_TABLE = (
 
 
 def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia, ...]:
-    """Blend the links of the bare LWR 4+ with the CAD table: phi = (1 - a) phi_nominal
-    + a phi_CAD.
+    """Return the links of the bare LWR 4+, blended with those of the CAD table.
+
+        phi = (1 - a) phi_nominal + a phi_CAD
 
     Physically consistent 10-vectors form a convex set: a blend of two consistent links
     is one. Links 1 to 7, each in its joint frame; `PlantModelError` if a lies outside
@@ -142,22 +143,22 @@ class PlantBodies:
     """Kinematics and true inertias of arm, F/T sensor and needle.
 
     Attributes:
-        robot: The estimator's.
-        links: bare, 1 to 7, each in its joint frame.
+        robot: The estimator's model.
+        kinematics: The same with the true positions of its joints; its inertias are not
+            used.
+        links: Bare links 1 to 7, each in its joint frame.
         sensor: The tool up to the sensor's measuring plane, in the flange frame.
         needle: Everything beyond the measuring plane, in the ``ft_sensor`` frame.
     """
 
     robot: Robot
-    kinematics: (
-        Robot  # the same with the true places of its joints; its inertias are not used
-    )
+    kinematics: Robot
     links: tuple[pin.Inertia, ...]
     sensor: pin.Inertia
     needle: pin.Inertia
 
     def model(self) -> pin.Model:
-        """Pinocchio model of the true arm, with the true inertia of every joint."""
+        """Return the Pinocchio model of the true arm, with all its true inertias."""
         model = self.kinematics.model.copy()
         for joint, link in enumerate(self.links, start=1):
             model.inertias[joint] = link
@@ -172,8 +173,9 @@ class PlantBodies:
 def lwr_bodies(
     tool: NeedleTool, plant_model: PlantModel, rng: np.random.Generator
 ) -> PlantBodies:
-    """Draw the true LWR 4+ and needle: the estimator's but for errors of payload and
-    kinematics.
+    """Draw the true LWR 4+ and needle.
+
+    They are the estimator's but for the plant model's errors of payload and kinematics.
     """
     robot = kinematics = load_lwr(payload=tool)
     mass_factor = 1.0 + plant_model.payload_error * rng.choice((-1.0, 1.0))
@@ -270,16 +272,19 @@ STRIBECK_SPEED_rad_s = 0.05
 """Speed over which the peak falls off. Chosen between the joint speeds of an insertion
 (0.005 rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction
 than the insertion meets."""
-PRESLIDING_rad = (
-    1e-4  # Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm
-)
+# Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm.
+PRESLIDING_rad = 1e-4
 
 
 def bearings(
     plant_model: PlantModel, limit_Nm: Array, rng: np.random.Generator
 ) -> "BearingFriction | None":
-    """The bearings of an arm with these effort limits, shape (n,); None without
-    friction.
+    """Return the bearings of an arm; None without friction.
+
+    Args:
+        plant_model: States the friction.
+        limit_Nm: Effort limits of the joints, shape (n,).
+        rng: Draws the bearings.
     """
     if plant_model.joint_coulomb == 0.0 and not any(
         plant_model.joint_viscous_Nms_per_rad
@@ -289,8 +294,9 @@ def bearings(
 
 
 class BearingFriction:
-    """Friction torque of all joint bearings, one physics step at a time, from rest
-    without load.
+    """Friction torque of all joint bearings, one physics step at a time.
+
+    It begins at rest without load.
 
     The sensor sits between gear and link; the bearing that carries the link runs beside
     it, from link to link, so its friction does not pass through the sensor:
@@ -316,8 +322,13 @@ class BearingFriction:
         self._bristles = [0.0] * len(limit_Nm)  # in units of the Coulomb level
 
     def step(self, dq_rad_s: Array, dt_s: float) -> Array:
-        """Advance at a held speed, exactly, and return the torque on the links,
-        shape (n,).
+        """Advance at a held speed and return the torque on the links, shape (n,), Nm.
+
+        The step is exact:
+
+            w' = s + (w - s) exp(-|dq| dt / (PRESLIDING_rad g)),  s = g sign(dq),
+            g = 1 + (STRIBECK_PEAK - 1) exp(-(dq / STRIBECK_SPEED_rad_s)^2),
+            torque = -coulomb w' - viscous dq.
         """
         torque_Nm = np.empty(len(dq_rad_s))
         joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
@@ -336,20 +347,20 @@ class BearingFriction:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TissueContact:
-    """What the arm touches: tissue in front of the needle, perhaps a hand at the
-    elbow.
+    """Contact of the arm with tissue in front of the needle, and with a hand.
 
     Attributes:
-        law: One without layers is free air.
+        law: The tissue; one without layers is free air.
         surface_in_base_m: Point of the surface that the tip meets, shape (3,).
-        motion: Of the surface along that direction.
+        axis_in_base: Direction of insertion along which depth is measured, shape (3,).
+        motion: Motion of the surface along that direction.
+        lateral: Force of the tissue across the needle.
+        elbow: Pushes of a hand on the elbow.
     """
 
     law: Tissue
     surface_in_base_m: Array
-    axis_in_base: (
-        Array  # direction of insertion along which depth is measured, shape (3,)
-    )
+    axis_in_base: Array
     motion: TissueMotion | None = None
     lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
@@ -358,8 +369,12 @@ class TissueContact:
 def tissue_before(
     needle: pin.SE3, distance_m: float, scenario: Scenario
 ) -> TissueContact:
-    """Lay a scenario's tissue so far in front of the tip of a needle, along its z
-    axis.
+    """Return a scenario's tissue in front of a needle, along its z axis.
+
+    Args:
+        needle: Placement of the needle's tip in the base.
+        distance_m: From the tip to the surface.
+        scenario: Has the layers, the motion of the tissue and the forces aside.
     """
     axis = needle.rotation[:, 2].copy()
     return TissueContact(
@@ -392,8 +407,13 @@ class ArmPlant:
         friction: BearingFriction | None = None,
         touching: Sequence[Contact] = (),
     ) -> None:
-        """Compile the true arm, with contacts besides the tissue; `PlantError`
-        without MuJoCo.
+        """Compile the true arm, with its contacts; `PlantError` without MuJoCo.
+
+        Args:
+            bodies: Kinematics and true inertias.
+            contact: The tissue.
+            friction: Of the bearings; None for none.
+            touching: Contacts besides the tissue.
         """
         if mujoco is None:
             raise PlantError(
@@ -429,8 +449,9 @@ class ArmPlant:
         self._locate()
 
     def place(self, q_rad: Array, dq_rad_s: Array) -> None:
-        """Put the arm into a state, shape (7,) each, in which all contacts but the
-        tissue begin.
+        """Put the arm into a state, shape (7,) each.
+
+        All contacts but the tissue begin there.
         """
         self.q_rad[:] = q_rad
         self.dq_rad_s[:] = dq_rad_s
@@ -478,9 +499,7 @@ class ArmPlant:
         self._locate()
 
     def _step(self) -> None:
-        """Step once, with the friction of the bearings and all contacts held over
-        the step.
-        """
+        """Step once, with all contacts and the bearings' friction held over the step."""
         for point in self._touched:
             point.act(self._time_s, self.dq_rad_s, SUBSTEP_s)
         if self._friction is not None:
@@ -490,8 +509,9 @@ class ArmPlant:
         mujoco.mj_step(self._model, self._data)
 
     def _locate(self) -> None:
-        """Update the tip's position and Jacobian, which a Runge-Kutta step leaves at
-        a stage.
+        """Update the tip's position and Jacobian.
+
+        A Runge-Kutta step leaves them at one of its stages.
         """
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_comPos(self._model, self._data)

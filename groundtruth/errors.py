@@ -1,7 +1,6 @@
-"""Errors of the ground truth: one base, each leaf also a builtin, so that both can be
-caught.
+"""Errors of the ground truth, and the checks of numbers that raise them.
 
-And the checks of numbers that raise them.
+All have one base; each is also a builtin error, so that both can be caught.
 """
 
 import math
@@ -18,14 +17,13 @@ class GroundTruthError(Exception):
 
 
 class TissueError(GroundTruthError, ValueError):
-    """A layer, membrane or friction that no tissue can have, or an unusable sample
-    for a law.
-    """
+    """A layer, membrane or friction that no tissue can have, or an unusable sample."""
 
 
 class MotionError(GroundTruthError, ValueError):
-    """A motion that cannot be carried out or sampled: no travel, out of reach, no
-    rate.
+    """A motion that cannot be carried out or sampled.
+
+    It has no travel or no rate, or is out of the arm's reach.
     """
 
 
@@ -34,9 +32,7 @@ class ScenarioError(GroundTruthError, LookupError):
 
 
 class PlantModelError(GroundTruthError, ValueError):
-    """An unknown plant model, a noise that cannot be, or link tables that cannot be
-    blended.
-    """
+    """An unknown plant model, an impossible noise, or links that cannot be blended."""
 
 
 class PlantError(GroundTruthError, RuntimeError):

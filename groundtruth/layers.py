@@ -1,6 +1,4 @@
-"""Layers of tissue, their membranes, friction and boundaries: descriptions without
-state.
-"""
+"""Layers of tissue, their membranes, friction and boundaries, without state."""
 
 import math
 from dataclasses import dataclass
@@ -16,22 +14,25 @@ from groundtruth.errors import (
     require_positive,
 )
 
-CUTTING_ONSET_M = (
-    1e-3  # Until the cutting force is there: about one needle diameter (18G 1.27 mm)
-)
+# Until the cutting force is there: about one needle diameter (18G 1.27 mm).
+CUTTING_ONSET_M = 1e-3
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four
 diameters. In a thinner layer the rest goes with its own rupture."""
-SPEED_ROUNDING_M_S = (
-    2e-5  # A power law of speed is linear below: no step follows an infinite slope
-)
+# A power law of speed is linear below: no step follows an infinite slope.
+SPEED_ROUNDING_M_S = 2e-5
 TEXTURE_WAVES = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Texture:
-    """Unevenness of a layer at the tip: a sum of waves (rad/m, rad) that depends on
-    the place.
+    """Unevenness of a layer at the tip: a sum of waves along the layer.
+
+        F(x) = std sqrt(2 / n) sum_i cos(k_i x + phase_i)
+
+    Attributes:
+        std_N: Standard deviation of the force over a long layer.
+        waves: Wave number [rad/m] and phase [rad] of each wave.
     """
 
     std_N: float
@@ -54,7 +55,7 @@ class Texture:
         )
 
     def force_N(self, penetration_m: float) -> float:
-        """Force at a depth into the layer, of either sign."""
+        """Return the force at a depth into the layer, of either sign."""
         total = sum(
             math.cos(number * penetration_m + phase) for number, phase in self.waves
         )
@@ -63,8 +64,9 @@ class Texture:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Membrane:
-    """A membrane (liver capsule, latex glove) on top of a layer: a spring up to its
-    puncture.
+    """A membrane on top of a layer: a spring up to its puncture.
+
+    Such are a liver capsule and a latex glove.
 
     Its force is `puncture_N ((1 - hardening) u + hardening u²)`, u = indentation /
     indentation_m: the second-order spring of Okamura, Simone, O'Leary 2004 for the
@@ -72,24 +74,26 @@ class Membrane:
 
     Attributes:
         puncture_N: Force at which it ruptures.
-        indentation_m: How far it has then been pushed in.
+        indentation_m: Indentation at the puncture.
         hardening: Fraction of the quadratic part, 0 (linear) to 1.
+        release_m: Travel of the tip over which the force is released after the
+            puncture.
     """
 
     puncture_N: float
     indentation_m: float
     hardening: float
-    release_m: (
-        float  # travel of the tip over which the force is released after the puncture
-    )
+    release_m: float
 
     def __post_init__(self) -> None:
         require_positive(TissueError, self, "puncture_N indentation_m release_m")
         require_fraction(TissueError, self, "hardening")
 
     def force_N(self, indentation_m: float) -> float:
-        """Force of the intact membrane, pushed in from its place at rest; zero if
-        untouched.
+        """Return the force of the intact membrane; zero where it is untouched.
+
+        Args:
+            indentation_m: Travel of the tip from the membrane's place at rest.
         """
         if indentation_m <= 0.0:
             return 0.0
@@ -106,20 +110,23 @@ class ShaftFriction:
     over `presliding_m` (Dahl's model, see `groundtruth.tissue.bristle_step`).
 
     Attributes:
-        presliding_m: Where the Coulomb part is 63 % of the way to its new value.
-        reference_speed_m_s: At which the friction was measured or calibrated.
+        coulomb_N_per_m: Part that does not depend on speed.
+        viscous_Ns_per_m2: Part per speed, at the reference speed.
+        presliding_m: Travel after a reversal at which the Coulomb part is 63 % of the
+            way to its new value.
+        reference_speed_m_s: Speed at which the friction was measured or calibrated.
+        speed_exponent: Power n of the speed in the viscous part, which grows with v^n
+            and is the same at the reference speed.
+        length_exponent: Power n of the length: friction grows with length^n and is the
+            same on the whole layer.
     """
 
     coulomb_N_per_m: float
     viscous_Ns_per_m2: float
     presliding_m: float
     reference_speed_m_s: float
-    speed_exponent: float = (
-        1.0  # the second part grows with v^n, alike at the reference speed
-    )
-    length_exponent: float = (
-        1.0  # friction grows with length^n, alike on the whole layer
-    )
+    speed_exponent: float = 1.0
+    length_exponent: float = 1.0
 
     def __post_init__(self) -> None:
         positive = "presliding_m reference_speed_m_s speed_exponent length_exponent"
@@ -135,10 +142,16 @@ class ShaftFriction:
         coulomb_fraction: float,
         presliding_m: float,
     ) -> "ShaftFriction":
-        """Split the friction of steady sliding at one speed into Coulomb and viscous
-        part.
+        """Split the friction of steady sliding into a Coulomb and a viscous part.
 
-        `TissueError` if the fraction is outside 0 to 1, or a value is not physical.
+        Args:
+            force_N_per_m: Friction per embedded length at the reference speed.
+            reference_speed_m_s: Speed at which it was measured.
+            coulomb_fraction: Fraction of it that does not depend on speed, 0 to 1.
+            presliding_m: See `ShaftFriction`.
+
+        Raises:
+            TissueError: The fraction is outside 0 to 1, or a value is not physical.
         """
         require_fraction(TissueError, coulomb_fraction=coulomb_fraction)
         require_positive(TissueError, reference_speed_m_s=reference_speed_m_s)
@@ -152,8 +165,9 @@ class ShaftFriction:
         )
 
     def sliding_N_per_m(self, speed_m_s: float) -> float:
-        """Friction per length in steady sliding; it has the sign of the speed, zero
-        at rest.
+        """Return the friction per length in steady sliding.
+
+        It has the sign of the speed, and is zero at rest.
         """
         if speed_m_s == 0.0:
             return 0.0
@@ -162,8 +176,9 @@ class ShaftFriction:
         )
 
     def rising_N_per_m(self, speed_m_s: float) -> float:
-        """The part of the friction per length that grows with speed, with the
-        speed's sign.
+        """Return the part of the friction per length that grows with speed.
+
+        It has the sign of the speed.
         """
         viscous = self.viscous_Ns_per_m2 * speed_m_s
         if self.speed_exponent == 1.0:
@@ -172,7 +187,7 @@ class ShaftFriction:
         return viscous * ratio ** (self.speed_exponent - 1.0)
 
     def gripped_m(self, embedded_m: float, thickness_m: float) -> float:
-        """Length with the same friction, were it proportional to length."""
+        """Return the length with the same friction, were it proportional to length."""
         if self.length_exponent == 1.0 or embedded_m <= 0.0:
             return embedded_m
         return thickness_m * (embedded_m / thickness_m) ** self.length_exponent
@@ -185,7 +200,7 @@ class ShaftFriction:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Layer:
-    """What a needle meets between two ruptures.
+    """Tissue that a needle meets between two ruptures.
 
     The tip force grows with the penetration up to `exit_force_N`, at which the far end
     ruptures. A fraction of it is a constant cutting force, the rest elastic: the chord
@@ -195,10 +210,21 @@ class Layer:
     Attributes:
         name: For tables and legends.
         thickness_m: d_i of the paper.
+        exit_force_N: Tip force at which the far end ruptures.
+        cutting_fraction: Fraction of that force which is constant cutting force.
+        stiffening: How much steeper the chord of the elastic force is than its slope at
+            the start, 0.1 for 10 %.
         release_m: Travel over which the tip force is released when the tip leaves the
             layer.
-        relaxed_fraction: Of tip force and Coulomb friction, lost after a long rest.
-        membrane: To be punctured to enter the layer.
+        relaxed_fraction: Fraction of tip force and Coulomb friction that a long rest
+            loses.
+        friction: Friction on the shaft.
+        membrane: Membrane to be punctured to enter the layer.
+        tip_exponent: Power of the elastic part: 0.5 concave, 2 quadratic; the force at
+            the end is the same.
+        kept_fraction: Fraction of the tip force that stays when the needle leaves for a
+            next layer.
+        texture: Unevenness of the tip force, faded over a cutting onset at both ends.
     """
 
     name: str
@@ -210,15 +236,9 @@ class Layer:
     relaxed_fraction: float
     friction: ShaftFriction
     membrane: Membrane | None = None
-    tip_exponent: float = (
-        1.0  # power of the elastic part: 0.5 concave, 2 quadratic; it ends alike
-    )
-    kept_fraction: float = (
-        0.0  # of the tip force, when the needle leaves for a next layer
-    )
-    texture: Texture | None = (
-        None  # of the tip force, faded over a cutting onset at both ends
-    )
+    tip_exponent: float = 1.0
+    kept_fraction: float = 0.0
+    texture: Texture | None = None
 
     def __post_init__(self) -> None:
         require_positive(
@@ -233,20 +253,30 @@ class Layer:
             taken += self.membrane.release_m
         if self.thickness_m <= taken:
             raise TissueError(
-                f"layer {self.name!r} is {self.thickness_m} m thick, but indentation, cutting "
-                f"onset and release take {taken:.4g} m: make it thicker"
+                f"layer {self.name!r} is {self.thickness_m} m thick, but indentation, "
+                f"cutting onset and release take {taken:.4g} m: make it thicker"
             )
 
     @property
     def entry_m(self) -> float:
-        """Depth into the layer at which the tip begins to cut it: the membrane's
-        indentation.
+        """Depth into the layer at which the tip begins to cut it.
+
+        It is the indentation of the membrane.
         """
         return 0.0 if self.membrane is None else self.membrane.indentation_m
 
     def tip_force_N(self, penetration_m: float) -> float:
-        """Elastic and cutting force, not relaxed, after this travel since the tip
-        began to cut.
+        """Return the elastic and cutting force at the tip, not relaxed.
+
+        With p the penetration as a fraction of the length to cut,
+
+            F = F_exit ((1 - c) (p (1 + k p) / (1 + k))^n + c u (2 - u)) + texture,
+
+        with c the cutting fraction, k the stiffening, n the exponent, and u the
+        penetration over `CUTTING_ONSET_M`, at most 1.
+
+        Args:
+            penetration_m: Travel since the tip began to cut.
         """
         if penetration_m <= 0.0:
             return 0.0
@@ -275,11 +305,13 @@ class Interface:
     puncture. So each boundary gives one rupture.
 
     Attributes:
-        depth_m: In undeformed tissue.
+        depth_m: Depth in undeformed tissue.
         onset_m: Depth of the tip at which it begins to rupture.
         release_m: Travel over which the force is then released.
         drop_N: Force released, tissue not relaxed; zero at a bare surface.
         membrane: To be punctured there.
+        kept_fraction: Fraction of `drop_N` that is not released at once but fades:
+            layers hang together.
     """
 
     depth_m: float
@@ -287,32 +319,35 @@ class Interface:
     release_m: float
     drop_N: float
     membrane: Membrane | None
-    kept_fraction: float = (
-        0.0  # of `drop_N`, not released but fading: layers hang together
-    )
+    kept_fraction: float = 0.0
 
     def held(self, deepest_m: float) -> float:
-        """Fraction of the force held, 1 to 0, once the tip has been as deep as
-        `deepest_m`.
+        """Return the fraction of the force that is still held, 1 to 0.
+
+        Args:
+            deepest_m: Largest depth that the tip has reached.
         """
         held = 1.0 - self.released(deepest_m)
         kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
         return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
 
     def released(self, deepest_m: float) -> float:
-        """Fraction of the force released, 0 to 1, once the tip has been as deep as
-        `deepest_m`.
+        """Return the fraction of the force that is released, 0 to 1.
 
         A crack starts fast and dies out: 1 - (1 - s)², s the travelled fraction of
         `release_m`.
+
+        Args:
+            deepest_m: Largest depth that the tip has reached.
         """
         rest = 1.0 - min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
         return 1.0 - rest * rest
 
 
 def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
-    """All boundaries of a stack, from the surface to the exit: one more than layers,
-    or none.
+    """Return all boundaries of a stack, from the surface to the exit.
+
+    There is one more than layers, or none.
     """
     found: list[Interface] = []
     depth = 0.0

@@ -31,9 +31,8 @@ from typing import Any
 from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 
-TABLE_I_SPEED_M_S = (
-    2.3e-3  # The paper's constant speed: at it, gel friction is Table I's
-)
+# The paper's constant speed: at it, gel friction is Table I's.
+TABLE_I_SPEED_M_S = 2.3e-3
 TABLE_I_FRICTION_NS_PER_M = {25: 113.0, 50: 283.0, 70: 534.0}
 """B d of each gel (isinglass per cent), offline column."""
 GEL_THICKNESS_M = {25: 28.2e-3, 50: 37.7e-3, 70: 32.2e-3}  # measured by the authors
@@ -41,21 +40,18 @@ GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 """At the far end of the gel; about as much as its friction at 2.3 mm/s, as in Fig.
 8."""
 GEL_COULOMB_FRACTION = 0.4
-GEL_PRESLIDING_M = (
-    0.2e-3  # a fraction of a needle diameter: gel sticks little to a wet shaft
-)
+# A fraction of a needle diameter: gel sticks little to a wet shaft.
+GEL_PRESLIDING_M = 0.2e-3
 GEL_RELEASE_M = 0.3e-3  # clean fracture of a brittle gel
 GEL_RELAXED_FRACTION = 0.2
 CUTTING_FRACTION = 0.1
 STIFFENING = 0.1
 
 LIVER_SPEED_M_S = 5e-3  # speed of the recordings the liver friction comes from
-LIVER_FRICTION_N_PER_M = (
-    10.6  # median pull-out force per embedded length (de Jong 2017)
-)
-ABDOMEN_SPEED_M_S = (
-    6e-3  # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s)
-)
+# Median pull-out force per embedded length (de Jong 2017).
+LIVER_FRICTION_N_PER_M = 10.6
+# About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s).
+ABDOMEN_SPEED_M_S = 6e-3
 TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
 TISSUE_RELAXED_FRACTION = 0.55
@@ -69,9 +65,7 @@ def _layer(
     friction: ShaftFriction,
     **others: Any,
 ) -> Layer:
-    """A layer with what all materials have in common; of organic tissue but for the
-    others.
-    """
+    """Return a layer of organic tissue, but for what ``others`` change."""
     others.setdefault("release_m", TISSUE_RELEASE_M)
     others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
     return Layer(
@@ -86,8 +80,9 @@ def _layer(
 
 
 def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
-    """One of the paper's gels, of 25, 50 or 70 % (else `TissueError`), in a
-    membrane, if any.
+    """Return one of the paper's gels, of 25, 50 or 70 %.
+
+    `TissueError` for another percentage.
     """
     if percent not in GEL_THICKNESS_M:
         raise TissueError(
@@ -116,7 +111,7 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
 def soft_tissue_friction(
     force_N_per_m: float, nominal_speed_m_s: float
 ) -> ShaftFriction:
-    """Friction of organic tissue of so much force at the recordings' 5 mm/s.
+    """Return friction of organic tissue, from its force at the recordings' 5 mm/s.
 
     At the nominal speed, the scenario's, the law of equation (3) shall agree.
     """

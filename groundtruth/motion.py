@@ -1,5 +1,6 @@
-"""How the needle moves in a scenario: rest, tare stroke, insertion, rest,
-withdrawal, rest.
+"""Motion of the needle in a scenario.
+
+The protocol is rest, tare stroke, insertion, rest, withdrawal, rest.
 """
 
 from collections.abc import Sequence
@@ -24,20 +25,26 @@ what is learnt on it is carried on along the insertion."""
 TARE_SPEED_M_S = 25e-3  # Mean, of the tare stroke: excites the arm and is safe in air
 TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
-RAMP_S = (
-    0.5  # time in which a constant-speed stroke reaches its speed: under 1 mm of travel
-)
+# Time in which a constant-speed stroke reaches its speed: under 1 mm of travel.
+RAMP_S = 0.5
 RAMP_FRACTION_MAX = 0.5
 TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 
 @dataclass(frozen=True, slots=True)
 class Stroke:
-    """A stroke from rest to rest; position and speed are continuous, acceleration is
-    bounded.
+    """A stroke from rest to rest.
+
+    Position and speed are continuous, acceleration is bounded.
 
     Attributes:
-        travel_m: Signed.
+        profile: Course of the speed.
+        start_s: Time of the start.
+        duration_s: Length in time.
+        start_m: Position at the start.
+        travel_m: Travel, signed.
+        ramp_fraction: Fraction of the duration that each ramp of a `cruise` takes, up
+            to 0.5.
     """
 
     profile: Profile
@@ -45,30 +52,30 @@ class Stroke:
     duration_s: float
     start_m: float
     travel_m: float
-    ramp_fraction: float = (
-        0.1  # of the duration that each ramp of a `cruise` takes, up to 0.5
-    )
+    ramp_fraction: float = 0.1
 
     def __post_init__(self) -> None:
         require_positive(MotionError, self, "duration_s ramp_fraction")
         if self.ramp_fraction > RAMP_FRACTION_MAX:
             raise MotionError(
-                f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 each"
+                f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 "
+                "each"
             )
 
     @property
     def end_s(self) -> float:
-        """When it ends."""
+        """Time of its end."""
         return self.start_s + self.duration_s
 
     @property
     def end_m(self) -> float:
-        """Where it ends."""
+        """Position of its end."""
         return self.start_m + self.travel_m
 
     def evaluate(self, t_s: Array) -> tuple[Array, Array]:
-        """Position [m] and speed [m/s] at any times; outside the stroke at its ends,
-        at rest.
+        """Return position [m] and speed [m/s] at any times.
+
+        Outside the stroke they are those of its ends, at rest.
         """
         s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
@@ -106,14 +113,14 @@ class Motion:
 
     Attributes:
         strokes: Contiguous in time and position.
-        insertion_end_s: The needle is at its deepest and rests.
-        withdrawal_end_s: It is back above the surface.
+        tare_end_s: End of the stroke in free air; contact has not happened before it.
+        insertion_end_s: Time at which the needle is at its deepest and rests.
+        withdrawal_start_s: Time at which the withdrawal begins.
+        withdrawal_end_s: Time at which the needle is back above the surface.
     """
 
     strokes: tuple[Stroke, ...]
-    tare_end_s: (
-        float  # end of the stroke in free air; contact has not happened before it
-    )
+    tare_end_s: float
     insertion_end_s: float
     withdrawal_start_s: float
     withdrawal_end_s: float
@@ -126,8 +133,8 @@ class Motion:
             gap_m = following.start_m - last.end_m
             if abs(gap_s) > TOLERANCE or abs(gap_m) > TOLERANCE:
                 raise MotionError(
-                    f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of the one "
-                    "before; strokes must follow each other"
+                    f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of "
+                    "the one before; strokes must follow each other"
                 )
 
     @property
@@ -137,20 +144,23 @@ class Motion:
 
     @property
     def start_m(self) -> float:
-        """Where the tip begins."""
+        """Position at which the tip begins."""
         return self.strokes[0].start_m
 
     @property
     def deepest_m(self) -> float:
-        """The deepest point reached."""
+        """Largest depth that is reached."""
         return max(stroke.end_m for stroke in self.strokes)
 
     def position_m(self, t_s: ArrayLike) -> Array:
-        """Position of the tip at one time or an array of times."""
+        """Return the position of the tip at one time or at an array of times."""
         return self._at(t_s, 0)
 
     def speed_m_s(self, t_s: ArrayLike) -> Array:
-        """Speed of the tip at one time or an array of times, positive inwards."""
+        """Return the speed of the tip at one time or at an array of times.
+
+        It is positive inwards.
+        """
         return self._at(t_s, 1)
 
     def _at(self, t_s: ArrayLike, which: int) -> Array:
@@ -172,8 +182,9 @@ class Motion:
 def chain_strokes(
     start_m: float, moves: Sequence[Move], *, ramp_fraction: float = 0.1
 ) -> tuple[Stroke, ...]:
-    """Strokes one after the other, the first at time zero; `MotionError` as of
-    `Stroke`.
+    """Return strokes one after the other, the first at time zero.
+
+    `MotionError` as of `Stroke`.
     """
     strokes: list[Stroke] = []
     time = 0.0
@@ -192,10 +203,17 @@ def protocol(
     ramp_fraction: float = 0.5,
     tare_stroke_m: float = TARE_STROKE_M,
 ) -> Motion:
-    """The whole protocol around the strokes of an insertion.
+    """Return the whole protocol around the strokes of an insertion.
 
-    The last of them is the one that withdraws, over all they travel. Without a tare
-    stroke the needle rests as long as three of the usual ones would take.
+    The last of the strokes is also the profile of the withdrawal, over all they travel.
+    Without a tare stroke the needle rests as long as three of the usual ones would
+    take.
+
+    Args:
+        standoff_m: Height of the tip above the surface before the insertion.
+        insertion: Strokes of the insertion.
+        ramp_fraction: See `Stroke`.
+        tare_stroke_m: Length of the tare stroke; 0 for none.
     """
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
     tare: list[Move] = [
@@ -224,11 +242,11 @@ def protocol(
 
 
 def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> Motion:
-    """The protocol with an insertion at constant speed between smooth ramps, down to a
-    depth.
+    """Return the protocol with an insertion at constant speed.
 
-    It begins and the withdrawal ends at the standoff above the surface. `MotionError`
-    if a value is not positive, or the travel is too short to reach the speed.
+    It has smooth ramps, begins at the standoff above the surface, and the withdrawal
+    ends there. `MotionError` if a value is not positive, or the travel is too short to
+    reach the speed.
     """
     require_positive(
         MotionError, speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=standoff_m
@@ -247,7 +265,7 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
 def sinusoidal_motion(
     *, stroke_m: float, frequency_hz: float, standoff_m: float
 ) -> Motion:
-    """The protocol with an insertion z = A/2 (1 - cos 2πft): A is the stroke.
+    """Return the protocol with an insertion z = A/2 (1 - cos 2πft), A the stroke.
 
     In and out take one period, the rest between them aside. Contact happens inside the
     stroke, at the standoff below its start. `MotionError` if a value is not positive,

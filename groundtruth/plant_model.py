@@ -18,8 +18,13 @@ TICK_s = 1e-3  # period of controller and sensors
 
 
 def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
-    """Stationary noise of unit spread and that correlation time from white noise,
-    row by row.
+    """Return stationary noise of unit standard deviation from white noise.
+
+    Args:
+        white: White noise of unit standard deviation, shape (n, ...); filtered along
+            the first axis.
+        period_s: Time between samples.
+        correlation_s: Time constant of the correlation; 0 for none.
     """
     if correlation_s == 0.0:
         return white
@@ -31,19 +36,19 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceNoise:
-    """Noise, drift since the last zeroing, and steps of the sensor at the needle's
-    base.
+    """Noise, drift and resolution of the force sensor at the needle's base.
+
+    The drift begins at the last zeroing.
 
     Attributes:
         white_std_N: Standard deviation of the noise of one sample.
+        drift_std_N_per_s: Standard deviation of the drift rate, drawn once per run.
         step_N: Smallest step of the reading.
         correlation_s: Time constant of the noise if it is not white.
     """
 
     white_std_N: float = 0.0
-    drift_std_N_per_s: float = (
-        0.0  # standard deviation of the drift rate, drawn once per run
-    )
+    drift_std_N_per_s: float = 0.0
     step_N: float = 0.0
     correlation_s: float = 0.0
 
@@ -53,9 +58,13 @@ class ForceNoise:
     def reading_N(
         self, force_N: Array, t_s: Array, zeroed_s: float, rng: np.random.Generator
     ) -> Array:
-        """The reading of a true force at some times, all of shape (n,); read-only.
+        """Return the reading of a true force, shape (n,), read-only.
 
-        The sensor was last zeroed at `zeroed_s`: the drift passes through zero there.
+        Args:
+            force_N: True force, shape (n,).
+            t_s: Times of the samples, shape (n,).
+            zeroed_s: Time of the last zeroing, where the drift passes through zero.
+            rng: Draws noise and drift.
         """
         white = rng.standard_normal(force_N.shape)
         period_s = float(np.median(np.diff(t_s))) if t_s.size > 1 else 1.0
@@ -81,13 +90,15 @@ dithers.
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlantModel:
-    """Everything in which a simulated arm and its sensors differ from the estimator's
-    model.
+    """All differences between a simulated arm and the estimator's model of it.
+
+    They are those of the arm and those of its sensors.
 
     Joint-wise tuples are ordered J1..J7; six-tuples are force x, y, z, torque x, y, z
     in sensor axes. The default of every number is zero: no such error.
 
     Attributes:
+        name: Name of the plant model.
         cad_fraction: Fraction a of the CAD link table in the arm, (1 - a) nominal + a
             CAD. Two published tables of one arm disagree by 1.5 Nm rms at J2; 0.1 of
             that (0.15 Nm, 0.3 N at the flange) stands for a model identified with care,
@@ -95,8 +106,6 @@ class PlantModel:
         payload_error: Relative error of the tool's mass as the estimator knows it; the
             sign is drawn. 0.02: weighed without its cable; 0.05: from data sheets.
         payload_com_spread_m: Standard deviation, per axis, of the error of the tool's
-            centre of mass: the mass error times the 50 mm size of an F/T sensor with
-            its adapters.
         kinematic_error_m: Standard deviation, per joint and axis, of the error of where
             the estimator's model has the joint's frame.
         kinematic_error_rad: The same of how that frame is turned.
@@ -120,12 +129,7 @@ class PlantModel:
             the 4e-4 in 4 minutes of the sensor above.
         warm_up_s: Time constant of that.
         torque_ripple: Amplitude, as a fraction of limit, of a ripple periodic in joint
-            position: the elliptic wave generator passes the sensor twice per motor
-            turn, sin(2 N q) with gear ratio N. 1e-4, one fiftieth of the 0.5 %
-            linearity, most of which is smooth and calibrated away.
         torque_hysteresis: Half-width, as a fraction of limit, of the torque sensor's
-            backlash: the output lags until the torque has moved by this much. 1e-4, one
-            fiftieth of the linearity as well.
         torque_nonlinearity: Greatest smooth deviation of a torque sensor from a
             straight line, as a fraction of limit. The data sheet promises less than 0.5
             %.
@@ -147,17 +151,24 @@ class PlantModel:
         clock_jitter_std_s: Error of the time stamps, cut at 0.4 ticks so that they keep
             their order. 5e-5: stamps taken on arrival by a PC without a tuned real-time
             kernel.
+        ticks_per_sample: Ticks between samples of the interface: 1 for 1 kHz, 5 for 200
+            Hz.
         drop_probability: Probability, at each sample, that a loss begins. 1e-3: UDP
             through a shared switch.
         drop_max_samples: A loss takes 1 to this many samples in a row, each number
             equally likely.
         ft_noise_std: White noise of one sample of the reference F/T sensor, N and Nm.
             Along z that of `MINI45`; the other axes in proportion to raw samples of
-            one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm.
         ft_noise_correlation_s: Time constant of that noise, zero for white.
         ft_drift_std_per_min: Standard deviation of its linear drift rate, N/min and
             Nm/min. Along z that of `MINI45`; the other axes in proportion to their
-            range: 145, 145, 290 N; 5 Nm.
+            centre of mass: the mass error times the 50 mm size of an F/T sensor with
+            its adapters. position: the elliptic wave generator passes the sensor twice
+            per motor turn, sin(2 N q) with gear ratio N. 1e-4, one fiftieth of the 0.5
+            % linearity, most of which is smooth and calibrated away. backlash: the
+            output lags until the torque has moved by this much. 1e-4, one fiftieth of
+            the linearity as well. one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm. range: 145,
+            145, 290 N; 5 Nm.
     """
 
     name: str
@@ -208,9 +219,7 @@ class PlantModel:
 
     clock_jitter_std_s: float = 0.0
 
-    ticks_per_sample: int = (
-        1  # the interface sends every so many ticks: 1 for 1 kHz, 5 for 200 Hz
-    )
+    ticks_per_sample: int = 1
 
     drop_probability: float = 0.0
 
@@ -226,8 +235,9 @@ class PlantModel:
 def drawn_factors(
     plant_model: PlantModel, shape: tuple[int, ...], rng: np.random.Generator
 ) -> Array:
-    """Factors on stated sizes, equal chance per octave within the plant model's
-    `size_spread`.
+    """Return factors on stated sizes, equal chance per octave.
+
+    They lie within the plant model's `size_spread` of 1.
     """
     if plant_model.size_spread == 1.0:  # keeps what is drawn afterwards
         return np.ones(shape)
@@ -302,8 +312,9 @@ PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}  #
 
 
 def plant_named(plant: PlantModel | str) -> PlantModel:
-    """The plant model of that name, `PlantModelError` if there is none; one is what
-    it is.
+    """Return the plant model of that name; a plant model is returned as it is.
+
+    `PlantModelError` if there is none of that name.
     """
     if isinstance(plant, PlantModel):
         return plant

@@ -1,5 +1,4 @@
-"""The simulated arm in closed loop: joint velocities in, sensor samples out, one per
-cycle.
+"""The simulated arm in closed loop: joint velocities in, sensor samples out.
 
 The physics, the plant models and the sensors are those of `groundtruth.simulate`; what
 is new is that the motion is not known beforehand. Commands arrive late, and the arm's
@@ -53,10 +52,13 @@ BRAKING_rad_s2 = 10.0
 
 
 class ArmSample(NamedTuple):
-    """What the arm reports in one cycle.
+    """Report of the arm in one cycle.
 
     Attributes:
-        dt_s: Since the previous sample, by the arm's stamps.
+        dt_s: Time since the previous sample, by the arm's stamps.
+        q_rad: Joint positions, shape (7,).
+        dq_rad_s: Joint velocities, shape (7,); None where the interface reports none.
+        tau_Nm: Joint torques, shape (7,).
     """
 
     dt_s: float
@@ -66,14 +68,18 @@ class ArmSample(NamedTuple):
 
 
 class ArmTruth(NamedTuple):
-    """What is true at the last sample; copies.
+    """True state at the last sample, as copies.
 
     Attributes:
+        t_s: Time since the start.
+        q_rad: Joint positions, shape (7,).
+        dq_rad_s: Joint velocities, shape (7,).
         tau_Nm: Joint torques held over the tick that begins.
-        tip_m: Where the tip is, base axes.
+        tip_m: Position of the tip, base axes.
         rotation: Axes of the needle in base axes, shape (3, 3); the third points along
             it.
-        speed_m_s: Along the needle, positive inwards.
+        depth_m: Depth of the tip below the surface; zero without tissue.
+        speed_m_s: Speed along the needle, positive inwards.
         tissue: Force of the tissue, one tick ago.
         ruptured: Boundaries with a force to lose that the needle has gone through.
     """
@@ -91,7 +97,7 @@ class ArmTruth(NamedTuple):
 
 
 class _Servo:
-    """The arm's own loop: integrates the commanded velocity and holds the arm to it.
+    """The arm's own loop: it integrates the commanded velocity and follows it.
 
     A commanded velocity is reached at the end of its tick, at constant acceleration.
     The torque is the inverse dynamics of that motion, of the nominal arm, plus spring
@@ -112,7 +118,13 @@ class _Servo:
         self._spring = self._damper = np.zeros((len(q_rad), len(q_rad)))
 
     def torque(self, velocity_rad_s: Array, q_rad: Array, dq_rad_s: Array) -> Array:
-        """Torque to hold over the next tick, in which a velocity is commanded."""
+        """Return the torque to hold over the next tick, Nm, shape (n,).
+
+        Args:
+            velocity_rad_s: Commanded for that tick.
+            q_rad: True positions.
+            dq_rad_s: True velocities.
+        """
         if self._tick % MASS_TICKS == 0:
             self._refresh(q_rad)
         self._tick += 1
@@ -165,7 +177,7 @@ class _Commands:
         self.new: Array | None = None
 
     def next_rad_s(self) -> Array:
-        """Velocity for the tick that begins."""
+        """Return the velocity for the tick that begins."""
         arrived = self._line.popleft()
         self._silent_ticks = 0 if arrived is not None else self._silent_ticks + 1
         if arrived is not None:
@@ -178,14 +190,15 @@ class _Commands:
         return self._velocity_rad_s
 
     def end_tick(self) -> None:
-        """Put on the line what has come during the tick."""
+        """Put the command that has come during the tick on the line."""
         self._line.append(self.new)
         self.new = None
 
 
 class _OnlineSensors:
-    """The sensors of `groundtruth.sensors`, sample by sample, with the same errors
-    per seed.
+    """The sensors of `groundtruth.sensors`, sample by sample.
+
+    The same seed gives the same errors.
     """
 
     def __init__(
@@ -217,7 +230,7 @@ class _OnlineSensors:
     def read(
         self, k: int, q_rad: Array, dq_rad_s: Array, tau_Nm: Array
     ) -> ArmSample | None:
-        """Sample of tick k; None if it is not sent or gets lost."""
+        """Return the sample of tick k; None if it is not sent or gets lost."""
         width = self._torque.backlash_Nm
         lagging = tau_Nm if self._lagging_Nm is None else self._lagging_Nm
         self._lagging_Nm = lagging = np.minimum(
@@ -233,13 +246,12 @@ class _OnlineSensors:
         return ArmSample(dt_s, q, dq, tau)
 
     def wrench(self, k: int, wrench: Array) -> Array:
-        """Reading of the reference F/T sensor."""
+        """Return the reading of the reference F/T sensor."""
         return wrench + self._wrench_error[k]
 
 
 class SimulatedArm:
-    """A simulated LWR 4+ with a needle that takes joint velocities, and what is true
-    about it.
+    """A simulated LWR 4+ with a needle, driven by joint velocities.
 
     Iterate over it for the samples: each step is one tick of 1 ms, or more where
     samples get lost. It ends after the duration that sensor errors were drawn for.
@@ -337,8 +349,9 @@ class SimulatedArm:
                 return sample
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity, shape (7,), reached a latency later; False if it is
-        refused.
+        """Command a joint velocity [rad/s], shape (7,); return False if it is refused.
+
+        It is reached a latency later.
 
         Of several in one tick the last counts. The arm refuses numbers that are not
         finite.
@@ -357,7 +370,7 @@ class SimulatedArm:
 
     @property
     def truth(self) -> ArmTruth:
-        """What is true at the last sample."""
+        """True state at the last sample."""
         plant = self._plant
         law = self._law
         return ArmTruth(
@@ -378,8 +391,9 @@ class SimulatedArm:
 
     @property
     def ft_wrench(self) -> Array:
-        """Reading of the reference F/T sensor one tick ago, shape (6,), see
-        `Signals`.
+        """Reading of the reference F/T sensor one tick ago, shape (6,).
+
+        See `Signals`.
         """
         return self._sensors.wrench(max(self._tick - 1, 0), self._plant.ft_wrench)
 
@@ -389,8 +403,9 @@ class SimulatedArm:
         return np.array(self._depths_m)
 
     def tissue_truth(self) -> TissueTruth:
-        """Forces of the tissue and ruptures of the run so far, at all ticks;
-        `PlantError` at 0.
+        """Return forces of the tissue and ruptures of the run so far, at all ticks.
+
+        `PlantError` before the first tick has passed.
         """
         if not self._forces:
             raise PlantError("nothing has happened yet; iterate over the arm first")
@@ -398,7 +413,7 @@ class SimulatedArm:
         return collect_truth(self._law, time, np.array(self._depths_m), self._forces)
 
     def distance_to_axis_m(self, point_m: ArrayLike) -> float:
-        """True distance of a point from the needle's axis, base axes."""
+        """Return the true distance of a point, base axes, from the needle's axis."""
         return distance_to_axis_m(
             point_m, self._plant.tip_m, self._plant.tip_axes[:, 2]
         )
@@ -406,8 +421,9 @@ class SimulatedArm:
     def inject(
         self, fault: Callable[[ArmSample], ArmSample | None], seconds: float
     ) -> None:
-        """Pass all samples of the coming time through a fault; one that returns None
-        loses them.
+        """Pass all samples of the coming time through a fault.
+
+        A fault that returns None loses the sample.
         """
         self._faults.append((self._ticks_ahead(seconds), fault))
 
@@ -465,8 +481,9 @@ class SimulatedArm:
 
 
 def with_kinematic_error(plant_model: PlantModel) -> PlantModel:
-    """The same plant on an arm whose kinematics were never calibrated: 0.2 mm and 0.3
-    mrad.
+    """Return the same plant on an arm whose kinematics were never calibrated.
+
+    The errors are 0.2 mm and 0.3 mrad.
 
     Where controller and plant have the same kinematics, errors of micrometres mean
     nothing.

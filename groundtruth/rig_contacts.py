@@ -1,4 +1,4 @@
-"""What touches the arm in closed loop: a trocar, a wall, a person's hand.
+"""Contacts of the arm in closed loop: a trocar, a wall, a person's hand.
 
 Each contact is a law, motion of one point of the arm in, force out. It acts at every
 physics step of `ArmPlant`; between the arm's ticks its point moves by the Jacobian of
@@ -60,30 +60,30 @@ class Contact(Protocol):
 
     @property
     def at(self) -> str:
-        """Which point, one of `GRIPS`."""
+        """Point at which it acts, one of `GRIPS`."""
         ...
 
     def begin(self, motion: PointMotion) -> None:
-        """Learn where the point is when the arm is placed; a new start each time."""
+        """Set the contact's reference where the arm is placed; each time anew."""
         ...
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
-        """Force on the arm [N] and where it acts [m], in base axes."""
+        """Return the force on the arm [N] and where it acts [m], in base axes."""
         ...
 
 
 def dot(a: Vector3, b: Vector3) -> float:
-    """Scalar product."""
+    """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def add(a: Vector3, b: Vector3, scale: float = 1.0) -> Vector3:
-    """The sum a + scale b."""
+    """Return a + scale b."""
     return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
 
 
 def cross(a: Vector3, b: Vector3) -> Vector3:
-    """Vector product."""
+    """Return the vector product."""
     return (
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
@@ -92,21 +92,30 @@ def cross(a: Vector3, b: Vector3) -> Vector3:
 
 
 def distance_to_axis_m(point_m: ArrayLike, on_axis_m: ArrayLike, axis: Array) -> float:
-    """Distance of a point from a line through another point, along a unit vector."""
+    """Return the distance of a point from a line.
+
+    Args:
+        point_m: The point, shape (3,).
+        on_axis_m: A point of the line, shape (3,).
+        axis: Direction of the line, length one, shape (3,).
+    """
     apart = np.subtract(point_m, on_axis_m)
     return float(np.linalg.norm(apart - np.dot(apart, axis) * axis))
 
 
 @dataclass(slots=True, kw_only=True)
 class Trocar:
-    """Holds the needle elastically where it passes a point, and lets it slide and turn
-    there.
+    """An elastic support of the needle at a point, across its axis.
+
+    The needle slides and turns in it.
 
     Attributes:
-        behind_tip_m: Where along the needle that point lies when the arm is placed.
-        stiffness_N_per_m: Across the needle.
-        damping_Ns_per_m: Across it.
-        point_m: The point, in base axes; set when the arm is placed.
+        behind_tip_m: Distance of the trocar from the tip, along the needle, when the
+            arm is placed.
+        stiffness_N_per_m: Stiffness across the needle.
+        damping_Ns_per_m: Damping across the needle.
+        point_m: Position of the trocar, base axes; set when the arm is placed.
+        at: Point at which it acts, one of `GRIPS`.
     """
 
     behind_tip_m: float
@@ -122,12 +131,13 @@ class Trocar:
         )
 
     def begin(self, motion: PointMotion) -> None:
-        """Lie where the needle is now."""
+        """Put the trocar where the needle is now."""
         self.point_m = add(motion.position_m, motion.axis, -self.behind_tip_m)
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
-        """Spring and damper across the needle, at the point of its axis nearest to
-        the trocar.
+        """Return the force of spring and damper across the needle.
+
+        It acts at the point of the needle's axis nearest to the trocar.
         """
         tip = motion.position_m
         axis = motion.axis
@@ -142,15 +152,17 @@ class Trocar:
 
 @dataclass(slots=True, kw_only=True)
 class Wall:
-    """A stiff plane across the needle's way, such as bone; it pushes only, and without
-    friction.
+    """A stiff plane across the needle's way, such as bone.
+
+    It pushes only, and has no friction.
 
     Attributes:
-        distance_m: From the tip, along the needle, when the arm is placed.
-        stiffness_N_per_m: Along the needle.
-        damping_Ns_per_m: While in contact. At 20 kN/m and the 3 kg that the arm has
-            along its needle, 50 is a tenth of critical.
-        penetration_m: Of the tip now, negative in front of the wall.
+        distance_m: Distance from the tip, along the needle, when the arm is placed.
+        stiffness_N_per_m: Stiffness along the needle.
+        damping_Ns_per_m: Damping while in contact. At 20 kN/m and the 3 kg that the arm
+            has along its needle, 50 is a tenth of critical.
+        penetration_m: Penetration of the tip, negative in front of the wall.
+        at: Point at which it acts, one of `GRIPS`.
     """
 
     distance_m: float
@@ -161,20 +173,18 @@ class Wall:
     _surface: tuple[Vector3, Vector3] = field(default=(NO_FORCE, NO_FORCE), init=False)
 
     def __post_init__(self) -> None:
-        """Raise `PlantError` for a stiffness or damping that is negative or not
-        finite.
-        """
+        """Raise `PlantError` for a stiffness or damping that no wall has."""
         require_non_negative(PlantError, self, "stiffness_N_per_m damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
-        """Stand across the needle's present direction."""
+        """Put the wall across the needle's present direction."""
         self._surface = (
             add(motion.position_m, motion.axis, self.distance_m),
             motion.axis,
         )
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
-        """Push back along the wall's normal, never pull."""
+        """Return the push along the wall's normal; it never pulls."""
         point, normal = self._surface
         tip = motion.position_m
         self.penetration_m = dot(add(tip, point, -1.0), normal)
@@ -187,16 +197,17 @@ class Wall:
 
 @dataclass(slots=True, kw_only=True)
 class HandOnArm:
-    """A person's hand: a force over time, or a spring and damper that leads along a
-    path.
+    """A person's hand on the arm.
+
+    It exerts a force over time, or leads the arm along a path by a spring and damper.
 
     Attributes:
-        at: What it has taken hold of.
+        at: Point that it holds, one of `GRIPS`.
         force_N: Force over time [s], base axes; None for none.
-        path_m: Where the hand goes over time, relative to where it took hold, base
-            axes; None if it holds nothing.
-        stiffness_N_per_m: Of the hand along a path.
-        damping_Ns_per_m: Of it, against the motion of the arm.
+        path_m: Path of the hand over time, relative to where it took hold, base axes;
+            None if it holds nothing.
+        stiffness_N_per_m: Stiffness of the hand along a path.
+        damping_Ns_per_m: Damping of the hand, against the motion of the arm.
         applied_N: Force on the arm now, base axes.
         stretch_m: How far the arm is from where the hand wants it, base axes.
     """
@@ -220,11 +231,11 @@ class HandOnArm:
         require_non_negative(PlantError, self, "damping_Ns_per_m")
 
     def begin(self, motion: PointMotion) -> None:
-        """Take hold."""
+        """Take hold of the arm where it is now."""
         self._hold_m = motion.position_m
 
     def force(self, t_s: float, motion: PointMotion) -> tuple[Vector3, Vector3]:
-        """The wanted force and that of spring and damper."""
+        """Return the force over time and that of spring and damper, together."""
         push = NO_FORCE
         if self.force_N is not None:
             fx, fy, fz = self.force_N(t_s)
@@ -248,8 +259,9 @@ class TouchedPoint:
     """
 
     def __init__(self, model: Any, data: Any, contacts: Sequence[Contact]) -> None:
-        """Bind contacts that all act at the same of `GRIPS`; `locate` comes before
-        all else.
+        """Bind contacts that all act at the same of `GRIPS`.
+
+        `locate` must be called before anything else.
         """
         point, body = GRIPS[contacts[0].at]
         self._model = model
@@ -263,7 +275,7 @@ class TouchedPoint:
         self._from_com_m: Vector3 = NO_FORCE
 
     def locate(self) -> None:
-        """Take over the posture at the start of a tick."""
+        """Update the point from the posture at the start of a tick."""
         data = self._data
         jacobian = self._jacobian
         place = data.xpos[self._point]

@@ -1,6 +1,4 @@
-"""An emulated line between the two ends of a teleoperation, on which packets are
-late.
-"""
+"""An emulated line between the ends of a teleoperation, with late packets."""
 
 import math
 from collections import deque
@@ -14,8 +12,7 @@ Packet = TypeVar("Packet")
 
 
 class DelayLine(Generic[Packet]):
-    """A line on which packets are late: ``delay ± jitter``, drawn evenly for each of
-    them.
+    """A line on which each packet is late by ``delay ± jitter``, drawn uniformly.
 
     The newest that has arrived counts; one that is overtaken is dropped.
 
@@ -42,9 +39,7 @@ class DelayLine(Generic[Packet]):
         self._newest: Packet | None = None
 
     def exchange(self, packet: Packet, dt_s: float) -> Packet | None:
-        """Send a packet, let time pass, and return the newest that has arrived so
-        far.
-        """
+        """Send a packet, let time pass, and return the newest that has arrived."""
         self._time_s += dt_s
         late_s = self._delay_s
         if self._rng is not None:

@@ -22,9 +22,12 @@ from groundtruth.plant_model import TICK_s
 
 
 class MasterSample(NamedTuple):
-    """What the device reports.
+    """Report of the haptic device in one cycle.
 
     Attributes:
+        t_s: Time by the device's clock.
+        position_m: Measured position of the handle, shape (3,).
+        velocity_m_s: Measured velocity, shape (3,).
         clutch: True while the hand moves the needle.
     """
 
@@ -39,11 +42,12 @@ class Operator:
     """A person's hand.
 
     Attributes:
-        wish_m: Where the person wants the handle over time [s], device axes, shape
-            (3,).
-        stiffness_N_per_m: Of the hand about that; a loose grip has 150, a firm one 600.
-        mass_kg: Of hand and forearm as far as they move along, 1 to 2.
-        damping_Ns_per_m: Of the hand.
+        wish_m: Position that the person wants for the handle over time [s], device
+            axes, shape (3,).
+        stiffness_N_per_m: Stiffness of the hand about that; a loose grip has 150, a
+            firm one 600.
+        mass_kg: Mass of hand and forearm as far as they move along, 1 to 2.
+        damping_Ns_per_m: Damping of the hand.
     """
 
     wish_m: Callable[[float], Iterable[float]]
@@ -68,8 +72,9 @@ def random_operator(
 
 
 class HapticMaster:
-    """An impedance device in an operator's hand, at 1 kHz; one `read` is one of its
-    cycles.
+    """An impedance device in an operator's hand, at 1 kHz.
+
+    One `read` is one of its cycles.
 
     Attributes:
         position_m: Where the handle truly is, shape (3,).
@@ -130,7 +135,7 @@ class HapticMaster:
         return self._cycle * TICK_s
 
     def read(self) -> MasterSample | None:
-        """Let a cycle pass and report its end; None while the device is gone."""
+        """Let a cycle pass and return its end; None while the device is gone."""
         wish = np.array(tuple(self._operator.wish_m(self.time_s)), dtype=np.float64)
         drive = (
             self._operator.stiffness_N_per_m * wish + self._force_N
@@ -153,8 +158,9 @@ class HapticMaster:
         )
 
     def render(self, force_N: ArrayLike) -> None:
-        """Force on the hand from now on, device axes, shape (3,); none while the device
-        is gone.
+        """Set the force on the hand from now on, device axes, shape (3,), N.
+
+        There is none while the device is gone.
 
         A force that is not finite switches the motors off.
         """

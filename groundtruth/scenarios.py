@@ -25,7 +25,9 @@ from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueMotion:
-    """The tissue moves along the needle, as with heart or breath: a sum of waves.
+    """Motion of the tissue along the needle, as with heart or breath: waves.
+
+        x(t) = sum_i amplitude_i sin(2π frequency_i t + phase_i)
 
     Attributes:
         waves: Amplitude [m], frequency [Hz], phase [rad].
@@ -34,8 +36,9 @@ class TissueMotion:
     waves: tuple[tuple[float, float, float], ...]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
-        """Place [m] of the undeformed surface, positive away from the robot, and its
-        speed.
+        """Return position [m] and speed [m/s] of the undeformed surface.
+
+        Both are positive away from the robot.
         """
         amplitude, frequency, phase = np.array(self.waves).T
         rate = 2.0 * np.pi * frequency
@@ -45,22 +48,23 @@ class TissueMotion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LateralForce:
-    """Tissue pushes the needle aside at its tip: in contact only, across the needle.
+    """Force of the tissue across the needle at its tip, in contact only.
 
     Attributes:
-        growth_N_per_m: With depth.
-        turn_rad_per_m: Of that direction, with depth.
+        constant_N: Force at the surface.
+        growth_N_per_m: Growth of the force with depth.
+        direction_rad: Direction at the surface, from the tool's x axis towards its y
+            axis.
+        turn_rad_per_m: Turn of that direction with depth.
     """
 
     constant_N: float = 0.0
     growth_N_per_m: float = 0.0
-    direction_rad: float = (
-        0.0  # at the surface, from the tool's x axis towards its y axis
-    )
+    direction_rad: float = 0.0
     turn_rad_per_m: float = 0.0
 
     def at(self, depth_m: float) -> tuple[float, float]:
-        """Force on the needle along the tool's x and y axes [N]."""
+        """Return the force on the needle along the tool's x and y axes [N]."""
         if depth_m <= 0.0:
             return 0.0, 0.0
         size = self.constant_N + self.growth_N_per_m * depth_m
@@ -70,12 +74,12 @@ class LateralForce:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElbowPush:
-    """A hand pushes the elbow now and then and lets go: half a sine each time.
+    """Pushes of a hand on the elbow, each of half a sine.
 
     Attributes:
-        force_N: The largest, in base axes.
-        start_s: Of each push.
-        duration_s: Of each.
+        force_N: The largest force, base axes.
+        start_s: Time at which each push begins.
+        duration_s: Length of each push in time.
     """
 
     force_N: tuple[float, float, float]
@@ -83,7 +87,7 @@ class ElbowPush:
     duration_s: float
 
     def at(self, t_s: float) -> Array:
-        """Force on the elbow in base axes [N], shape (3,)."""
+        """Return the force on the elbow in base axes [N], shape (3,)."""
         done = [(t_s - start) / self.duration_s for start in self.start_s]
         size = sum(math.sin(math.pi * part) for part in done if 0.0 < part < 1.0)
         return size * np.array(self.force_N)
@@ -97,9 +101,11 @@ class Scenario:
         id: Permanent name.
         title: One line for people.
         layers: First the one the needle meets first; none for free motion.
-        motion: Of the needle tip relative to the undeformed surface.
-        tissue_motion: Of the surface about its place.
-        elbow: Neither does it feel those.
+        motion: Motion of the needle tip relative to the undeformed surface.
+        tissue_motion: Motion of the surface about its place.
+        lateral: Force across the needle; a simulation of the needle alone does not feel
+            it.
+        elbow: Pushes on the elbow; a simulation of the needle alone does not feel them.
     """
 
     id: str
@@ -107,16 +113,17 @@ class Scenario:
     layers: tuple[Layer, ...]
     motion: Motion
     tissue_motion: TissueMotion | None = None
-    lateral: LateralForce | None = (
-        None  # across the needle; the needle alone does not feel it
-    )
+    lateral: LateralForce | None = None
     elbow: ElbowPush | None = None
 
     def with_variation(
         self, change: TissueVariation, rng: np.random.Generator
     ) -> "Scenario":
-        """The same scenario with every layer changed; the generator draws the
-        texture.
+        """Return the same scenario with every layer changed.
+
+        Args:
+            change: What changes.
+            rng: Draws the texture.
         """
         return replace(
             self, layers=tuple(change.layer(layer, rng) for layer in self.layers)
@@ -126,14 +133,12 @@ class Scenario:
 GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
 BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
 CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
-SINE_STANDOFF_M = (
-    20e-3  # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20
-)
+# With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20.
+SINE_STANDOFF_M = 20e-3
 GEL_STROKE_M = 70e-3
 GEL_FREQUENCY_HZ = 0.016
-STACK_STROKE_M = (
-    130e-3  # The full gels are 98 mm together, more than the paper's 70 mm stroke
-)
+# The full gels are 98 mm together, more than the paper's 70 mm stroke.
+STACK_STROKE_M = 130e-3
 ABDOMEN_STROKE_M = 115e-3
 ABDOMEN_FREQUENCY_HZ = 0.02
 ABDOMEN_STANDOFF_M = 22e-3
@@ -146,7 +151,7 @@ def _insertions(
     speed_m_s: float,
     stroke_m: float | None,
 ) -> Iterator[Scenario]:
-    """At constant speed; and at sinusoidal speed, if there is a stroke."""
+    """Yield the insertion at constant speed, and at sinusoidal with a stroke."""
     depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
     even = constant_motion(
         speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M
@@ -200,15 +205,14 @@ SCENARIOS = {
     item.id: item for item in _catalogue()
 }  # Each of them under its permanent name
 
-RANDOM_STACK = (
-    "random-stack"  # the id of every drawn scenario under the catalogue's law
-)
+# The id of every drawn scenario under the catalogue's law.
+RANDOM_STACK = "random-stack"
 RANDOM_TISSUE = "random-tissue"  # the id of those whose layers draw their law too
 DRAWN = (RANDOM_STACK, RANDOM_TISSUE)
 
 
 def scenario(name: str, seed: int = 0) -> Scenario:
-    """A catalogued scenario, or one drawn from the seed.
+    """Return a catalogued scenario, or one drawn from the seed.
 
     Args:
         name: As catalogued, ``random-stack`` or ``random-tissue``; followed by ``+``
@@ -244,9 +248,8 @@ THICKNESS_M = (
     10e-3,
     40e-3,
 )  # from muscle over a rib to a slice of liver; gels are 28-38 mm
-TOTAL_MAX_M = (
-    110e-3  # with the stretch beyond and the standoff, still short of the 153 mm needle
-)
+# With the stretch beyond and the standoff, still short of the 153 mm needle.
+TOTAL_MAX_M = 110e-3
 FRICTION_N_PER_M = (
     4.0,
     40.0,
@@ -277,8 +280,9 @@ RANDOM_STANDOFF_M = (
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
-    """Draw one to four layers, a speed profile, and membranes on a quarter of the
-    layers.
+    """Draw one to four layers and a speed profile.
+
+    A quarter of the layers have a membrane.
     """
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
@@ -313,7 +317,7 @@ def random_tissue(rng: np.random.Generator) -> Scenario:
 
 
 def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float:
-    """Equal chance per octave: a quantity of scale, not of place."""
+    """Draw a quantity of scale: equal chance per octave."""
     return float(np.exp(rng.uniform(*np.log(limits))))
 
 

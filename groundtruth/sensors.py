@@ -1,5 +1,6 @@
-"""The arm's sensors and wire: torque, position, velocity, wrench, time stamps, lost
-samples.
+"""Sensors and wire of the arm.
+
+They are torque, position, velocity, wrench, time stamps and lost samples.
 
 Every function takes true signals at all ticks, a plant model that says how large the
 errors are, and the generator that they are drawn from.
@@ -25,8 +26,14 @@ def measured_torque(
     plant_model: PlantModel,
     rng: np.random.Generator,
 ) -> Array:
-    """Link-side joint torques, shape (n, 7), as gauges of these ranges, shape (7,),
-    report them.
+    """Return link-side joint torques as strain gauges report them, shape (n, 7).
+
+    Args:
+        tau_Nm: True torques, shape (n, 7).
+        q_rad: True positions, shape (n, 7).
+        limit_Nm: Ranges of the gauges, shape (7,).
+        plant_model: States the errors.
+        rng: Draws them.
     """
     sensor = TorqueSensor(tau_Nm.shape, limit_Nm, plant_model, rng)
     lagging = tau_Nm
@@ -84,11 +91,13 @@ class TorqueSensor:
     def reading(
         self, tau_Nm: Array, lagging_Nm: Array, q_rad: Array, ticks: int | slice
     ) -> Array:
-        """What the gauges report at some of the n ticks, shape (7,) or (n, 7) like the
-        arguments.
+        """Return the gauges' report at some of the n ticks.
 
-        These are true torques, the same behind the hysteresis, see `backlash`, and true
-        positions.
+        Args:
+            tau_Nm: True torques, shape (7,) or (n, 7) like the result.
+            lagging_Nm: The same behind the hysteresis, see `backlash`.
+            q_rad: True positions.
+            ticks: Which of the n ticks.
         """
         seen = lagging_Nm
         plant_model = self._plant_model
@@ -108,8 +117,9 @@ class TorqueSensor:
 
 
 def backlash(signal: Array, half_width: Array) -> Array:
-    """Play operator: the output rests until the input has moved by the half-width, then
-    follows.
+    """Return the output of a play operator, shape (n, k).
+
+    The output rests until the input has moved by the half-width, then follows.
 
     It starts on the signal, shape (n, k), and stays within the half-width, shape (k,),
     of it.
@@ -122,7 +132,7 @@ def backlash(signal: Array, half_width: Array) -> Array:
 def measured_position(
     q_rad: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Joint positions, shape (n, 7), with noise, then rounded to the encoder's step."""
+    """Return joint positions with noise, rounded to the encoder's step, (n, 7)."""
     noisy = q_rad + plant_model.position_noise_std_rad * rng.standard_normal(
         q_rad.shape
     )
@@ -133,8 +143,9 @@ def measured_position(
 def measured_velocity(
     dq_rad_s: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array | None:
-    """Joint velocities, shape (n, 7), with noise; None on an interface that reports
-    none.
+    """Return joint velocities with noise, shape (n, 7).
+
+    None on an interface that reports none.
     """
     std = plant_model.velocity_noise_std_rad_s
     return None if std is None else dq_rad_s + std * rng.standard_normal(dq_rad_s.shape)
@@ -143,7 +154,7 @@ def measured_velocity(
 def measured_wrench(
     wrench: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Reading of the reference F/T sensor at the needle's base, shape (n, 6), N and Nm.
+    """Return the reading of the F/T sensor at the needle's base, (n, 6), N and Nm.
 
     Noise and a linear drift from zero: the sensor was biased without load.
     """
@@ -159,8 +170,9 @@ def measured_wrench(
 def time_stamps(
     true_s: Array, plant_model: PlantModel, rng: np.random.Generator
 ) -> Array:
-    """Stamps, shape (n,), of samples taken on the tick: the true instants but for
-    clock jitter.
+    """Return the time stamps of samples taken on the tick, shape (n,).
+
+    They are the true instants but for the jitter of the clock.
     """
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
     return true_s + np.clip(error, -JITTER_LIMIT * TICK_s, JITTER_LIMIT * TICK_s)
@@ -169,8 +181,9 @@ def time_stamps(
 def received_samples(
     count: int, plant_model: PlantModel, rng: np.random.Generator
 ) -> NDArray[np.intp]:
-    """Indices of the samples that arrive of `count` ticks, ascending; first and last
-    always do.
+    """Return the indices of the samples that arrive, ascending.
+
+    Of `count` ticks the first and the last always do.
     """
     sent = np.arange(0, count, plant_model.ticks_per_sample)
     kept = np.ones(len(sent), dtype=bool)

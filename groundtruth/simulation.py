@@ -1,5 +1,4 @@
-"""Simulate an insertion: the arm drives the needle through tissue, and its sensors
-report it.
+"""Simulate an insertion: the arm drives the needle, its sensors report it.
 
 `simulate` has the arm move the needle; `insert_needle` has the tip follow the motion
 exactly and reads the force at its base. Both return what a robot would give and, apart
@@ -28,7 +27,9 @@ from urdf import NeedleTool, Robot
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Signals(ReadOnlyArrays):
-    """What a robot and its F/T sensor give, n samples; all that an estimator may see.
+    """Signals of a robot and its F/T sensor, n samples.
+
+    They are all that an estimator may see.
 
     A row of torques is held from its sample to the next tick (torque alignment
     ``hold``); at rest it equals the gravity torque. A wrench is that of the environment
@@ -38,24 +39,25 @@ class Signals(ReadOnlyArrays):
     Attributes:
         t_s: Time stamps, shape (n,), increasing; jittered, or with gaps, on some
             plants.
-        q_rad: Shape (n, 7), as the next two.
-        dq_rad_s: None where the interface reports none.
-        tau_Nm: Of the joints, on the link side.
+        q_rad: Joint positions, shape (n, 7).
+        dq_rad_s: Joint velocities, shape (n, 7); None where the interface reports none.
+        tau_Nm: Joint torques on the link side, shape (n, 7).
+        ft_wrench: Force [N], then torque [Nm], shape (n, 6), ``ft_sensor`` axes, z
+            inwards.
     """
 
     t_s: Array
     q_rad: Array
     dq_rad_s: Array | None
     tau_Nm: Array
-    ft_wrench: (
-        Array  # force N, then torque Nm, shape (n, 6), ``ft_sensor`` axes, z inwards
-    )
+    ft_wrench: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Truth(TissueTruth):
-    """What was true at the same n samples: of the tissue, see `TissueTruth`, and of the
-    arm.
+    """Ground truth at the same n samples, of the tissue and of the arm.
+
+    The tissue's is that of `TissueTruth`.
 
     Torques of the tissue on the joints and of the bearings on the links, which no
     torque sensor sees and an observer takes for external, are means over the tick that
@@ -64,11 +66,16 @@ class Truth(TissueTruth):
 
     Attributes:
         t_s: True instants of the samples, shape (n,).
-        q_rad: Shape (n, 7), as all of the joints.
-        tau_Nm: Held from each sample to the next tick.
-        depth_m: Of the tip in the tissue, negative above, shape (n,); zero without
-            tissue.
-        speed_m_s: Of the tip along the needle, shape (n,).
+        q_rad: Joint positions, shape (n, 7).
+        dq_rad_s: Joint velocities, shape (n, 7).
+        tau_Nm: Joint torques held from each sample to the next tick, shape (n, 7).
+        external_torque_Nm: Torque of the tissue on the joints, mean over the tick,
+            shape (n, 7).
+        joint_friction_Nm: Torque of the bearings on the links, mean over the tick,
+            shape (n, 7).
+        depth_m: Depth of the tip in the tissue, negative above, shape (n,); zero
+            without tissue.
+        speed_m_s: Speed of the tip along the needle, shape (n,).
     """
 
     t_s: Array
@@ -83,14 +90,18 @@ class Truth(TissueTruth):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Run:
-    """One simulated insertion: what the robot gave, and what was true.
+    """One simulated insertion: the signals of the robot, and the ground truth.
 
     Attributes:
+        scenario: What was simulated.
         plant: Name of the plant model.
-        seed: Of everything drawn.
-        robot: As the estimator knows it: nominal links, nominal tool.
-        tool: Likewise.
-        tare_end_s: The needle has not met anything before this; a user knows that.
+        seed: Seed of everything drawn.
+        robot: The arm as the estimator knows it: nominal links, nominal tool.
+        tool: The tool as the estimator knows it.
+        signals: All that an estimator may see.
+        truth: Ground truth at the same samples.
+        tare_end_s: Time before which the needle has not met anything; a user knows
+            that.
     """
 
     scenario: Scenario
@@ -164,8 +175,9 @@ def _sense(
     plant_model: PlantModel,
     seed: SeedSequence,
 ) -> tuple[NDArray[np.intp], Signals]:
-    """Pass the true signals through sensors and wire; each of them has its own
-    stream of noise.
+    """Return the true signals behind sensors and wire, and the samples received.
+
+    Each sensor has its own stream of noise.
     """
     clock, loss, position, velocity, torque, wrench = map(
         np.random.default_rng, seed.spawn(6)
@@ -189,11 +201,16 @@ class NeedleRun(ReadOnlyArrays):
     """Signals and truth of one needle-only insertion; arrays of shape (n,).
 
     Attributes:
-        seed: Of the sensor noise.
-        depth_m: Of the tip below the surface where that would rest, negative above.
-        speed_m_s: Its rate.
+        scenario: What was simulated.
+        seed: Seed of the sensor noise.
+        t_s: Times of the samples.
+        depth_m: Depth of the tip below the surface where that would rest, negative
+            above.
+        speed_m_s: Rate of that depth.
         force_N: Reading of the sensor, zeroed at the end of the tare stroke.
-        tare_end_s: Contact has not happened before; all that a user knows of it.
+        tare_end_s: Time before which contact has not happened; all that a user knows of
+            it.
+        truth: Ground truth of the tissue.
     """
 
     scenario: Scenario

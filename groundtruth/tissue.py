@@ -1,5 +1,6 @@
-"""The law of tissue: depth and speed of the tip in, force out; and the truth of a whole
-run.
+"""The force law of tissue, and the ground truth of a whole run.
+
+The law takes depth and speed of the tip and returns the force.
 
 It has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
 not the law that the published method identifies (equation 3): it shares the geometry
@@ -23,12 +24,10 @@ from groundtruth.layers import Layer, interfaces
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will
 lose in 8.5 s (median), the quick loss of viscous friction at the stop included."""
-RECOVERY_M = (
-    0.3e-3  # Travel after which the tip meets fresh tissue: a fraction of its diameter
-)
-UNLOADING_M = (
-    0.5e-3  # Backward travel over which the tip unloads: it leaves the channel's front
-)
+# Travel after which the tip meets fresh tissue: a fraction of its diameter.
+RECOVERY_M = 0.3e-3
+# Backward travel over which the tip unloads: it leaves the channel's front.
+UNLOADING_M = 0.5e-3
 
 
 class TissueForce(NamedTuple):
@@ -39,29 +38,32 @@ class TissueForce(NamedTuple):
     more beyond the last.
 
     Attributes:
-        tip_N: elastic, membrane and cutting force at the tip; never negative.
-        layer_friction_N: The part of each layer in `friction_N`.
+        axial_N: Tip force and shaft friction together, positive when tissue pushes
+            back.
+        tip_N: Elastic, membrane and cutting force at the tip; never negative.
+        friction_N: Friction along the whole shaft; it opposes motion, negative in
+            withdrawal.
+        layer: 0 above the surface (or before its membrane is punctured), i with the tip
+            in layer i, one more beyond the last.
+        layer_friction_N: Part of each layer in `friction_N`.
     """
 
-    axial_N: (
-        float  # tip force and shaft friction together, positive when tissue pushes back
-    )
+    axial_N: float
     tip_N: float
-    friction_N: (
-        float  # along the whole shaft; it opposes motion, negative in withdrawal
-    )
+    friction_N: float
     layer: int
     layer_friction_N: tuple[float, ...]
 
 
 def no_force(layer_count: int) -> TissueForce:
-    """The force on a needle in free air."""
+    """Return the force on a needle in free air."""
     return TissueForce(0.0, 0.0, 0.0, 0, (0.0,) * layer_count)
 
 
 def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
-    """Advance the relaxation of the tip force: it grows with time and fades with
-    travel.
+    """Return the relaxation of the tip force after a time step.
+
+    It grows with time and fades with travel.
 
     Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue.
     Exact step of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed,
@@ -80,8 +82,9 @@ def bristle_step(
     presliding_m: float,
     relaxed_fraction: float,
 ) -> float:
-    """Advance the deflection of the shaft's bristles: Dahl's presliding, with
-    relaxation.
+    """Return the deflection of the shaft's bristles after a time step.
+
+    This is Dahl's presliding, with relaxation.
 
     Travel pulls the deflection to the direction of motion, dw/dx = (sign(dx) - w) /
     presliding (Dahl 1968, exponent 1); time lets a deflection beyond 1 -
@@ -110,7 +113,7 @@ class Tissue:
     """
 
     def __init__(self, layers: tuple[Layer, ...]) -> None:
-        """Lay fresh, uncut tissue; no layers are free air."""
+        """Begin with fresh, uncut tissue; no layers are free air."""
         self.layers = tuple(layers)
         self.interfaces = interfaces(self.layers)
         self._onsets_m = [boundary.onset_m for boundary in self.interfaces]  # ascending
@@ -137,8 +140,9 @@ class Tissue:
         """
         if not (math.isfinite(depth_m + speed_m_s + dt_s) and dt_s > 0.0):
             raise TissueError(
-                f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: "
-                "a tissue needs finite numbers and dt_s above zero; its state is unchanged"
+                f"depth_m={depth_m!r}, speed_m_s={speed_m_s!r}, dt_s={dt_s!r}: a "
+                "tissue needs finite numbers and dt_s above zero; its state is "
+                "unchanged"
             )
         # The first step says where the needle is, not how far it came: no presliding
         # yet.
@@ -172,8 +176,9 @@ class Tissue:
         return TissueForce(tip + friction, tip, friction, layer, per_layer)
 
     def _fresh_tip_N(self, depth_m: float) -> float:
-        """Tip force of unrelaxed tissue: what the front holds, and what a rupture
-        still holds.
+        """Return the tip force of unrelaxed tissue.
+
+        It is what the front holds, and what a rupture has not released yet.
         """
         boundaries = self.interfaces
         ruptured = self._ruptured
@@ -196,8 +201,12 @@ class Tissue:
     def _layer_friction_N(
         self, depth_m: float, speed_m_s: float, count: int
     ) -> tuple[float, ...]:
-        """Friction of each layer on the length of shaft in it; only the first
-        `count` hold any.
+        """Return the friction of each layer on the length of shaft in it.
+
+        Args:
+            depth_m: Depth of the tip.
+            speed_m_s: Its speed.
+            count: Number of layers that hold any.
         """
         found = [0.0] * len(self.layers)
         for i in range(count):
@@ -228,21 +237,25 @@ class ReadOnlyArrays:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rupture:
-    """One boundary that ruptures under the advancing tip.
+    """A boundary that ruptures under the advancing tip.
 
     The visible drop is the fall of the axial force from the onset to its least value
     before the end: smaller than `drop_N` where the next layer or its friction already
     pushes, a little larger where the needle slows down meanwhile.
 
     Attributes:
-        onset_s: The release begins; between samples, by interpolation.
-        end_s: It ends; the end of the run if the needle stopped within it.
+        onset_s: Time at which the release begins; between samples, by interpolation.
+        end_s: Time at which it ends; the end of the run if the needle stopped within
+            it.
         onset_m: Depth of the tip at the onset.
-        layer: The one the tip leaves; 0 for a membrane on the surface.
+        layer: Layer that the tip leaves; 0 for a membrane on the surface.
         drop_N: Force the tip loses: elastic, membrane and cutting force held at the
             onset.
-        layer_friction_N: Of the layer that the tip leaves, at the onset.
-        friction_N: Of the whole shaft when the release has ended.
+        visible_drop_N: Fall of the axial force from the onset to its least value before
+            the end: smaller than `drop_N` where the next layer or its friction already
+            pushes, a little larger where the needle slows down meanwhile.
+        layer_friction_N: Friction of the layer that the tip leaves, at the onset.
+        friction_N: Friction of the whole shaft when the release has ended.
     """
 
     onset_s: float
@@ -260,12 +273,16 @@ class TissueTruth(ReadOnlyArrays):
     """The ground truth of the tissue at n samples, see `TissueForce`.
 
     Attributes:
-        axial_N: Shape (n,), positive when tissue pushes back, as the next two.
-        friction_N: Negative in withdrawal.
-        layer_friction_N: Shape (n, number of layers).
-        layer: Shape (n,).
-        ruptures: In the order they happened.
-        withdrawn_s: It leaves that surface in withdrawal; nan if it does not.
+        axial_N: Axial force, shape (n,), positive when tissue pushes back.
+        tip_N: Tip force, shape (n,).
+        friction_N: Shaft friction, shape (n,), negative in withdrawal.
+        layer_friction_N: Friction of each layer, shape (n, number of layers).
+        layer: Layer of the tip, shape (n,).
+        ruptures: Ruptures in the order in which they happened.
+        contact_s: Time at which the tip first touches the undeformed surface; nan if it
+            never does.
+        withdrawn_s: Time at which it leaves that surface in withdrawal; nan if it does
+            not.
     """
 
     axial_N: Array
@@ -274,9 +291,7 @@ class TissueTruth(ReadOnlyArrays):
     layer_friction_N: Array
     layer: NDArray[np.int64]
     ruptures: tuple[Rupture, ...]
-    contact_s: (
-        float  # the tip first touches the undeformed surface; nan if it never does
-    )
+    contact_s: float
     withdrawn_s: float
 
     @property
@@ -290,8 +305,13 @@ class TissueTruth(ReadOnlyArrays):
 def collect_truth(
     law: Tissue, t_s: Array, depth_m: Array, forces: Sequence[TissueForce]
 ) -> TissueTruth:
-    """Return the ground truth of a run: true depths at n times, and the law's n
-    answers.
+    """Return the ground truth of a run.
+
+    Args:
+        law: The tissue.
+        t_s: Times of the n samples.
+        depth_m: True depths.
+        forces: The n forces that the law returned.
     """
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
@@ -311,8 +331,9 @@ def collect_truth(
 
 
 def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
-    """Time at which a signal first reaches a level from below, by linear
-    interpolation; or nan.
+    """Return the time at which a signal first reaches a level from below.
+
+    It is interpolated linearly; nan if there is none.
     """
     reached = np.flatnonzero(signal >= level)
     if reached.size == 0:
@@ -324,8 +345,9 @@ def _first_crossing_s(t_s: Array, signal: Array, level: float) -> float:
 def _ruptures(
     law: Tissue, t_s: Array, depth_m: Array, tip_N: Array, layer_friction_N: Array
 ) -> Iterator[Rupture]:
-    """The ruptures in the order they happen, timed from the depth the needle went
-    through.
+    """Yield the ruptures in the order in which they happen.
+
+    They are timed from the depth that the needle went through.
     """
     friction_N = layer_friction_N.sum(axis=1)
     axial_N = tip_N + friction_N

@@ -1,5 +1,6 @@
-"""An analytic torso of ellipsoids: what a scan of it shows, and where a path crosses
-what.
+"""An analytic torso of ellipsoids, in place of a CT.
+
+It gives a scan's labels, and where a path crosses which organ.
 
 Stands in for a CT in tests, benchmarks and the demonstration without data. Points are
 in the patient's frame LPS (x to the left, y to the back, z to the head), in metres.
@@ -20,9 +21,10 @@ class Ellipsoid:
     """A solid ellipsoid.
 
     Attributes:
-        centre_m: (3,).
-        radii_m: (3,).
-        axes: (3, 3) columns: directions of the radii.
+        name: Name of the organ.
+        centre_m: Centre, shape (3,).
+        radii_m: Radii, shape (3,).
+        axes: Directions of the radii in its columns, shape (3, 3).
     """
 
     name: str
@@ -32,7 +34,7 @@ class Ellipsoid:
 
     @property
     def volume_m3(self) -> float:
-        """Its volume."""
+        """Volume of the ellipsoid."""
         return float(4.0 / 3.0 * np.pi * np.prod(self.radii_m))
 
     @property
@@ -41,20 +43,24 @@ class Ellipsoid:
         return np.linalg.norm(self.axes * self.radii_m, axis=1)
 
     def scaled(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Points (..., 3) where the ellipsoid is the unit ball."""
+        """Return points (..., 3) in the axes in which it is the unit ball."""
         return (np.asarray(points_m, float) - self.centre_m) @ self.axes / self.radii_m
 
     def distance_m(self, points_m: ArrayLike) -> NDArray[np.float64]:
-        """Signed distance of points close to the surface, to first order, positive
-        outside.
+        """Return the signed distance of points close to the surface, to first order.
+
+        It is positive outside.
         """
         ball = self.scaled(points_m)
         level = np.linalg.norm(ball, axis=-1)
         return level * (level - 1.0) / np.linalg.norm(ball / self.radii_m, axis=-1)
 
     def depths_m(self, entry_m: ArrayLike, direction: ArrayLike) -> tuple[float, ...]:
-        """Where the line from a point along a unit vector crosses it: two depths, or
-        none.
+        """Return the depths at which a line crosses it: two, or none.
+
+        Args:
+            entry_m: Point of the line at depth zero, shape (3,).
+            direction: Its direction, length one, shape (3,).
         """
         start = self.scaled(entry_m)
         step = np.asarray(direction, float) @ self.axes / self.radii_m
@@ -68,10 +74,12 @@ class Ellipsoid:
 
 
 class Stretch(NamedTuple):
-    """What a path crosses between two depths.
+    """Part of a path within one organ.
 
     Attributes:
-        name: Empty for air.
+        name: Name of the organ, empty for air.
+        entry_m: Depth at which the path enters it.
+        exit_m: Depth at which the path leaves it.
     """
 
     name: str
@@ -81,7 +89,11 @@ class Stretch(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Torso:
-    """Ellipsoids, each of which replaces what lies before it in the list."""
+    """A torso of ellipsoids.
+
+    Attributes:
+        shapes: Ellipsoids, each of which replaces those before it in the list.
+    """
 
     shapes: Sequence[Ellipsoid]
 
@@ -89,7 +101,10 @@ class Torso:
         return next(shape for shape in self.shapes if shape.name == name)
 
     def crossings(self, entry_m: ArrayLike, target_m: ArrayLike) -> list[Stretch]:
-        """What the path from a point to another crosses, exactly and in order."""
+        """Return the organs that the path between two points crosses, in order.
+
+        The depths are exact.
+        """
         entry = np.asarray(entry_m, float)
         along = np.subtract(target_m, entry_m)
         length = float(np.linalg.norm(along))
@@ -105,15 +120,17 @@ class Torso:
         return found
 
     def name_at(self, point_m: ArrayLike) -> str:
-        """Name of what lies at a point, empty for air."""
+        """Return the name of the organ at a point, empty for air."""
         inside = [s.name for s in self.shapes if np.sum(s.scaled(point_m) ** 2) < 1.0]
         return inside[-1] if inside else ""
 
     def voxels(
         self, shape: tuple[int, ...], origin_m: ArrayLike, axes_m: ArrayLike
     ) -> NDArray[np.uint8]:
-        """Label every voxel with the number, from 1, of the last shape that holds its
-        centre.
+        """Return the label of every voxel.
+
+        It is the number, from 1, of the last shape that holds the voxel's centre; 0 for
+        air.
 
         Args:
             shape: Voxels along each axis.
@@ -155,8 +172,9 @@ x."""
 
 
 def analytic_torso(rng: np.random.Generator | None = None) -> Torso:
-    """Build the torso, or with a generator a variation: sizes by 5 %, places by 3
-    mm, 5 degrees.
+    """Return the torso or, with a generator, a variation of it.
+
+    Sizes vary by 5 %, positions by 3 mm, directions by 5 degrees.
     """
     shapes = []
     for name, centre_mm, radii_mm, turn_deg in _SHAPES:

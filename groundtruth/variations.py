@@ -18,34 +18,35 @@ TEXTURE_LENGTH_M = 0.5e-3  # over which a texture is correlated
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueVariation:
-    """What is different in each layer; every default leaves the layer as it is.
+    """Differences of each layer; every default leaves the layer as it is.
 
     Attributes:
         texture_N: Standard deviation of a texture of the tip force.
         release_m: Travel of a rupture's release, membranes included.
         tip_exponent: Power of the elastic tip force over penetration.
         cutting_fraction: Constant cutting force in the tip force.
-        length_exponent: Friction grows with embedded length to this power.
+        kept_fraction: Fraction of the tip force that stays after an internal rupture,
+            fading over 5 mm.
+        length_exponent: Power of the embedded length with which friction grows.
+        speed_exponent: Power of the speed with which all friction grows: no Coulomb
+            part.
+        friction_fraction: Fraction of friction in the force at the end of a layer,
+            which stays the same.
     """
 
     texture_N: float = 0.0
     release_m: float | None = None
     tip_exponent: float = 1.0
     cutting_fraction: float | None = None
-    kept_fraction: float = (
-        0.0  # of the tip force after an internal rupture, fading over 5 mm
-    )
+    kept_fraction: float = 0.0
     length_exponent: float = 1.0
-    speed_exponent: float = (
-        1.0  # all friction grows with speed to this power: no Coulomb part
-    )
-    friction_fraction: float | None = (
-        None  # in the force at the end of a layer, which stays
-    )
+    speed_exponent: float = 1.0
+    friction_fraction: float | None = None
 
     def layer(self, layer: Layer, rng: np.random.Generator) -> Layer:
-        """The layer under this variation, its texture drawn; `TissueError` if it is
-        too thin.
+        """Return the layer under this variation, its texture drawn.
+
+        `TissueError` if the layer is too thin.
         """
         friction = layer.friction
         tip_N = layer.exit_force_N

@@ -31,9 +31,8 @@ from residual.snapshot import arrays
 from residual.virtual_force_sensor import SensorState
 
 SNAPSHOT_FORMAT = "needleforce-snapshot"
-SNAPSHOT_VERSION = (
-    27  # Grows whenever a file of the one before cannot be read, or is misread
-)
+# Grows whenever a file of the one before cannot be read, or is misread.
+SNAPSHOT_VERSION = 27
 MOST_BYTES = (
     64 << 20
 )  # A snapshot has one or two megabytes; a wrong file is not read to its end
@@ -82,8 +81,8 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
     )
     if kind is None:
         raise SnapshotFileError(
-            "expected what snapshot() of a session, a sensor or an identifier returns, got a "
-            f"{type(snapshot).__name__}"
+            "expected what snapshot() of a session, a sensor or an identifier "
+            f"returns, got a {type(snapshot).__name__}"
         )
     identifier = (
         snapshot.identifier if isinstance(snapshot, SessionSnapshot) else snapshot
@@ -116,7 +115,8 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
         content = file.read(MOST_BYTES + 1)
     if len(content) > MOST_BYTES:
         raise SnapshotFileError(
-            f"{path} is no snapshot: it has more than {MOST_BYTES >> 20} MB, a snapshot one or two"
+            f"{path} is no snapshot: it has more than {MOST_BYTES >> 20} MB, a "
+            "snapshot one or two"
         )
     try:
         envelope = msgspec.msgpack.decode(content, type=_Envelope)
@@ -141,13 +141,13 @@ def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
         )
     if envelope.version != SNAPSHOT_VERSION:
         raise SnapshotFileError(
-            f"{path} is a snapshot of version {envelope.version}, this package reads version "
-            f"{SNAPSHOT_VERSION}: resume it with the package that wrote it"
+            f"{path} is a snapshot of version {envelope.version}, this package reads "
+            f"version {SNAPSHOT_VERSION}: resume it with the package that wrote it"
         )
     if envelope.sha256 != hashlib.sha256(envelope.data).hexdigest():
         raise SnapshotFileError(
-            f"{path} is damaged: its sha256 is not that of its snapshot; take an older one, or "
-            "start and tare anew"
+            f"{path} is damaged: its sha256 is not that of its snapshot; take an older "
+            "one, or start and tare anew"
         )
     if envelope.kind not in _KINDS:
         raise SnapshotFileError(
@@ -156,7 +156,8 @@ def _check_envelope(envelope: _Envelope, path: str | os.PathLike[str]) -> None:
     if envelope.kind != "sensor" and envelope.method not in _METHODS:
         known = ", ".join(_METHODS)
         raise SnapshotFileError(
-            f"the snapshot is of the method {envelope.method!r}, expected one of {known}"
+            f"the snapshot is of the method {envelope.method!r}, expected one of "
+            f"{known}"
         )
 
 

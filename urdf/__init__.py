@@ -1,5 +1,6 @@
-"""The robot: the LWR 4+ or any other arm as a Pinocchio model with a tool and a
-payload.
+"""The robot: an arm as a Pinocchio model, with a tool and a payload.
+
+The arm is the LWR 4+, any URDF, or one built from numbers.
 
 Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is
 given in the axes of the robot's flange frame, whose z points outward; gravity in base

@@ -1,5 +1,6 @@
-"""What a URDF must be before it becomes a model: readable, of sane size, supported,
-physical.
+"""Checks of a URDF before it becomes a model.
+
+It must be readable, of a plausible size, supported and physical.
 
 The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when
 one number in it does not parse, and goes on with mass 0; the only sign is a line on
@@ -37,8 +38,7 @@ _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 def read_description(path: Path, without: Iterable[str] = ()) -> Element:
-    """Read a URDF file down to what a model needs: links with their inertia, and
-    joints.
+    """Read the links, with their inertia, and the joints of a URDF file.
 
     Shapes, materials and extensions are dropped, and so are the links ``without`` with
     all that they carry. The errors of this file are those of `urdf.load_urdf`.
@@ -59,8 +59,9 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     links = root.findall("link")
     if len(links) > MAX_LINKS:
         raise UrdfFileError(
-            f"{path}: has {len(links)} links, more than {MAX_LINKS}; a chain of that depth can "
-            "crash the URDF reader. Raise urdf.description.MAX_LINKS if the robot is real"
+            f"{path}: has {len(links)} links, more than {MAX_LINKS}; a chain of that "
+            "depth can crash the URDF reader. Raise urdf.description.MAX_LINKS if the "
+            "robot is real"
         )
     bare = Element(root.tag, root.attrib)
     for link in links:
@@ -78,8 +79,10 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
 def check_description(
     root: Element, source: str, *, locked: Collection[str], check_inertias: bool
 ) -> None:
-    """Check the joints that will not be locked, and the inertias (always that they
-    parse).
+    """Refuse joints that cannot be modelled, and inertias that do not parse.
+
+    Joints that will be locked are not checked. With ``check_inertias`` an inertia that
+    no rigid body can have is refused, too.
     """
     for joint in root.findall("joint"):
         name = joint.get("name", "")
@@ -88,13 +91,13 @@ def check_description(
         if name not in locked and kind not in _ONE_NUMBER_JOINTS:
             raise UnsupportedJointError(
                 f"{source}: joint {name!r} is of type {kind!r}, expected one of "
-                f"{', '.join(_ONE_NUMBER_JOINTS)}; lock it with locked_joints, or give a "
-                "continuous joint limits and call it revolute"
+                f"{', '.join(_ONE_NUMBER_JOINTS)}; lock it with locked_joints, or give "
+                "a continuous joint limits and call it revolute"
             )
         if name not in locked and mimic is not None:
             raise UnsupportedJointError(
-                f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it does not move on "
-                "its own; lock it with locked_joints"
+                f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it does "
+                "not move on its own; lock it with locked_joints"
             )
     for link in root.findall("link"):
         inertial = link.find("inertial")
@@ -113,14 +116,16 @@ def check_description(
 
 
 def build_model(root: Element, source: str) -> pin.Model:
-    """Return the Pinocchio model of a checked description; urdfdom may still refuse
-    it.
+    """Return the Pinocchio model of a checked description.
+
+    The URDF reader (urdfdom) may still refuse it: `UrdfFileError`.
     """
     try:
         model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise UrdfFileError(
-            f"{source}: is not a valid URDF: {error} (its reader prints the reason on stderr)"
+            f"{source}: is not a valid URDF: {error} (its reader prints the reason on "
+            "stderr)"
         ) from error
     written_kg = sum(
         float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]")
@@ -130,8 +135,9 @@ def build_model(root: Element, source: str) -> pin.Model:
     # numbers.
     if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
         raise UrdfFileError(
-            f"{source}: the masses in the file add up to {written_kg:g} kg, those of the loaded "
-            f"model to {loaded_kg:g} kg; its reader has dropped an <inertial>, see stderr"
+            f"{source}: the masses in the file add up to {written_kg:g} kg, those of "
+            f"the loaded model to {loaded_kg:g} kg; its reader has dropped an "
+            "<inertial>, see stderr"
         )
     return model
 
@@ -145,8 +151,9 @@ def _read_text(path: Path) -> str:
             )
         if path.stat().st_size > MAX_LINKS * _BYTES_PER_LINK:
             raise UrdfFileError(
-                f"{path}: is larger than any robot description ({MAX_LINKS * _BYTES_PER_LINK} "
-                "bytes); raise urdf.description.MAX_LINKS if the robot is real"
+                f"{path}: is larger than any robot description "
+                f"({MAX_LINKS * _BYTES_PER_LINK} bytes); raise "
+                "urdf.description.MAX_LINKS if the robot is real"
             )
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -170,7 +177,8 @@ def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
     for name in sorted(gone - set(links), key=str):
         known = ", ".join(str(link) for link in links)
         raise UnknownNameError(
-            f"{source}: cannot leave out {name!r}, there is no such link; links: {known}"
+            f"{source}: cannot leave out {name!r}, there is no such link; links: "
+            f"{known}"
         )
     for name in gone - children:
         raise InputError(
@@ -201,8 +209,9 @@ def _link_of(joint: Element, end: str) -> str | None:
 def _numbers(
     inertial: Element, tag: str, key: str, owner: str, count: int = 1
 ) -> list[float]:
-    """Return the numbers of an attribute; urdfdom splits vectors at blanks only, not
-    at tabs.
+    """Return the numbers of an attribute, or raise `UrdfFileError`.
+
+    Vectors are split at blanks only, as urdfdom does it, not at tabs.
     """
     element = inertial.find(tag)
     text = None if element is None else element.get(key)
@@ -215,8 +224,9 @@ def _numbers(
             "one number" if count == 1 else f"{count} numbers with blanks between them"
         )
         raise UrdfFileError(
-            f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}: write digits with a '
-            "decimal point, without commas, formulas, units or a blank after a number. As it "
-            "stands, the URDF reader would give the link no inertia at all"
+            f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}: write '
+            "digits with a decimal point, without commas, formulas, units or a blank "
+            "after a number. As it stands, the URDF reader would give the link no "
+            "inertia at all"
         )
     return numbers

@@ -15,8 +15,9 @@ class UrdfFileError(UrdfError, ValueError):
 
 
 class UnknownNameError(UrdfError, LookupError):
-    """A frame, link, joint or robot of that name does not exist; the message lists
-    what does.
+    """A frame, link, joint or robot of that name does not exist.
+
+    The message lists those that do.
     """
 
 
@@ -44,23 +45,30 @@ def read_only(array: ArrayLike) -> Array:
 
 
 def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
-    """Return a read-only copy or raise `InputError`; in ``shape`` -1 is any length
-    above 0.
+    """Return a read-only copy of an array of finite numbers.
+
+    Args:
+        value: Array or nested list of numbers.
+        shape: Expected shape; -1 stands for any length above zero.
+        name: Name in the message.
+
+    Raises:
+        InputError: Another shape, or an entry that is not a finite number.
     """
-    wanted = str(shape).replace("-1", "n")
+    expected = str(shape).replace("-1", "n")
     try:
         if np.iscomplexobj(value):
             raise TypeError("complex numbers")
         array = read_only(value)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(
-            f"{name} is not an array of numbers of shape {wanted}: {error}"
+            f"{name} is not an array of numbers of shape {expected}: {error}"
         ) from error
     if array.ndim != len(shape) or any(
-        have == 0 or want not in (-1, have)
-        for have, want in zip(array.shape, shape, strict=True)
+        length == 0 or expected_length not in (-1, length)
+        for length, expected_length in zip(array.shape, shape, strict=True)
     ):
-        raise InputError(f"{name} has shape {array.shape}, expected {wanted}")
+        raise InputError(f"{name} has shape {array.shape}, expected {expected}")
     if not np.isfinite(array).all():
         raise InputError(
             f"{name} has NaN or infinite entries; drop or repair those samples first"

@@ -1,6 +1,4 @@
-"""Robots from files (any URDF, the KUKA LWR 4+, well-known arms by name) and from
-numbers.
-"""
+"""Robots from files (any URDF, well-known arms by name) and from numbers."""
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
@@ -171,13 +169,13 @@ def load_example(
     """
     path = example_robot_path(name)
     without = without if isinstance(without, str) else tuple(without)
-    left = {element.get("name") for element in read_description(path, without)}
+    names = {element.get("name") for element in read_description(path, without)}
+    default_frame = next((frame for frame in _TOOL_FRAMES if frame in names), None)
     return load_urdf(
         path,
-        tool_frame=tool_frame
-        or next((frame for frame in _TOOL_FRAMES if frame in left), None),
+        tool_frame=tool_frame or default_frame,
         tool_placement=tool_placement,
-        locked_joints=[joint for joint in _FINGERS if joint in left],
+        locked_joints=[joint for joint in _FINGERS if joint in names],
         without=without,
         gravity_m_s2=gravity_m_s2,
         payload=payload,
@@ -196,9 +194,8 @@ def example_robot_path(name: str) -> Path:
             f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
             "load_urdf(FILE) loads any other"
         )
-    prefixes = [
-        Path(sys.prefix)
-    ]  # here conda puts shared data, and there pip (a cmeel wheel)
+    # Conda puts shared data below the prefix of Python, pip into a cmeel wheel.
+    prefixes = [Path(sys.prefix)]
     with suppress(metadata.PackageNotFoundError):
         prefixes.insert(
             0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
@@ -214,6 +211,7 @@ def example_robot_path(name: str) -> Path:
 
 
 def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
+    """Return the model with joints welded at positions (rad or m)."""
     if not locked:
         return model
     names = list(model.names)
@@ -227,12 +225,13 @@ def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
         # Through the tangent, so that a continuous joint (a point on the circle) locks
         # like any other.
         step[model.joints[names.index(name)].idx_v] = position
-    where = pin.integrate(model, pin.neutral(model), step)
-    return pin.buildReducedModel(model, [names.index(name) for name in locked], where)
+    posture = pin.integrate(model, pin.neutral(model), step)
+    joints = [names.index(name) for name in locked]
+    return pin.buildReducedModel(model, joints, posture)
 
 
 def _last_link(model: pin.Model, source: str) -> str:
-    """Return the one link that moves and carries no other."""
+    """Return the name of the one moving link that carries no other."""
     inner = {0, *(frame.parentFrame for frame in model.frames)}
     frames = enumerate(model.frames)
     ends = [f.name for index, f in frames if index not in inner and f.parentJoint != 0]
@@ -254,8 +253,11 @@ class SerialJoint:
     for the first); ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
 
     Attributes:
-        name: Of the joint, and of the frame of the link behind it.
-        axis: Of rotation in the joint's frame, shape (3,); any length but zero.
+        name: Name of the joint, and of the frame of the link behind it.
+        placement: Frame of the joint at zero in the frame of the joint before, or in
+            the base.
+        axis: Axis of rotation in the joint's frame, shape (3,); any length but zero.
+        inertia: The link's ten parameters, see `urdf.payload`, in the joint's frame.
 
     Raises:
         InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
@@ -265,9 +267,7 @@ class SerialJoint:
     name: str
     placement: pin.SE3 | Array
     axis: Array
-    inertia: (
-        Array  # the link's ten parameters, see `urdf.payload`, in the joint's frame
-    )
+    inertia: Array
 
     def __post_init__(self) -> None:
         owner = f"joint {self.name!r}"
@@ -310,28 +310,15 @@ def build_serial_robot(
     names = [joint.name for joint in joints]
     if not names or len({*names, TOOL_FRAME}) != len(names) + 1:
         raise InputError(
-            f"joints must have names, each once and none {TOOL_FRAME!r} or empty list: {names}"
+            f"joints must have names, each once and none {TOOL_FRAME!r} or empty list: "
+            f"{names}"
         )
     model = pin.Model()
     model.name = name
     for joint in joints:
         if check_inertias:
             require_physical(joint.inertia, f"link behind joint {joint.name!r}")
-        # The joints along a coordinate axis are cheaper in every algorithm.
-        aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
-        along = np.flatnonzero(joint.axis == 1.0)
-        unaligned = pin.JointModelRevoluteUnaligned(joint.axis.copy())
-        kind = aligned[along[0]]() if along.size else unaligned
-        inf = np.array([np.inf])
-        limits = (inf, inf, -inf, inf)  # effort, velocity, lowest and highest position
-        index = model.addJoint(
-            model.njoints - 1, kind, joint.placement, joint.name, *limits
-        )
-        model.addJointFrame(index, -1)
-        if joint.inertia[0] != 0.0:
-            model.inertias[index] = pin.Inertia.FromDynamicParameters(
-                joint.inertia.copy()
-            )
+        _append_joint(model, joint)
     placement = pin.SE3.Identity() if tool_placement is None else tool_placement
     return assemble_robot(
         model,
@@ -341,3 +328,20 @@ def build_serial_robot(
         gravity_m_s2,
         check_inertias=check_inertias,
     )
+
+
+def _append_joint(model: pin.Model, joint: SerialJoint) -> None:
+    """Add a joint without limits, and its link, behind the last one of a model."""
+    # The joints along a coordinate axis are cheaper in every algorithm.
+    aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
+    along = np.flatnonzero(joint.axis == 1.0)
+    unaligned = pin.JointModelRevoluteUnaligned(joint.axis.copy())
+    kind = aligned[along[0]]() if along.size else unaligned
+    inf = np.array([np.inf])
+    limits = (inf, inf, -inf, inf)  # effort, velocity, lowest and highest position
+    index = model.addJoint(
+        model.njoints - 1, kind, joint.placement, joint.name, *limits
+    )
+    model.addJointFrame(index, -1)
+    if joint.inertia[0] != 0.0:
+        model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())

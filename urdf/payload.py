@@ -21,26 +21,26 @@ from numpy.typing import ArrayLike
 
 from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
 
-_ROUNDING = (
-    1e-6  # A thin rod in a table of a few digits may miss the boundary by this fraction
-)
-_CANCELLATION = (
-    1e-12  # Of the inertia about the origin, lost in doubles when m c^2 is subtracted
-)
-_LARGEST_PARAMETER = (
-    1e9  # kg, kg m, kg m^2: beyond any link, and no product of them overflows
-)
+# A thin rod in a table of a few digits may miss the boundary by this fraction.
+_ROUNDING = 1e-6
+# Of the inertia about the origin, lost in doubles when m c^2 is subtracted.
+_CANCELLATION = 1e-12
+# In kg, kg m, kg m^2: beyond any link, and no product of them overflows.
+_MAX_PARAMETER = 1e9
 
 
 def require_mass(parameters: Array, owner: str) -> None:
-    """Raise `InertiaError`, naming the owner, for absurd numbers or moments without
-    a mass.
+    """Raise `InertiaError` for absurd numbers, or moments without a mass.
+
+    Args:
+        parameters: The ten parameters of a body, shape (10,).
+        owner: Name of the body in the message.
     """
-    if not np.all(np.abs(parameters) <= _LARGEST_PARAMETER):
+    if not np.all(np.abs(parameters) <= _MAX_PARAMETER):
         raise InertiaError(
-            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, inertia) "
-            f"are not finite or above {_LARGEST_PARAMETER:g} in SI units; check the numbers and "
-            "their units"
+            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, "
+            f"inertia) are not finite or above {_MAX_PARAMETER:g} in SI units; "
+            "check the numbers and their units"
         )
     if parameters[0] == 0.0 and np.any(parameters):
         raise InertiaError(
@@ -49,8 +49,13 @@ def require_mass(parameters: Array, owner: str) -> None:
 
 
 def require_physical(parameters: Array, owner: str) -> None:
-    """Raise `InertiaError` unless a body can have these, to the rounding of a
-    written table.
+    """Raise `InertiaError` for parameters that no rigid body can have.
+
+    The triangle inequality may be missed by the rounding of a written table.
+
+    Args:
+        parameters: The ten parameters of a body, shape (10,).
+        owner: Name of the body in the message.
     """
     require_mass(parameters, owner)
     mass = parameters[0]
@@ -64,12 +69,14 @@ def require_physical(parameters: Array, owner: str) -> None:
     if moments[0] < -slack:
         raise InertiaError(
             f"{owner}: inertia about the centre of mass is not positive definite "
-            f"(principal moments {shown} kg m^2); check signs and the frame it is expressed in"
+            f"(principal moments {shown} kg m^2); check signs and the frame it is "
+            "expressed in"
         )
     if moments[0] + moments[1] < moments[2] - slack:
         raise InertiaError(
-            f"{owner}: principal moments {shown} kg m^2 break the triangle inequality (the largest "
-            f"exceeds the sum of the others by {moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
+            f"{owner}: principal moments {shown} kg m^2 break the triangle inequality "
+            "(the largest exceeds the sum of the others by "
+            f"{moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
         )
 
 
@@ -157,7 +164,7 @@ class Payload:
 
 
 _SENSOR_MASS_KG = 0.236
-_LARGEST = 1e6  # kg, m or kg/m^3: beyond any tool, and no product of them overflows
+_MAX_NUMBER = 1e6  # kg, m or kg/m^3: beyond any tool, and no product of them overflows
 _MAY_BE_ZERO = (
     "sensor_mass_kg",
     "sensor_height_m",
@@ -175,21 +182,24 @@ class NeedleTool:
     al., which weighs 236 g up to the sensor's measuring plane and 68 g beyond it, and
     its needle reaches 153 mm from there. Its inertias follow from shapes:
 
-    - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor and
-      adapters of the same diameter are 40 mm high. A homogeneous cylinder.
-    - Shaft: a solid steel cylinder (7850 kg/m^3) of 1.27 mm (18 gauge) from the hub to the tip
-      weighs 1.2 g. A 68 g needle of 153 mm would be 8.5 mm thick, so nearly all of the
-      68 g is what holds it:
-    - Hub: the rest of ``needle_mass_kg``, a homogeneous cylinder at the measuring plane. 67 g of
-      aluminium 30 mm across are 35 mm high.
+    - Sensor: a Mini45 fills 45 mm by 15.7 mm with 92 g; at that density 236 g of sensor
+      and adapters of the same diameter are 40 mm high. A homogeneous cylinder.
+    - Shaft: a solid steel cylinder (7850 kg/m^3) of 1.27 mm (18 gauge) from the hub to
+      the tip weighs 1.2 g. A 68 g needle of 153 mm would be 8.5 mm thick, so nearly all
+      of the 68 g is what holds it:
+    - Hub: the rest of ``needle_mass_kg``, a homogeneous cylinder at the measuring
+      plane. 67 g of aluminium 30 mm across are 35 mm high.
 
     Attributes:
-        sensor_height_m: From the flange face to the measuring plane.
-        needle_mass_kg: Beyond the measuring plane, hub and shaft.
-        needle_length_m: From the measuring plane to the tip.
-        needle_diameter_m: Of the shaft, outside.
-        shaft_density_kg_m3: Lower it for a hollow needle.
-        hub_length_m: Less than the needle's.
+        sensor_mass_kg: Mass on the flange's side of the measuring plane.
+        sensor_height_m: Distance from the flange face to the measuring plane.
+        sensor_diameter_m: Diameter of that part.
+        needle_mass_kg: Mass beyond the measuring plane, hub and shaft.
+        needle_length_m: Distance from the measuring plane to the tip.
+        needle_diameter_m: Outer diameter of the shaft.
+        shaft_density_kg_m3: Density of the shaft; lower it for a hollow needle.
+        hub_length_m: Length of the hub, less than the needle's.
+        hub_diameter_m: Diameter of the hub.
 
     Raises:
         InputError: A number that is not finite, not positive (masses, density and
@@ -197,9 +207,7 @@ class NeedleTool:
             needle.
     """
 
-    sensor_mass_kg: float = (
-        _SENSOR_MASS_KG  # on the flange's side of the measuring plane
-    )
+    sensor_mass_kg: float = _SENSOR_MASS_KG
     sensor_height_m: float = 0.040
     sensor_diameter_m: float = 0.045
     needle_mass_kg: float = 0.068
@@ -214,24 +222,27 @@ class NeedleTool:
             value = float(
                 finite_array(getattr(self, item.name), (), f"NeedleTool {item.name}")
             )
-            if not 0.0 <= value <= _LARGEST or (
+            if not 0.0 <= value <= _MAX_NUMBER or (
                 value == 0.0 and item.name not in _MAY_BE_ZERO
             ):
                 raise InputError(
-                    f"NeedleTool {item.name} is {value:g}, expected a positive number in SI units"
+                    f"NeedleTool {item.name} is {value:g}, expected a positive number "
+                    "in SI units"
                 )
         if not self.has_sensor and self.sensor_mass_kg == _SENSOR_MASS_KG:
             object.__setattr__(self, "sensor_mass_kg", 0.0)
         if self.hub_length_m >= self.needle_length_m:
             raise InputError(
                 f"NeedleTool hub_length_m {self.hub_length_m:g} must be shorter than "
-                f"needle_length_m {self.needle_length_m:g}, measured from the sensor to the tip"
+                f"needle_length_m {self.needle_length_m:g}, measured from the sensor "
+                "to the tip"
             )
         if self.shaft_mass_kg > self.needle_mass_kg:
             raise InputError(
                 f"NeedleTool shaft of {self.needle_diameter_m:g} m across weighs "
-                f"{self.shaft_mass_kg:.4g} kg, more than needle_mass_kg {self.needle_mass_kg:g}; "
-                "give a thinner shaft or a lower shaft_density_kg_m3"
+                f"{self.shaft_mass_kg:.4g} kg, more than needle_mass_kg "
+                f"{self.needle_mass_kg:g}; give a thinner shaft or a lower "
+                "shaft_density_kg_m3"
             )
 
     @property
@@ -256,8 +267,9 @@ class NeedleTool:
 
     @property
     def beyond_sensor(self) -> Payload:
-        """Hub and shaft, whose weight and inertia the sensor reads, in the sensor
-        frame.
+        """Hub and shaft, whose weight and inertia the sensor reads.
+
+        In the sensor frame: the origin in the measuring plane, axes as the flange's.
         """
         hub_mass = self.needle_mass_kg - self.shaft_mass_kg
         shaft = _cylinder(
@@ -284,7 +296,10 @@ class NeedleTool:
 def _cylinder(
     mass_kg: float, start_m: float, end_m: float, diameter_m: float
 ) -> Payload:
-    """Return a homogeneous cylinder on the z axis between two heights."""
+    """Return a homogeneous cylinder on the z axis between two heights.
+
+    I_xx = I_yy = m (3 r^2 + l^2) / 12,  I_zz = m r^2 / 2.
+    """
     length = end_m - start_m
     radius = 0.5 * diameter_m
     across = mass_kg * (3.0 * radius**2 + length**2) / 12.0

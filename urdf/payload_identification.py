@@ -11,6 +11,7 @@ with Y the joint-torque regressor's columns of the body behind the flange.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,16 +21,15 @@ from urdf.errors import Array, InputError, finite_array, read_only
 from urdf.payload import Payload
 from urdf.robot import Robot
 
-_LENGTH_M = (
-    0.1  # The size of payloads: in units of it the parameters are of comparable size
-)
+# The size of payloads: in units of it the parameters are of comparable size.
+_LENGTH_M = 0.1
 _UNITS = np.array([1.0, *[_LENGTH_M] * 3])
-_NO_MASS_KG = (
-    1e-6  # Below this a payload is none: its centre of mass would be noise over noise
-)
-_RANK_TOLERANCE = (
-    1e-8  # Singular values below this part of the largest are not determined
-)
+# Below this a payload is none: its centre of mass would be noise over noise.
+_NO_MASS_KG = 1e-6
+# Singular values below this part of the largest are not determined.
+_RANK_TOLERANCE = 1e-8
+# A parameter with a larger part outside the determined axes is unknown.
+_UNKNOWN_PART = 1e-6
 _REWEIGHTINGS = 3  # Rounds, when the noise of the joints is not given
 
 
@@ -44,16 +44,16 @@ class PayloadEstimate:
     Attributes:
         payload: A point mass in the flange frame; none where the mass came out
             negative.
-        parameters: The least-squares answer, shape (4,).
+        parameters: The least-squares estimate, shape (4,).
+        covariance: Covariance of the parameters, shape (4, 4); infinite variance for
+            what the data do not determine.
         rank: Number of parameter combinations that the data determine.
-        residual_rms_Nm: Torque left unexplained, per joint, shape (nv,).
+        residual_rms_Nm: Unexplained torque per joint, root mean square, shape (nv,).
     """
 
     payload: Payload
     parameters: Array
-    covariance: (
-        Array  # shape (4, 4); infinite variance for what the data do not determine
-    )
+    covariance: Array
     rank: int
     residual_rms_Nm: Array
 
@@ -105,19 +105,14 @@ def identify_payload_static(
     tau = finite_array(tau_Nm, q.shape, "tau_Nm")
     regressor, unexplained = _payload_equation(robot, q, tau)
     std = _joint_noise(regressor, unexplained, torque_noise_std_Nm)
-    scaled, values, axes, rank = _solve(regressor, unexplained, std)
-    remaining = unexplained - regressor @ scaled
-    freedom = tau.size - rank
+    solution = _solve(regressor, unexplained, std)
+    remaining = unexplained - regressor @ solution.parameters
+    freedom = tau.size - solution.rank
     variance = (
         float(np.sum((remaining / std) ** 2)) / freedom if freedom > 0 else np.inf
     )
-    covariance = (
-        (axes[:rank].T * values[:rank] ** -2.0) @ axes[:rank] * max(variance, 1e-300)
-    )
-    unknown = np.linalg.norm(axes[rank:], axis=0) > 1e-6
-    covariance[unknown, :] = covariance[:, unknown] = 0.0
-    covariance[unknown, unknown] = np.inf
-    parameters = scaled * _UNITS
+    covariance = solution.covariance(max(variance, 1e-300))
+    parameters = solution.parameters * _UNITS
     mass_kg = 0.0
     com_m = np.zeros(3)
     if parameters[0] >= _NO_MASS_KG:
@@ -127,14 +122,19 @@ def identify_payload_static(
         payload=Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3))),
         parameters=read_only(parameters),
         covariance=read_only(covariance * np.outer(_UNITS, _UNITS)),
-        rank=rank,
+        rank=solution.rank,
         residual_rms_Nm=read_only(np.sqrt(np.mean(remaining**2, axis=0))),
     )
 
 
 def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]:
-    """Return Y in flange axes and `_UNITS`, shape (n, nv, 4), and the unexplained
-    torque.
+    """Return the regressor of the payload and the torque it has to explain.
+
+        tau - g_bare(q) = Y(q) (m, m c_x, m c_y, m c_z)
+
+    Returns:
+        Y in flange axes and in units of `_UNITS`, shape (n, nv, 4), and the left side,
+        shape (n, nv), Nm.
     """
     model = robot.bare_model
     still = np.zeros(robot.nv)
@@ -154,8 +154,9 @@ def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]
 
 
 def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Array:
-    """Return the noise of each joint: as given, or as large as what a fit leaves
-    there.
+    """Return the torque noise of each joint, shape (nv,), Nm.
+
+    It is the given one, or else as large as the residual of a fit at that joint.
     """
     std = np.ones(target.shape[1])
     if given is not None:
@@ -166,24 +167,60 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
             )
         return std
     for _ in range(_REWEIGHTINGS):
-        solution = _solve(regressor, target, std)[0]
-        rms = np.sqrt(np.mean((target - regressor @ solution) ** 2, axis=0))
+        fit = regressor @ _solve(regressor, target, std).parameters
+        rms = np.sqrt(np.mean((target - fit) ** 2, axis=0))
         # A joint that fits to rounding must not outweigh the others without bound.
         std = np.maximum(rms, max(1e-3 * rms.max(), 1e-12))
     return std
 
 
-def _solve(
-    regressor: Array, target: Array, std: Array
-) -> tuple[Array, Array, Array, int]:
-    """Return the shortest solution, singular values, right singular vectors and
-    rank.
+class _Solution(NamedTuple):
+    """Weighted least squares through a singular value decomposition.
+
+    Attributes:
+        parameters: The shortest solution, in `_UNITS`, shape (4,).
+        singular_values: Of the weighted regressor, descending.
+        axes: Right singular vectors, one per row.
+        rank: Number of singular values that are not negligible.
+    """
+
+    parameters: Array
+    singular_values: Array
+    axes: Array
+    rank: int
+
+    def covariance(self, variance: float) -> Array:
+        """Covariance of the parameters, in `_UNITS`, shape (4, 4).
+
+        The variance of what the data do not determine is infinite.
+
+        Args:
+            variance: Of one weighted equation.
+        """
+        axes = self.axes
+        rank = self.rank
+        inverse_squares = self.singular_values[:rank] ** -2.0
+        covariance = (axes[:rank].T * inverse_squares) @ axes[:rank] * variance
+        unknown = np.linalg.norm(axes[rank:], axis=0) > _UNKNOWN_PART
+        covariance[unknown, :] = covariance[:, unknown] = 0.0
+        covariance[unknown, unknown] = np.inf
+        return covariance
+
+
+def _solve(regressor: Array, target: Array, std: Array) -> _Solution:
+    """Return the solution of regressor @ parameters = target, weighted by 1 / std.
+
+    Args:
+        regressor: Shape (n, nv, 4).
+        target: Shape (n, nv).
+        std: Noise of each joint, shape (nv,).
     """
     matrix = (regressor / std[:, None]).reshape(target.size, -1)
     # The axes are complete also where there are fewer equations than unknowns.
-    left, values, axes = np.linalg.svd(
+    left_vectors, values, axes = np.linalg.svd(
         matrix, full_matrices=target.size < matrix.shape[1]
     )
     rank = int(np.sum(values > _RANK_TOLERANCE * max(values[0], 1e-300)))
-    solution = axes[:rank].T @ (((target / std).ravel() @ left)[:rank] / values[:rank])
-    return solution, values, axes, rank
+    projections = ((target / std).ravel() @ left_vectors)[:rank]
+    parameters = axes[:rank].T @ (projections / values[:rank])
+    return _Solution(parameters, values, axes, rank)

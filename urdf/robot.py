@@ -18,16 +18,15 @@ from urdf.errors import (
 )
 from urdf.payload import NeedleTool, Payload
 
-STANDARD_GRAVITY_M_S2 = (
-    0.0,
-    0.0,
-    -9.80665,
-)  # straight down along the base's z axis, m/s^2
+STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
+"""Straight down along the base's z axis."""
 
 SENSOR_FRAME = "ft_sensor"
+"""Frame that a needle tool adds in the sensor's measuring plane."""
 TIP_FRAME = "needle_tip"
+"""Frame that a needle tool adds at its tip."""
 TOOL_FRAME = "tool"
-"""Frames that a needle tool adds (the first two) and a tool placement."""
+"""Frame that a tool placement adds."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -39,12 +38,17 @@ class Robot:
 
     Attributes:
         bare_model: The arm without payload; copied on construction.
-        tool_frame: Whose wrench is of interest.
-        flange_frame: That carries the payload.
-        payload: What hangs on the flange, in the flange frame.
-        tool_frame_id: In ``model.frames``.
-        position_lower_rad: Limits, shape (nv,), read-only; of sliding joints in m, m/s
-            and N.
+        tool_frame: Frame whose wrench is of interest.
+        flange_frame: Frame that carries the payload.
+        payload: Body that hangs on the flange, in the flange frame.
+        model: The arm with its payload.
+        tool_frame_id: Index of the tool frame in ``model.frames``.
+        position_lower_rad: Lower limits of the positions, shape (nv,), read-only like
+            the other limits; of sliding joints in m.
+        position_upper_rad: Upper limits of the positions, shape (nv,).
+        velocity_limit_rad_s: Limits of the velocities, shape (nv,); of sliding joints
+            in m/s.
+        effort_limit_Nm: Limits of the torques, shape (nv,); of sliding joints in N.
 
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
@@ -120,25 +124,27 @@ class Robot:
         return names.index(name)
 
     def create_data(self) -> pin.Data:
-        """Return fresh Pinocchio workspace for ``model``; each thread or observer
-        needs its own.
+        """Return a new Pinocchio workspace for ``model``.
+
+        Each thread and each observer needs its own.
         """
         return self.model.createData()
 
     def with_payload(self, payload: Payload | None) -> "Robot":
-        """Return the robot with another payload, or none; `InputError` for anything
-        else.
+        """Return the robot with another payload, or with none.
+
+        `InputError` for anything but a `Payload` or None.
         """
         if payload is not None and not isinstance(payload, Payload):
             raise InputError(
                 f"with_payload expects a Payload or None, got {type(payload).__name__} "
-                "(a NeedleTool brings frames too: give it to the loader, or pass its .payload)"
+                "(a NeedleTool brings frames too: give it to the loader, or pass its "
+                ".payload)"
             )
         return replace(self, payload=payload)
 
     def with_armature(self, rotor_inertia_kg_m2: ArrayLike) -> "Robot":
-        """Return the robot with rotor inertias added to the diagonal of its mass
-        matrix.
+        """Return the robot with rotor inertias added to its mass matrix's diagonal.
 
         For arms whose torque is measured at the motor (the LWR measures behind the
         gear): as seen at the joints, so times the gear ratio squared, shape (nv,);
@@ -155,22 +161,27 @@ class Robot:
 
 
 def _check_joints(model: pin.Model) -> None:
-    """Refuse joints whose position and velocity do not have one number each, or none
-    at all.
-    """
+    """Refuse joints of several positions or velocities, and robots without joints."""
     if model.nv == 0:
         raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
         if (joint.nq, joint.nv) != (1, 1):
             raise UnsupportedJointError(
-                f"joint {name!r} has {joint.nq} positions and {joint.nv} velocities, expected one "
-                "each: lock it, or make it a revolute or prismatic one"
+                f"joint {name!r} has {joint.nq} positions and {joint.nv} velocities, "
+                "expected one each: lock it, or make it a revolute or prismatic one"
             )
 
 
 def rigid_motion(placement: Any, name: str) -> pin.SE3:
-    """Return a placement given as ``pin.SE3``, homogeneous matrix or translation
-    alone.
+    """Return a placement as ``pin.SE3``.
+
+    Args:
+        placement: ``pin.SE3``, a homogeneous matrix, shape (4, 4), or a translation
+            alone, shape (3,), m.
+        name: Name in the message.
+
+    Raises:
+        InputError: Anything else.
     """
     if isinstance(placement, pin.SE3):
         placement = placement.homogeneous
@@ -197,8 +208,9 @@ def assemble_robot(
     *,
     check_inertias: bool,
 ) -> Robot:
-    """Set gravity, mount the tool, check the model; arguments and errors as in
-    `urdf.load_urdf`.
+    """Return a robot of a model, with gravity set and the tool mounted.
+
+    Arguments and errors are those of `urdf.load_urdf`.
     """
     if payload is not None and not isinstance(payload, Payload | NeedleTool):
         raise InputError(
@@ -229,13 +241,13 @@ def assemble_robot(
     )
     mass_matrix = pin.crba(robot.model, robot.create_data(), pin.neutral(robot.model))
     if check_inertias and np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        idle = [
+        massless = [
             robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)
         ]
         raise InertiaError(
-            f"the mass matrix of robot {robot.model.name!r} is not positive definite; joints that "
-            f"move no inertia: {', '.join(idle) or 'none alone'}. "
-            "Give the links inertia, or lock joints"
+            f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
+            f"joints that move no inertia: {', '.join(massless) or 'none alone'}. Give the "
+            "links inertia, or lock joints"
         )
     return robot
 
@@ -251,7 +263,7 @@ def _add_frame(
         )
     index = names.index(parent)
     frame = model.frames[index]
-    where = frame.placement * placement
+    placement = frame.placement * placement
     model.addFrame(
-        pin.Frame(name, frame.parentJoint, index, where, pin.FrameType.OP_FRAME)
+        pin.Frame(name, frame.parentJoint, index, placement, pin.FrameType.OP_FRAME)
     )

@@ -1,3 +1,1 @@
-"""Robot descriptions shipped with the package; read them through
-`importlib.resources`.
-"""
+"""Robot descriptions shipped with the package, read by `importlib.resources`."""
