@@ -12,10 +12,11 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 
+import foundation
 import identification
 import residual
 import urdf
-from needleforce import InsertionSession, jit
+from needleforce import InsertionSession
 from residual import Status
 from urdf import NeedleTool, load_lwr
 
@@ -34,6 +35,7 @@ def check_files() -> None:
         shipped
     )
     for room in (
+        "foundation",
         "urdf",
         "residual",
         "identification",
@@ -46,15 +48,12 @@ def check_files() -> None:
 
 def check_imported_from_the_wheel() -> None:
     """No package comes from the repository."""
-    for package in (urdf, residual, identification, jit):
+    for package in (foundation, urdf, residual, identification):
         assert "site-packages" in Path(package.__file__ or "").parts, package.__file__
 
 
 def check_a_force() -> None:
-    """An arm at rest that carries its own weight reads no force, without a compiler
-    too.
-    """
-    assert jit.COMPILER == "", "numba is no core dependency"
+    """An arm at rest that carries its own weight reads no force."""
     robot = load_lwr(payload=NeedleTool())
     sensor = InsertionSession(robot)
     q = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])

@@ -13,7 +13,6 @@ from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
 from identification.multilayer.method import SwitchingMethod, SwitchingState
 from identification.published.online import PublishedMethod, PublishedState
-from needleforce.jit import working_copy
 
 _new = tuple.__new__  # makes an `Estimate` of a tuple in a third of the time
 _METHODS: dict[type, Any] = {
@@ -95,7 +94,7 @@ class Identifier:
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = _METHODS[type(self._config)](self._config)
-        self._samples = working_copy(np.zeros(samples.SAMPLE_MEMORY))
+        self._samples = np.zeros(samples.SAMPLE_MEMORY)
         self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
 
     def update(
@@ -185,7 +184,7 @@ class Identifier:
         no check.
         """
         self._method.restore(snapshot.state)
-        self._samples = working_copy(snapshot.samples)
+        self._samples = snapshot.samples.copy()
         self._last = snapshot.last
 
     def _update_raw(

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from foundation.arrays import WrittenVector
+from foundation.jit import compiled
 from identification.config import CheckConfig
 from identification.estimate import SampleStatus
-from needleforce.jit import WrittenVector, compiled
 
 _NO_NUMBERS = (str, bytes, bool, np.bool_, complex, np.complexfloating, np.timedelta64)
 """Types that Python or numpy would convert to a float although they are no

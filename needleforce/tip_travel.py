@@ -6,7 +6,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, compiled, dot
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
+from foundation.linear_algebra import dot
 
 Array = NDArray[np.float64]
 Needle = tuple[

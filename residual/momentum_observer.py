@@ -19,7 +19,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled, compiled_or, dot
+from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.jit import compiled
+from foundation.linear_algebra import dot
 from residual.checks.input import (
     MOST_PLAUSIBLE,
     check_choice,
@@ -87,20 +89,7 @@ def set_step_weights(
         row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
 
 
-def _momentum_by_numpy(
-    motion: Motion, joints: Joints, velocity: Array, rows: Array
-) -> None:
-    """`set_momentum` where nothing compiles."""
-    twists, momenta = motion
-    directions, crossing, armature = joints
-    directions.dot(momenta.ravel(), rows[MOMENTUM + END])
-    if armature.size:
-        rows[MOMENTUM + END] += armature * velocity
-    turned = crossing.dot(twists.ravel()).reshape(momenta.shape)
-    np.vecdot(turned, momenta, rows[CORIOLIS + END])
-
-
-@compiled_or(_momentum_by_numpy)
+@compiled
 def set_momentum(
     motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix
 ) -> None:

@@ -13,7 +13,8 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
+from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.jit import compiled
 from residual.checks.input import (
     ROUNDING_S,
     check_choice,

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.jit import working_copy
 from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step
@@ -276,7 +275,7 @@ class VirtualForceSensor:
         """Forget what a stream of samples has left behind."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed = working_copy(np.zeros((3, self._wrench.size)))
+        self._followed = np.zeros((3, self._wrench.size))
         self._follows = False
         self._unchecked_s = 0.0
         self._waiting = 2
@@ -349,7 +348,7 @@ class VirtualForceSensor:
         self._trust(state.torque_covariance)
         self._wrench.weigh(state.weighed_at)
         self._monitor.restore(state.monitor)
-        self._followed = working_copy(state.wrench)
+        self._followed = state.wrench.copy()
         self._follows = state.follows
         self.lag_s = state.lag_s
         self._unchecked_s = state.unchecked_s

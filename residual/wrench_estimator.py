@@ -8,14 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import (
-    Matrix,
-    Vector,
-    WrittenMatrix,
-    WrittenVector,
-    compiled,
-    working_copy,
-)
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled
 from residual.checks.input import check_joint_vector
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import Array, ConfigurationError, SampleError
@@ -406,7 +400,7 @@ class WrenchEstimator:
             variances = np.ravel([_variances(axis, part) for part in parts])
         self.gain = WrenchGain(
             np.vstack((q, directions[:, :size].T.dot(gain))),
-            working_copy(np.append(axis, variances)),
+            np.append(axis, variances),
             (covariance, conditioning, removed),
             *unexplained(rows, inverse),
         )

@@ -21,7 +21,14 @@ from tests.insertion_run import short_run, tare_index
 from tests.needleforce.cli.residual_command_log import write_insertion
 
 ROOT = Path(__file__).resolve().parents[1]
-PRODUCT = ("urdf", "residual", "identification", "groundtruth", "needleforce")
+PRODUCT = (
+    "foundation",
+    "urdf",
+    "residual",
+    "identification",
+    "groundtruth",
+    "needleforce",
+)
 ALL = (*PRODUCT, "benchmarks")
 MOST_FILES_PER_UPDATE = 25
 MOST_FILES_PER_ROW = 12

@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LIBRARIES = ("urdf", "residual", "identification", "groundtruth")
-INSTALLED = (*LIBRARIES, "needleforce")
+INSTALLED = ("foundation", *LIBRARIES, "needleforce")
 PACKAGES = (*INSTALLED, "benchmarks")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 MOST_PUBLIC_NAMES = 26

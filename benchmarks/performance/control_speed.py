@@ -21,10 +21,10 @@ from benchmarks.performance.speed import (
     time_side_by_side,
 )
 from benchmarks.report.tables import ResultTable, met_mark
+from foundation.jit import COMPILER
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce import InsertionSession
 from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
-from needleforce.jit import COMPILER
 from residual import DEFAULT
 
 BARE = "Jacobian and placement"

@@ -20,10 +20,10 @@ from benchmarks.targets import (
     OBSERVER_COST_RATIOS,
     SENSOR_COST_RATIOS,
 )
+from foundation.jit import COMPILER
 from groundtruth import simulate
 from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
-from needleforce.jit import COMPILER
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
 from residual.bias.estimator import BiasEstimator
 from urdf import Robot
@@ -267,7 +267,7 @@ def speed_table(report: SpeedReport) -> ResultTable:
     how = (
         f"compiled by {COMPILER}"
         if COMPILER
-        else "plain Python: no numba, the extra `fast`"
+        else "plain Python: NUMBA_DISABLE_JIT is set"
     )
     return ResultTable(
         title="Cost of a tick",

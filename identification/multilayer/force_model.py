@@ -24,15 +24,14 @@ from typing import Any
 
 import numpy as np
 
-from needleforce.jit import (
+from foundation.arrays import (
     Matrix,
     Vector,
     WrittenBlocks,
     WrittenMatrix,
     WrittenVector,
-    compiled,
-    compiled_or,
 )
+from foundation.jit import compiled
 
 # Indices of the unknowns. LEFT: friction [N] of the layer that the last rupture ended,
 # of the shaft since the rupture reported before; EARLIER: the same for that earlier
@@ -152,7 +151,7 @@ logarithm, a factor of 4: chosen, no measurement is known. The simulated gels ha
 the liver 20."""
 
 
-@compiled_or(lambda spread, row: spread @ row)
+@compiled
 def _times(spread: Matrix, row: Vector) -> Vector:
     """A symmetric matrix times a vector."""
     found = np.zeros(UNKNOWNS)
@@ -163,14 +162,7 @@ def _times(spread: Matrix, row: Vector) -> Vector:
     return found
 
 
-def _measure_plain(
-    mean: Any, spread: Any, cross: Any, error: float, variance: float
-) -> None:
-    mean += cross / variance * error
-    spread -= np.outer(cross / variance, cross)
-
-
-@compiled_or(_measure_plain)
+@compiled
 def _measure(
     mean: WrittenVector,
     spread: WrittenMatrix,
@@ -188,7 +180,7 @@ def _measure(
             spread[i, j] -= gain * cross[j]
 
 
-@compiled_or(lambda change, matrix: (change @ matrix).T)
+@compiled
 def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
     """Transpose of a product, most of whose first factor is zero; twice it maps a
     covariance.
@@ -202,14 +194,7 @@ def _mapped(change: Matrix, matrix: Matrix) -> Matrix:
     return found
 
 
-def _turn_plain(spreads: Any, n: int, at: int, turn: Any) -> None:
-    pair = slice(at, at + 2)
-    matrix = turn[:4].reshape(2, 2)
-    spreads[:n, pair] = matrix @ spreads[:n, pair]
-    spreads[:n, :, pair] = spreads[:n, :, pair] @ matrix.T
-
-
-@compiled_or(_turn_plain)
+@compiled
 def _turn(spreads: WrittenBlocks, n: int, at: int, turn: Vector) -> None:
     """Map two neighbouring unknowns of n hypotheses by a 2x2 transition, `turn`'s
     first numbers.

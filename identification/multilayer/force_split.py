@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
+from foundation.arrays import Matrix, Vector, WrittenVector
+from foundation.jit import compiled
 from identification.estimate import Outputs
-from needleforce.jit import Matrix, Vector, WrittenVector, compiled
 
 _MM = 1e3
 _BLOCK_S = 0.01

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
 from identification.estimate import Array, LayerEstimate, Rupture
 from identification.multilayer import force_model as law
 from identification.multilayer.force_split import (
@@ -22,7 +24,6 @@ from identification.multilayer.force_split import (
 )
 from identification.multilayer.mixture import LEAST_MM, Bank, BankMemory, Place
 from identification.multilayer.tissue_motion import TissueMotion
-from needleforce.jit import Matrix, Vector, compiled
 
 _MM = 1e3
 _CLEAR_SIGMAS = 3.0

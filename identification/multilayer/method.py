@@ -41,7 +41,6 @@ from identification.multilayer.noise_levels import (
 )
 from identification.multilayer.speed_filter import NO_TREND, follow_speed
 from identification.multilayer.tissue_motion import TissueMotion
-from needleforce.jit import working_copy
 
 _MM = 1e3
 _HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
@@ -161,8 +160,8 @@ class SwitchingMethod:
     def restore(self, state: SwitchingState) -> None:
         """Go on from there."""
         self._bank = BankMemory(state.bank)
-        self._memory = working_copy(state.memory)
-        self._answer = working_copy(state.answer)
+        self._memory = state.memory.copy()
+        self._answer = state.answer.copy()
         self._events = Events()
         self._levels = state.levels
         self._tissue = state.tissue
@@ -450,7 +449,7 @@ class SwitchingMethod:
         speed = 0.0 if last is None else _MM * last.speed_m_s
         counts = self._ruptures, layers_traversed(self.layers) + self._is_open
         answer = reports.answer_at(self._bank, evidence, place, counts, speed)
-        self._answer = working_copy(answer)
+        self._answer = answer.copy()
 
     def _is_settled(self, bank: Bank, pick: int) -> bool:
         """Whether the needle advances, and far enough since a stop, which lets the

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
 from identification.estimate import Array
 from identification.multilayer import force_model as law
-from needleforce.jit import Matrix, Vector, compiled
 
 STEP_MM = 0.02  # least travel between new hypotheses
 HAZARD = 0.02  # prior rate of ruptures per mm of travel

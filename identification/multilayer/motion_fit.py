@@ -23,10 +23,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
 from identification.estimate import Array
 from identification.multilayer.force_model import COULOMB_SPEED, FRACTION, FRACTION_STD
 from identification.multilayer.force_split import contact_along
-from needleforce.jit import Matrix, Vector, compiled
 
 # the window: means over so long, so many of them at most
 STEP_S = 0.05

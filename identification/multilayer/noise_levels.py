@@ -14,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled
 from identification.estimate import Array
 from identification.multilayer.force_model import LAW_ERROR, LAW_MM
 from identification.multilayer.tissue_motion import TissueMotion
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 
 STEP_S = 0.01  # time between two forces in the differences
 BEATS = (

@@ -12,8 +12,9 @@ import math
 
 import numpy as np
 
+from foundation.arrays import Vector
+from foundation.jit import compiled
 from identification.estimate import Array
-from needleforce.jit import Vector, compiled
 
 _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
 _MEMORY_S = 0.2

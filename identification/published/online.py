@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Matrix, Vector, WrittenVector
+from foundation.jit import compiled
 from identification.config import PublishedConfig
 from identification.estimate import (
     Array,
@@ -20,7 +22,6 @@ from identification.estimate import (
     RuptureState,
     Sample,
 )
-from needleforce.jit import Matrix, Vector, WrittenVector, compiled, working_copy
 
 _FULL = 1.0 - 1e-9  # length of a reset window in periods, but for rounding
 _MOST_LAYERS = 256  # layers kept: far more than a needle meets; the oldest go first
@@ -156,7 +157,7 @@ class PublishedMethod:
 
     def restore(self, state: PublishedState) -> None:
         """Go on from there."""
-        self._memory = working_copy(state.memory)
+        self._memory = state.memory.copy()
         _, self._windows, self._ruptured, self.layers = state
 
     def report(

@@ -12,13 +12,15 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from enum import StrEnum
-from operator import is_, lt
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dgels  # pyright: ignore[reportAttributeAccessIssue]
 
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled
+from foundation.linear_algebra import dot
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import ArmSample, Array
 from needleforce.control.tasks import (
@@ -27,15 +29,6 @@ from needleforce.control.tasks import (
     Task,
     ToolState,
     vector,
-)
-from needleforce.jit import (
-    Matrix,
-    Vector,
-    WrittenMatrix,
-    WrittenVector,
-    compiled,
-    compiled_or,
-    dot,
 )
 from urdf import Robot
 
@@ -198,23 +191,7 @@ Solver = Callable[[Stack], tuple[Array, bool]]
 limit."""
 
 
-def _all_met(rows: Array, rates: Array, bounds: Array, velocity: Array) -> bool:
-    """As `all_met`, by LAPACK: J = L Q, the least step Q^T L^-1 (v - J w)."""
-    if rates.size > velocity.size:
-        return False
-    if rates.size:
-        missing = np.zeros(velocity.size)
-        missing[: rates.size] = rates - np.dot(rows, velocity)
-        triangle, step, failed = dgels(rows, missing)
-        if failed or min(map(abs, triangle.diagonal().tolist())) < _REGULAR:
-            return False
-        velocity += step
-    lower, upper = bounds.tolist()
-    found = velocity.tolist()
-    return all(map(lt, lower, found)) and all(map(lt, found, upper))
-
-
-@compiled_or(_all_met)
+@compiled
 def all_met(
     rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
 ) -> bool:

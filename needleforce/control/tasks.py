@@ -18,9 +18,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled
 from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.ports import Array
-from needleforce.jit import Matrix, Vector, WrittenMatrix, WrittenVector, compiled
 from urdf import Robot
 
 GAIN_PER_S = 30.0

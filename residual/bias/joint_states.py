@@ -10,7 +10,8 @@ motion, and it stays at rest.
 
 import numpy as np
 
-from needleforce.jit import Matrix, Vector, WrittenMatrix, compiled
+from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.jit import compiled
 from residual.errors import Array
 
 TORQUE_LAG_S = 0.05

@@ -16,7 +16,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from needleforce.jit import Matrix, Vector, compiled
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
 from residual.checks.input import check_choice, known_limits
 from residual.errors import Array, ConfigurationError
 from urdf import Robot

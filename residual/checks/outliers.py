@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Vector, compiled
+from foundation.arrays import Vector
+from foundation.jit import compiled
 from residual.checks import stuck_signals as stuck
 from residual.checks.input import ROUNDING_S, known_limits
 from residual.checks.stuck_signals import (

@@ -5,7 +5,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.jit import Matrix, Vector, compiled
+from foundation.arrays import Matrix, Vector
+from foundation.jit import compiled
 from residual.errors import Array
 
 # memory of the torque now, before, of their difference

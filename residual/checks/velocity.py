@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.jit import Blocks, Matrix, Vector, compiled
+from foundation.arrays import Blocks, Matrix, Vector
+from foundation.jit import compiled
 from residual.errors import Array, named_joints
 
 TRAVEL_S = 1.0  # in which travel fades: if less, slow strokes look short; if more, bias adds up

@@ -1,56 +1,95 @@
-"""Functions that numba may compile: the same numbers without it, and safe to keep on
-disk."""
+"""What is compiled: the same numbers without the compiler, and safe to keep on disk."""
 
-import ast
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from foundation import jit
+from foundation.arrays import Vector
+from foundation.jit import COMPILER, compiled
 from identification import MULTILAYER, PUBLISHED, replay
 from needleforce import InsertionSession
-from needleforce.jit import COMPILER, compiled
 from urdf import NeedleTool, load_lwr
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("residual", "identification", "needleforce")
+PACKAGES = ("foundation", "residual", "identification", "needleforce")
 
 
-def test_what_is_compiled_uses_nothing_of_another_file():
-    """What numba keeps is made anew when the function's own file changes; `dot`
-    never does."""
-    found = {}
-    count = 0
-    for path in (
-        path for package in PACKAGES for path in (ROOT / package).rglob("*.py")
-    ):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        foreign = {
-            alias.asname or alias.name
-            for node in tree.body
-            if isinstance(node, ast.ImportFrom)
-            and node.module.split(".")[0] in (*PACKAGES, "urdf")
-            for alias in node.names
-            if alias.name != "dot"
-        }
-        for node in ast.walk(tree):
-            marks = [ast.unparse(mark) for mark in getattr(node, "decorator_list", [])]
-            if "compiled" in marks:
-                count += 1
-                body = ast.Module(body=node.body, type_ignores=[])
-                used = {
-                    item.id for item in ast.walk(body) if isinstance(item, ast.Name)
-                } & foreign
-                if used:
-                    found[f"{path.relative_to(ROOT)}:{node.name}"] = used
-    assert found == {}
-    assert count > 20
+needs_compiler = pytest.mark.skipif(not COMPILER, reason="NUMBA_DISABLE_JIT is set")
 
 
-@pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+class Spring(NamedTuple):
+    """Arguments that travel together."""
+
+    stiffness: float
+    rest_lengths: Vector
+
+
+@needs_compiler
+def test_named_tuples_are_read_by_name_when_compiled():
+    @compiled
+    def energy(spring: Spring, length: float) -> float:
+        return 0.5 * spring.stiffness * (length - spring.rest_lengths[0]) ** 2
+
+    assert energy.signatures
+    assert energy(Spring(4.0, np.ones(1)), 3.0) == 8.0
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A package of three files: `user` imports `middle`, which imports `base`."""
+    folder = tmp_path / "made_up"
+    folder.mkdir()
+    (folder / "base.py").write_text("WIDTH = 1\n")
+    (folder / "middle.py").write_text("from made_up.base import (\n    WIDTH,\n)\n")
+    (folder / "user.py").write_text("from made_up import middle\n")
+    (folder / "other.py").write_text("WIDTH = 2\n")
+    monkeypatch.setattr(jit, "PROJECT", tmp_path)
+    return folder
+
+
+def digest_after_change(folder, changed):
+    """The hash of `user` before and after a change in one file of its package."""
+    jit.hash_sources.cache_clear()
+    jit._direct_imports.cache_clear()
+    before = jit.hash_sources(folder / "user.py")
+    (folder / changed).write_text("WIDTH = 3\n")
+    jit.hash_sources.cache_clear()
+    jit._direct_imports.cache_clear()
+    return before, jit.hash_sources(folder / "user.py")
+
+
+def test_change_in_indirect_import_makes_new_folder(project):
+    before, after = digest_after_change(project, "base.py")
+    assert before != after
+
+
+def test_change_in_unrelated_file_keeps_the_folder(project):
+    before, after = digest_after_change(project, "other.py")
+    assert before == after
+
+
+def test_only_the_newest_folders_stay(tmp_path, monkeypatch):
+    monkeypatch.setattr(jit, "_cache_root", lambda: tmp_path)
+    for k in range(8):
+        folder = tmp_path / f"made_up-{k:016x}"
+        folder.mkdir()
+        os.utime(folder, (k, k))
+    (tmp_path / "made_up_other-0000000000000000").mkdir()
+    jit.cache_folder("made_up", __file__)
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == [
+        *(f"made_up-{k:016x}" for k in (5, 6, 7)),
+        "made_up_other-0000000000000000",
+    ]
+
+
+@needs_compiler
 @pytest.mark.parametrize(
     "error", [RuntimeError("no locator"), EOFError(), OSError("disk full")]
 )
@@ -70,11 +109,9 @@ def test_where_nothing_can_be_kept_it_compiles_all_the_same(monkeypatch, error):
     assert compiled(double)(2.0) == 4.0
 
 
-@pytest.mark.parametrize("hidden", ["", "sys.modules['numba'] = None; "])
-def test_everything_runs_without_a_compiler(hidden):
+def test_functions_stay_plain_where_compiling_is_disabled():
     script = (
-        f"import sys; {hidden}"
-        "from needleforce.jit import COMPILER, compiled\n"
+        "from foundation.jit import COMPILER, compiled\n"
         "plain = lambda x: x\n"
         "assert COMPILER == '' and compiled(plain) is plain\n"
         "print('plain')"
@@ -91,7 +128,7 @@ def test_everything_runs_without_a_compiler(hidden):
     assert done.stdout == "plain\n"
 
 
-@pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+@needs_compiler
 def test_every_compiled_function_is_compiled_once_before_the_first_sample():
     modules = [
         sys.modules[name] for name in sorted(sys.modules) if name.startswith(PACKAGES)
@@ -145,9 +182,9 @@ def chain_numbers(joint_rows, needle_rows):
     return np.array(found)
 
 
-@pytest.mark.skipif(not COMPILER, reason="numba (the extra `fast`) is not installed")
+@needs_compiler
 def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
-    script = f"from tests.needleforce import test_jit; test_jit.np.save({str(tmp_path / 'a')!r}, test_jit.chain_numbers"
+    script = f"from tests.foundation import test_jit; test_jit.np.save({str(tmp_path / 'a')!r}, test_jit.chain_numbers"
     environment = os.environ | {
         "NUMBA_DISABLE_JIT": "1",
         "PYTHONPATH": str(ROOT),
