@@ -15,13 +15,14 @@ import re
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from inspect import getfile, signature
 from pathlib import Path
 from shutil import rmtree
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-import numba
-from numba.core import types
+numba: Any = import_module("numba")  # its annotations do not describe its own use
+types: Any = numba.types
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -83,9 +84,10 @@ def compiler_type(hint: Any) -> Any:
         # A parameter that is only read takes read-only arrays and others.
         is_read_only = "written" not in marks
         return types.Array(types.float64, dimensions, "C", readonly=is_read_only)
-    if isinstance(hint, type) and issubclass(hint, tuple) and hasattr(hint, "_fields"):
+    names = getattr(hint, "_fields", None)
+    if names is not None:
         fields = get_type_hints(hint, include_extras=True)
-        parts = [compiler_type(fields[name]) for name in hint._fields]
+        parts = [compiler_type(fields[name]) for name in names]
         return None if None in parts else types.BaseTuple.from_types(parts, hint)
     if get_origin(hint) is tuple and Ellipsis not in get_args(hint):
         parts = [compiler_type(part) for part in get_args(hint)]

@@ -462,7 +462,7 @@ def reweighted_friction_variance(
     )
 
 
-def append_window(windows: Array, sums: Sums, most: int) -> Array:
+def append_window(windows: Array, sums: Sums | Array, most: int) -> Array:
     """Add a closed window; beyond ``most`` neighbours are added up.
 
     That halves their number and bounds memory in an endless layer: the re-run then
