@@ -7,7 +7,7 @@ import numpy as np
 
 from benchmarks.anatomy.study import CT_FOLDER, Figure
 from benchmarks.jobs import Progress
-from needleforce.cli.demo_abdomen import insert
+from needleforce.cli.demos.abdomen_insertion import insert
 
 RUNS = 20
 

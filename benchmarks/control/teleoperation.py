@@ -14,7 +14,12 @@ from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import Servo, SimulatedArm
 from groundtruth.rig_contacts import Wall
 from groundtruth.rig_operator import random_operator
-from needleforce.cli.demo_runs import STANDOFF_M, HandPlan, ruptures_felt, teleoperate
+from needleforce.cli.demos.hand_driven import (
+    STANDOFF_M,
+    HandPlan,
+    ruptures_felt,
+    teleoperate,
+)
 from residual import DEFAULT, HAND_DRIVEN, SensorConfig
 
 DELAYS_MS = (0, 10, 50)

@@ -24,7 +24,7 @@ from benchmarks.jobs import Progress
 from benchmarks.report.tables import ResultTable
 from groundtruth import simulate
 from needleforce import InsertionSession
-from needleforce.cli.live_recorder import Recorder, leave_real_time
+from needleforce.cli.arms.recorder import Recorder, leave_real_time
 from needleforce.devices import ArmSample, FriArm
 from needleforce.devices.emulators import (
     Emulator,

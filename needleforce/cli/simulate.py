@@ -1,125 +1,62 @@
-"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth
-beside it.
-"""
+"""The command `needleforce simulate`."""
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from cyclopts import Parameter
 
-from groundtruth import SCENARIOS, Run, Scenario, simulate
-from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
-from groundtruth.scenarios import scenario as scenario_named
-from needleforce.cli.options import SimulationOptions
-from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
-from needleforce.recordings import check_writable, write_table
-from needleforce.recordings.output import check_outputs
-from needleforce.recordings.table import Labels
+from needleforce.cli.application import OUTPUT, app
 
 
-def run(scenario: str | None, options: SimulationOptions) -> int:
-    """Simulate a scenario and write what was asked for; return the exit code."""
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """What is simulated, and where it goes.
+
+    Attributes:
+        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
+        truth: Ground truth, which the robot does not know: forces, depth, layers,
+            ruptures.
+        plant: Plant model: how good arm and sensors are (default: clean).
+        seed: Seed of everything that is drawn at random (default: 0).
+        list: Print the scenarios and stop.
+    """
+
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
+    ] = None
+    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
+    seed: Annotated[int, Parameter(metavar="N")] = 0
+    list: bool = False
+
+
+@app.command(name="simulate")
+def simulate_command(
+    scenario: Annotated[
+        str | None,
+        Parameter(name="SCENARIO", group=OUTPUT, help="What is simulated; see --list."),
+    ] = None,
+    /,
+    *,
+    options: SimulationOptions = SimulationOptions(),
+) -> int:
+    """Simulate an insertion and write it as a recording.
+
+    Joint positions, velocities and torques of a KUKA LWR 4+, and the wrench of a force
+    sensor at the needle, as a robot would have recorded them.
+
+    needleforce simulate gel-25-constant -o insertion.mcap --truth truth.csv
+    """
+    from needleforce.cli.logs import simulated_log
+
     if options.list:
-        rows = {name: item.title for name, item in SCENARIOS.items()}
-        rows[RANDOM_STACK] = "one to four layers drawn from the seed"
-        rows[RANDOM_TISSUE] = "the same, each layer of its own law"
-        write_out(aligned(rows.items()))
-        return 0
-    chosen = _checked(scenario, options)
-    with progress_bar(f"simulating {chosen.id}"):
-        made = simulate(chosen, plant=options.plant, seed=options.seed)
-    names = made.robot.joint_names
-    if options.output is not None:
-        write_table(
-            options.output, signal_table(made), labels=Labels(joint_names=names)
-        )
-    if options.truth is not None:
-        labels = Labels(joint_names=names, prefix="/truth")
-        write_table(options.truth, truth_table(made), labels=labels)
-    write_out(_summary(made, options.output))
-    return 0
-
-
-def _checked(scenario: str | None, options: SimulationOptions) -> Scenario:
-    outputs = {"-o": options.output, "--truth": options.truth}
-    paths = {option: path for option, path in outputs.items() if path is not None}
-    if not paths:
-        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
-    if scenario is None:
-        raise CommandError("no scenario is named; --list prints them")
-    if options.seed < 0:
-        raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
-    chosen = scenario_named(scenario, options.seed)
-    check_outputs(paths)
-    for path in paths.values():
-        check_writable(path)
-    return chosen
-
-
-def signal_table(run: Run) -> dict[str, NDArray]:
-    """Return what the robot and its F/T sensor gave: one row per sample, units in the
-    names.
-
-    Time stamps begin at zero at the earliest; an arm that reports no velocities has
-    none.
-    """
-    signals = run.signals
-    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
-    columns |= {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
-    wrench = {
-        "ft_force_N": signals.ft_wrench[:, :3],
-        "ft_torque_Nm": signals.ft_wrench[:, 3:],
-    }
-    return {**columns, "tau_Nm": signals.tau_Nm, **wrench}
-
-
-def truth_table(run: Run) -> dict[str, NDArray]:
-    """Return the ground truth at the same samples; see `groundtruth.Truth` for the
-    meaning.
-
-    `rupture` is the number of the layer that the tip begins to leave at a row, counted
-    from 1, else 0; of two that rupture within one row the second stands in the next.
-    `surface_rupture` is 1 where a membrane on the surface ruptures.
-    """
-    truth = run.truth
-    names = ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer")
-    columns: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
-    columns |= {name: getattr(truth, name) for name in names}
-    columns["rupture"] = _ruptures(run, on_surface=False)
-    columns["surface_rupture"] = _ruptures(run, on_surface=True)
-    columns["tau_ext_Nm"] = truth.external_torque_Nm
-    if truth.layer_friction_N.shape[1]:
-        columns["layer_friction_N"] = truth.layer_friction_N
-    return columns
-
-
-def _shift_s(run: Run) -> float:
-    """Return what makes the first stamp of a clock with jitter no less than zero, as
-    bags want.
-    """
-    return max(0.0, -float(run.signals.t_s[0]))
-
-
-def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
-    marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
-    for rupture in (
-        item for item in run.truth.ruptures if (item.layer == 0) is on_surface
-    ):
-        row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
-        while row < len(marks) and marks[row]:
-            row += 1
-        marks[row : row + 1] = rupture.layer or 1
-    return marks
-
-
-def _summary(run: Run, output: Path | None) -> str:
-    end_s = f"{run.tare_end_s:.4g}"
-    text = (
-        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, seed {run.seed}\n"
-        f"{len(run.signals.t_s)} samples in {run.signals.t_s[-1]:.4g} s, without contact until "
-        f"{end_s} s\n"
+        return simulated_log.print_scenarios()
+    return simulated_log.write_simulation(
+        scenario,
+        plant=options.plant,
+        seed=options.seed,
+        recording=options.output,
+        truth=options.truth,
     )
-    if output is not None:
-        forces = f"forces{''.join(output.suffixes)}"
-        text += f"next: needleforce force {output} --tare 0:{end_s} -o {forces}\n"
-    return text

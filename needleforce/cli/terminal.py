@@ -24,6 +24,10 @@ _FORESEEN = (
 """Packages whose own errors say what is wrong with the input."""
 
 
+Progress = Callable[[float], None]
+"""Takes the fraction of a piece of work that is done."""
+
+
 class CommandError(ValueError):
     """An option, a file named by one, or a log that does not fit the robot."""
 

@@ -5,14 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from needleforce.cli import demo_abdomen, main
+from needleforce.cli import main
+from needleforce.cli.demos import abdomen_insertion, abdomen_plan
 
 pytest.importorskip("skimage")
 
 
 def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(demo_abdomen, "LENGTHS_m", (0.04, 0.06))
-    monkeypatch.setattr(demo_abdomen, "SPEED_m_s", 6e-3)
+    monkeypatch.setattr(abdomen_plan, "LENGTHS_m", (0.04, 0.06))
+    monkeypatch.setattr(abdomen_insertion, "SPEED_m_s", 6e-3)
     assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "not a medical device" in said
@@ -36,13 +37,13 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_planned_way_crosses_soft_tissue_only(seed):
     rng = np.random.default_rng(seed)
-    labels = demo_abdomen.read_torso(None, rng)
-    entry, target = demo_abdomen.plan_path(labels, "liver", rng)
+    labels = abdomen_plan.read_torso(None, rng)
+    entry, target = abdomen_plan.plan_path(labels, "liver", rng)
     layers = labels.layers_along(entry, target)
     assert layers[-1].name == "liver"
-    assert {layer.name for layer in layers} <= {*demo_abdomen.CROSSABLE, "liver"}
-    thick = demo_abdomen.thick_layers(layers)
+    assert {layer.name for layer in layers} <= {*abdomen_plan.CROSSABLE, "liver"}
+    thick = abdomen_plan.thick_layers(layers)
     assert (
         min(layer.exit_m - layer.entry_m for layer in thick)
-        >= demo_abdomen.LEAST_LAYER_m
+        >= abdomen_plan.LEAST_LAYER_m
     )

@@ -15,7 +15,8 @@ from identification import Identifier, Rupture
 from needleforce import InsertionError, InsertionSession, read_snapshot, write_snapshot
 from needleforce.anatomy import Layer, PlanMatch
 from needleforce.anatomy.plan_match import OUTSIDE
-from needleforce.cli import live, main
+from needleforce.cli import main
+from needleforce.cli.arms import arm_connection, arm_watch
 from needleforce.devices.proxy import ReadOnlyArm
 from needleforce.plan_follower import PlanFollower
 from tests.insertion_run import (
@@ -189,8 +190,8 @@ def test_a_needle_that_is_withdrawn_is_in_the_layers_it_has_crossed():
 @pytest.fixture
 def arm(monkeypatch):
     """The simulated arm of `needleforce live`, as fast as it can."""
-    monkeypatch.setattr(live, "simulate", lambda *_, **__: RUN)
-    monkeypatch.setattr(live, "paced", lambda arm: arm)
+    monkeypatch.setattr(arm_connection, "simulate", lambda *_, **__: RUN)
+    monkeypatch.setattr(arm_connection, "paced", lambda arm: arm)
     return "sim:gel-25-constant"
 
 
@@ -235,7 +236,7 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
             is_lost = self.k % 100 == 0 or self.k > TARE + 15_000
             return None if is_lost else RUN.signals.ft_wrench[self.k] + self.weight
 
-    monkeypatch.setattr(live, "NetFT", Sensor)
+    monkeypatch.setattr(arm_watch, "NetFT", Sensor)
     options = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
     assert main(["live", arm, *options]) == 0
     said = capsys.readouterr()

@@ -13,8 +13,9 @@ import pytest
 
 from groundtruth import insert_needle
 from needleforce.cli import main
-from needleforce.cli.force_replay import AUTOMATIC_S, STATUS_CODES
-from needleforce.cli.log import MOST_ROWS
+from needleforce.cli.logs.row_overview import MOST_ROWS
+from needleforce.cli.logs.sensor_replay import STATUS_CODES
+from needleforce.cli.logs.tare_schedule import AUTOMATIC_S
 from needleforce.cli.terminal import FAILED, INTERRUPTED, READER_GONE, TERMINATED
 from needleforce.recordings import read_table, write_table
 from residual import SensorConfig, SensorWarning

@@ -9,7 +9,7 @@ from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.simulate import signal_table
+from needleforce.cli.logs.simulated_log import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from residual import DEFAULT as SENSOR

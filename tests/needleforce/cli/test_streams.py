@@ -16,7 +16,7 @@ import pytest
 from groundtruth import insert_needle
 from identification.log_replay import ReplayStream
 from needleforce.cli import main
-from needleforce.cli.force_replay import Replay
+from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.terminal import run_command, stop_request
 from needleforce.files import whole_file
 from needleforce.recordings import read_table, write_table
@@ -171,7 +171,7 @@ def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
 @pytest.fixture
 def interrupted(monkeypatch):
     """Ctrl-C while the first rows are estimated."""
-    for kind in (Replay, ReplayStream):
+    for kind in (SensorReplay, ReplayStream):
 
         def run(self, *columns, before=kind.run):
             with contextlib.suppress(KeyboardInterrupt):  # of the second time

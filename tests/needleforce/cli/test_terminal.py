@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 
 from needleforce.cli import app, main
-from needleforce.cli.log import RowOverview, check_outputs
-from needleforce.cli.options import Output
+from needleforce.cli.logs.outputs import check_outputs
+from needleforce.cli.logs.row_overview import RowOverview
+from needleforce.cli.shared_options import Output
 from needleforce.cli.terminal import (
     FAILED,
     INTERRUPTED,

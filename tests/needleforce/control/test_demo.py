@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from groundtruth.tissue import Rupture
-from needleforce.cli import demo, main
-from needleforce.cli.demo_runs import (
+from needleforce.cli import main
+from needleforce.cli.demos import guidance, teleoperation
+from needleforce.cli.demos.hand_driven import (
     BACK_S,
     HAND_STROKE_M,
     HandPlan,
@@ -67,7 +68,7 @@ def test_a_needle_turns_about_its_entry(tmp_path, capsys):
 
 def test_an_arm_yields_to_a_push_and_rests_when_let_go(tmp_path, capsys, monkeypatch):
     for name, value in (("PUSH_S", 4.5), ("PUSH_END_S", 7.5), ("GUIDED_S", 9.0)):
-        monkeypatch.setattr(demo, name, value)
+        monkeypatch.setattr(guidance, name, value)
     said = shown("guidance", tmp_path, capsys)
     assert 0.5 < number_behind(said, "yielded by 0.5 mm") < 2.0
     assert number_behind(said, "after it was let go") == 0.0
@@ -81,7 +82,7 @@ def test_a_needle_stops_by_itself_behind_a_rupture(tmp_path, capsys):
 
 def test_a_hand_feels_a_rupture_more_with_compensation(tmp_path, capsys, monkeypatch):
     plan = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=45e-3, scale=0.4)
-    monkeypatch.setattr(demo, "HandPlan", lambda **_: plan)
+    monkeypatch.setattr(teleoperation, "HandPlan", lambda **_: plan)
     said = shown("teleop", tmp_path, capsys)
     with_, without = said.split("without compensation")[1].split("%")[:2]
     assert float(with_) > 80.0 > 60.0 > float(without.strip(" ,"))

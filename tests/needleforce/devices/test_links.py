@@ -125,7 +125,9 @@ def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
 def test_an_arm_from_which_nothing_comes_is_said_so(
     command, tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr("needleforce.cli.live.FriArm", partial(FriArm, give_up_s=0.2))
+    monkeypatch.setattr(
+        "needleforce.cli.arms.arm_connection.FriArm", partial(FriArm, give_up_s=0.2)
+    )
     to = ["-o", str(tmp_path / "x.csv")] if command == "record" else []
     assert main([command, "fri:0", *to]) == 2
     said = capsys.readouterr().err.splitlines()

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.live_recorder import Recorder
+from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.terminal import CommandError
 from needleforce.devices import ArmSample, FriArm
 from needleforce.recordings import FileAccessError, read_log
@@ -37,7 +37,7 @@ def test_a_signal_ends_a_recording_whether_or_not_something_comes(
 
     asking = threading.Thread(target=ask)
     monkeypatch.setattr(
-        "needleforce.cli.live.FriArm", lambda **_: asking.start() or arm
+        "needleforce.cli.arms.arm_connection.FriArm", lambda **_: asking.start() or arm
     )
     code = main(["record", "fri:0", "-o", str(path)])
     asking.join()

@@ -263,7 +263,7 @@ def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
 def test_a_recording_becomes_one_page_that_needs_nothing_else(
     tmp_path, monkeypatch, capsys
 ):
-    from needleforce.cli.simulate import signal_table
+    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
     from tests.needleforce.scene.scene_page import open_page
 
@@ -336,7 +336,7 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(
 def test_a_recording_that_cannot_be_tared_is_said_so(
     joints, torque, options, code, why, tmp_path, monkeypatch, capsys
 ):
-    from needleforce.cli.simulate import signal_table
+    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
 
     monkeypatch.chdir(tmp_path)
@@ -357,9 +357,8 @@ def test_a_recording_that_cannot_be_tared_is_said_so(
 
 
 def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
-    from needleforce.cli.live_options import ViewOptions
-    from needleforce.cli.live_view import replayed
-    from needleforce.cli.simulate import signal_table
+    from needleforce.cli.logs.session_view import replay_session
+    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
     from needleforce.recordings.table import Labels
 
@@ -376,14 +375,16 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     )
     write_table(tmp_path / "b.mcap", turned, labels=Labels(joint_names=names))
     one, other = (
-        replayed(tmp_path / name, model, ViewOptions()) for name in ("a.mcap", "b.mcap")
+        replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )
     assert len(one) > 90
     assert np.array_equal(one, other, equal_nan=True)
 
 
 def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
-    monkeypatch.setattr("needleforce.cli.live.simulate", lambda *_, **__: short_run())
+    monkeypatch.setattr(
+        "needleforce.cli.arms.arm_connection.simulate", lambda *_, **__: short_run()
+    )
     assert (
         main(
             [

@@ -29,13 +29,29 @@ from needleforce.control.teleoperation import Shown
 from residual import DEFAULT, SensorConfig
 
 TARE_STROKE_M = 60e-3
+
+
 GAP_M = 5e-3
+
+
 TARE_SPEED_M_S = 20e-3
+
+
 STANDOFF_M = TARE_STROKE_M + GAP_M
+
+
 HAND_STROKE_M = 0.15
+
+
 BACK_S = 1.0
+
+
 JITTER_s = 5e-3
+
+
 TICK_s = 1e-3
+
+
 SETTLE_S = 1.5
 
 
@@ -220,8 +236,14 @@ class RuptureFelt(NamedTuple):
 
 
 BEFORE_TICKS = 100
+
+
 AFTER_TICKS = 250
+
+
 MEAN_TICKS = 20
+
+
 LATEST_ALARM_s = 0.6
 
 

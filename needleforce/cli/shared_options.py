@@ -1,28 +1,15 @@
 """Options of the commands: frozen dataclasses from which cyclopts builds the parser.
 
-The text below a field is its help.
+The text of a field in its class's `Attributes:` is its help.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from cyclopts import App, Group, Parameter
+from cyclopts import Parameter
 
-LOG = Group("Log", sort_key=1)
-OUTPUT = Group(
-    "Output", help="What is written; without any, a summary alone.", sort_key=2
-)
-ROBOT = Group("Robot", sort_key=3)
-SENSOR = Group("Sensor", sort_key=4)
-TARE = Group("Tare", sort_key=5)
-COLUMNS = Group(
-    "Columns",
-    help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names separated by "
-    "commas; a unit and a factor may follow, as in z:mm or fz:N:-1. What is not given is found "
-    "by its usual names.",
-    sort_key=6,
-)
+from needleforce.cli.application import COLUMNS, LOG, OUTPUT, ROBOT, SENSOR, TARE
 
 Source = Annotated[
     str,
@@ -33,6 +20,7 @@ Source = Annotated[
         help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard input.",
     ),
 ]
+
 
 _COLUMN = Parameter(metavar="COLUMNS")
 
@@ -94,6 +82,9 @@ class AllColumns(JointColumns, DepthColumns):
     """Channels of `report`."""
 
 
+TARE_S = 4.0
+"""Motion without contact before the tare of a session, unless `--tare` says otherwise."""
+
 Over = Literal["time", "depth"]
 
 
@@ -131,6 +122,9 @@ class Output:
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
 
 
+Direction = tuple[float, float, float]
+
+
 @Parameter(name="*", group=ROBOT)
 @dataclass(frozen=True, kw_only=True)
 class RobotOptions:
@@ -157,9 +151,7 @@ class RobotOptions:
     robot: Annotated[str | None, Parameter(metavar="NAME")] = None
     urdf: Annotated[str | None, Parameter(metavar="FILE")] = None
     tool_frame: Annotated[str | None, Parameter(metavar="NAME")] = None
-    tip_offset: Annotated[
-        tuple[float, float, float] | None, Parameter(metavar="X Y Z")
-    ] = None
+    tip_offset: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
     without: Annotated[
         tuple[str, ...], Parameter(metavar="LINK", consume_multiple=True)
     ] = ()
@@ -204,9 +196,7 @@ class SensorOptions:
     gain: Annotated[float | None, Parameter(metavar="K")] = None
     alignment: Literal["hold", "trapezoid"] | None = None
     mode: Literal["axial", "point", "full"] | None = None
-    insertion_axis: Annotated[
-        tuple[float, float, float] | None, Parameter(metavar="X Y Z")
-    ] = None
+    insertion_axis: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
     published: bool = False
     config: Annotated[str | None, Parameter(metavar="FILE")] = None
     friction: Annotated[str | None, Parameter(metavar="FILE")] = None
@@ -239,38 +229,31 @@ class IdentificationOptions:
     ignore_status: bool = False
 
 
-@Parameter(name="*", group=OUTPUT)
+ArmName = Annotated[
+    str,
+    Parameter(
+        name="ARM",
+        group=LOG,
+        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), franka:ADDRESS, "
+        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka is taken for a panda and a "
+        "ur for a ur10e unless --robot or --urdf names another.",
+    ),
+]
+
+
+Constants = tuple[float, float, float, float, float, float]
+
+
+@Parameter(name="*", group=LOG)
 @dataclass(frozen=True, kw_only=True)
-class SimulationOptions:
-    """What is simulated, and where it goes.
+class ArmOptions:
+    """How long an arm is listened to.
 
     Attributes:
-        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
-        truth: Ground truth, which the robot does not know: forces, depth, layers,
-            ruptures.
-        plant: Plant model: how good arm and sensors are (default: clean).
-        seed: Seed of everything that is drawn at random (default: 0).
-        list: Print the scenarios and stop.
+        seconds: Stop after this time [s]; else at Ctrl-C or when the arm stops sending.
+        motor_constants: For ur: joint torque per motor current of each joint [Nm/A]; a
+            UR sends no torques (docs/panda.md).
     """
 
-    output: Annotated[
-        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
-    ] = None
-    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
-    seed: Annotated[int, Parameter(metavar="N")] = 0
-    list: bool = False
-
-
-app = App(
-    name="needleforce",
-    help="Needle-tip force from a robot's joint torques, and the layers that the needle passes.",
-    default_parameter=Parameter(negative=(), show_default=False),
-    help_format="markdown",
-    version_flags=["--version"],
-    group_parameters=LOG,
-    group_arguments=LOG,
-)
-app.register_install_completion_command(
-    help="Install completion for bash, zsh or fish."
-)
+    seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
+    motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None

@@ -10,11 +10,16 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
-from needleforce.cli.demo import Shown
-from needleforce.cli.demo_abdomen import LANDMARKS, TOUCHES, Insertion, insert
-from needleforce.cli.live_options import DemoOptions
-from needleforce.cli.live_view import LEAST_VOXELS, description
-from needleforce.cli.options import RobotOptions
+from needleforce.cli.demos.abdomen_insertion import (
+    LANDMARKS,
+    TOUCHES,
+    Insertion,
+    insert,
+)
+from needleforce.cli.demos.result_page import DemoResult
+from needleforce.cli.plan_file import LEAST_VOXELS
+from needleforce.cli.robot import urdf_with_shapes
+from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
 from needleforce.plots import (
     Chart,
@@ -31,26 +36,26 @@ NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
 """Modules, all of extras, and the packages that bring them."""
 
 
-def run(options: DemoOptions) -> int:
+def run(
+    data: Path | None, seed: int, *, folder: Path | None, picture: Path | None
+) -> int:
     """Do it, print a table, and write a page or its first picture; return the exit
     code.
     """
-    folder = options.report
-    picture = options.figure
     if folder is not None or picture is not None:
         require_matplotlib("demo")
     for name, package in NEEDED.items():
         if find_spec(name) is None:
             raise CommandError(f"demo abdomen needs {package}; pip install {package}")
     with progress_bar("demonstrating abdomen") as progress:
-        made = insert(options.data, options.seed, progress)
+        made = insert(data, seed, progress)
 
     def drawn(folder: Path) -> list[PageFigure]:
         plane = draw_slice(made, folder / "slice.png")
         return [PageFigure(path=plane, alt=SLICE, caption=SLICE)]
 
     title = "From a CT to a needle whose ruptures correct the plan"
-    Shown(title, _rows(made), _charts(made)).write("abdomen", folder, drawn)
+    DemoResult(title, _rows(made), _charts(made)).write("abdomen", folder, drawn)
     if picture is not None:
         draw_slice(made, picture)
     if folder is not None and find_spec("viser") is not None:
@@ -76,7 +81,7 @@ def write_scene(made: Insertion, path: Path) -> Path:
     scene = PlanScene(
         surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift
     )
-    viewer = Viewer(made.robot, scene, urdf_path=description(RobotOptions()))
+    viewer = Viewer(made.robot, scene, urdf_path=urdf_with_shapes(RobotOptions()))
     viewer.append(made.rows)
     try:
         return viewer.export(path)
@@ -85,6 +90,8 @@ def write_scene(made: Insertion, path: Path) -> Path:
 
 
 LEAST_NAMED = 800  # Pixels from which on a structure's name is written
+
+
 SLICE = (
     "The plane of the needle through the segmentation, as planned: entry and target, planned "
     "boundaries (white), detected ruptures (cyan), and where the tip stopped (red), each moved "

@@ -22,6 +22,8 @@ from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import Labels
 
 CHUNK = 50  # Samples written at a time
+
+
 COLUMNS = {
     "q_rad": "q_rad",
     "dq_rad_s": "dq_rad_s",

@@ -1,0 +1,151 @@
+"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth
+beside it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from groundtruth import SCENARIOS, Run, Scenario, simulate
+from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
+from groundtruth.scenarios import scenario as scenario_named
+from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
+from needleforce.recordings import check_writable, write_table
+from needleforce.recordings.output import check_outputs
+from needleforce.recordings.table import Labels
+
+
+def print_scenarios() -> int:
+    """Print every scenario with its title; return the exit code."""
+    titles = {name: item.title for name, item in SCENARIOS.items()}
+    titles[RANDOM_STACK] = "one to four layers drawn from the seed"
+    titles[RANDOM_TISSUE] = "the same, each layer of its own law"
+    write_out(aligned(titles.items()))
+    return 0
+
+
+def write_simulation(
+    scenario: str | None,
+    *,
+    plant: str,
+    seed: int,
+    recording: Path | None,
+    truth: Path | None,
+) -> int:
+    """Simulate a scenario, write recording and ground truth, and print a summary.
+
+    Args:
+        scenario: Name of the scenario.
+        plant: Plant model.
+        seed: Seed of everything that is drawn at random.
+        recording: File of the robot's signals, if any.
+        truth: File of the ground truth, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: No scenario or file is named, or the seed is negative.
+    """
+    outputs = {"-o": recording, "--truth": truth}
+    paths = {option: path for option, path in outputs.items() if path is not None}
+    chosen = _check_simulation(scenario, seed, paths)
+    with progress_bar(f"simulating {chosen.id}"):
+        run = simulate(chosen, plant=plant, seed=seed)
+    joint_names = run.robot.joint_names
+    if recording is not None:
+        labels = Labels(joint_names=joint_names)
+        write_table(recording, signal_table(run), labels=labels)
+    if truth is not None:
+        labels = Labels(joint_names=joint_names, prefix="/truth")
+        write_table(truth, truth_table(run), labels=labels)
+    write_out(_summary(run, recording))
+    return 0
+
+
+def _check_simulation(
+    scenario: str | None, seed: int, paths: Mapping[str, Path]
+) -> Scenario:
+    """Return the scenario of that name, once it and its files are known to work."""
+    if not paths:
+        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
+    if scenario is None:
+        raise CommandError("no scenario is named; --list prints them")
+    if seed < 0:
+        raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
+    chosen = scenario_named(scenario, seed)
+    check_outputs(paths)
+    for path in paths.values():
+        check_writable(path)
+    return chosen
+
+
+def signal_table(run: Run) -> dict[str, NDArray]:
+    """Return what the robot and its F/T sensor gave: one row per sample, units in the
+    names.
+
+    Time stamps begin at zero at the earliest; an arm that reports no velocities has
+    none.
+    """
+    signals = run.signals
+    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
+    columns |= {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
+    wrench = {
+        "ft_force_N": signals.ft_wrench[:, :3],
+        "ft_torque_Nm": signals.ft_wrench[:, 3:],
+    }
+    return {**columns, "tau_Nm": signals.tau_Nm, **wrench}
+
+
+def truth_table(run: Run) -> dict[str, NDArray]:
+    """Return the ground truth at the same samples; see `groundtruth.Truth` for the
+    meaning.
+
+    `rupture` is the number of the layer that the tip begins to leave at a row, counted
+    from 1, else 0; of two that rupture within one row the second stands in the next.
+    `surface_rupture` is 1 where a membrane on the surface ruptures.
+    """
+    truth = run.truth
+    names = ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer")
+    columns: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
+    columns |= {name: getattr(truth, name) for name in names}
+    columns["rupture"] = _ruptures(run, on_surface=False)
+    columns["surface_rupture"] = _ruptures(run, on_surface=True)
+    columns["tau_ext_Nm"] = truth.external_torque_Nm
+    if truth.layer_friction_N.shape[1]:
+        columns["layer_friction_N"] = truth.layer_friction_N
+    return columns
+
+
+def _shift_s(run: Run) -> float:
+    """Return what makes the first stamp of a clock with jitter no less than zero, as
+    bags want.
+    """
+    return max(0.0, -float(run.signals.t_s[0]))
+
+
+def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
+    marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
+    for rupture in (
+        item for item in run.truth.ruptures if (item.layer == 0) is on_surface
+    ):
+        row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
+        while row < len(marks) and marks[row]:
+            row += 1
+        marks[row : row + 1] = rupture.layer or 1
+    return marks
+
+
+def _summary(run: Run, output: Path | None) -> str:
+    end_s = f"{run.tare_end_s:.4g}"
+    text = (
+        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, seed {run.seed}\n"
+        f"{len(run.signals.t_s)} samples in {run.signals.t_s[-1]:.4g} s, without contact until "
+        f"{end_s} s\n"
+    )
+    if output is not None:
+        forces = f"forces{''.join(output.suffixes)}"
+        text += f"next: needleforce force {output} --tare 0:{end_s} -o {forces}\n"
+    return text

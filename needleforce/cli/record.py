@@ -1,0 +1,35 @@
+"""The command `needleforce record`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.shared_options import ArmName, ArmOptions, RobotOptions
+
+
+@app.command(name="record")
+def record_command(
+    arm: ArmName,
+    /,
+    *,
+    output: Annotated[
+        Path,
+        Parameter(
+            name=("--output", "-o"),
+            metavar="FILE",
+            group=LIVE_OUTPUT,
+            help="Recording.",
+        ),
+    ],
+    options: ArmOptions = ArmOptions(),
+    robot: RobotOptions = RobotOptions(),
+) -> int:
+    """Write an arm's joint signals into a recording as they come, until Ctrl-C.
+
+    needleforce record fri -o insertion.mcap
+    """
+    from needleforce.cli.arms.arm_recording import record_signals
+
+    return record_signals(arm, output, options, robot)

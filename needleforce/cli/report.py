@@ -1,0 +1,47 @@
+"""The command `needleforce report`."""
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from needleforce.cli.application import LOG, app
+from needleforce.cli.shared_options import (
+    AllColumns,
+    IdentificationOptions,
+    Output,
+    RobotOptions,
+    SensorOptions,
+    Source,
+)
+
+
+@app.command(name="report")
+def report_command(
+    log: Source,
+    folder: Annotated[
+        Path, Parameter(name="DIR", group=LOG, help="Created if missing.")
+    ],
+    /,
+    *,
+    robot: RobotOptions = RobotOptions(),
+    sensor: SensorOptions = SensorOptions(),
+    options: IdentificationOptions = IdentificationOptions(),
+    columns: AllColumns = AllColumns(),
+) -> int:
+    """Write a page with charts, results, warnings and settings of a log into a folder.
+
+    From a log with joint positions and torques: the forces, as by `needleforce force`,
+    and the layers found in them, as by `needleforce identify`. From a log with depth
+    and force: the layers. DIR/index.html needs no other file.
+
+    needleforce report insertion.csv report
+    """
+    from needleforce.cli.logs import force_result, layer_result
+    from needleforce.cli.logs.log_session import has_channels
+
+    output = Output(report=folder)
+    torque = "tau_ext" if sensor.external_torque else "tau"
+    if has_channels(log, columns, ("q", torque)):
+        return force_result.run(log, output, robot, sensor, columns, options)
+    return layer_result.run(log, output, options, columns)
