@@ -3,82 +3,30 @@
 import ast
 import pkgutil
 import re
-import subprocess
 import tomllib
 from dataclasses import fields, is_dataclass
 from importlib import import_module
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
-LIBRARIES = ("urdf", "residual", "identification", "groundtruth")
-INSTALLED = ("foundation", *LIBRARIES, "needleforce")
-PACKAGES = (*INSTALLED, "benchmarks")
+from tests.source_files import (
+    LIBRARIES,
+    PACKAGE_SOURCES,
+    PACKAGES,
+    ROOT,
+    SOURCES,
+    TESTS,
+    functions,
+    name_of,
+    project_files,
+    syntax,
+    text_files,
+)
+
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-MOST_PUBLIC_NAMES = 26
+MAX_PUBLIC_NAMES = 26
 VAGUE_NAMES = {"utils.py", "util.py", "common.py", "helpers.py", "misc.py"}
-
-
-def listed_by_git():
-    """Names of the files under version control; none in a copy without it."""
-    try:
-        listed = subprocess.run(
-            ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return []
-    return [name for name in listed.stdout.decode().split("\0") if name]
-
-
-def project_files():
-    """Files under version control; in a copy without it, what lies in the project's
-    folders."""
-    paths = [ROOT / name for name in listed_by_git()]
-    if not paths:
-        folders = (*PACKAGES, ".ci", "tests", "docs", "examples")
-        paths = [path for folder in folders for path in (ROOT / folder).rglob("*")]
-        paths += [path for path in ROOT.glob("*.*") if not path.name.startswith(".")]
-    return [
-        path for path in paths if path.is_file() and "__pycache__" not in path.parts
-    ]
-
-
-def text_files():
-    """Every file that is text, with its content."""
-    for path in project_files():
-        try:
-            yield path, path.read_text(encoding="utf-8")
-        except UnicodeDecodeError:
-            continue
-
-
-def name_of(path):
-    return str(path.relative_to(ROOT))
-
-
-def syntax(path):
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-SOURCES = [path for path in project_files() if path.suffix == ".py"]
-PACKAGE_SOURCES = [
-    path for path in SOURCES if path.relative_to(ROOT).parts[0] in PACKAGES
-]
-TESTS = [
-    path
-    for path in SOURCES
-    if path.is_relative_to(ROOT / "tests") and path.name != "__init__.py"
-]
-
-
-def functions(tree):
-    return [
-        n
-        for n in ast.walk(tree)
-        if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)
-    ]
 
 
 def test_no_file_has_a_name_that_says_nothing():
@@ -109,7 +57,7 @@ def test_the_public_face_is_sorted_small_and_resolves(package_name):
     assert names == sorted(
         names, key=lambda n: (not n.isupper(), not n[0].isupper(), n)
     )
-    assert len(names) <= MOST_PUBLIC_NAMES
+    assert len(names) <= MAX_PUBLIC_NAMES
     assert [name for name in names if not hasattr(package, name)] == []
 
 
