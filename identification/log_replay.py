@@ -7,6 +7,8 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.advice import Message
+from identification.advice import SignAdvice
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
@@ -61,7 +63,7 @@ class SignCheck:
 
     def hints(self) -> tuple[str, ...]:
         """One sentence per suspicion; none for a recording that looks right."""
-        hints = []
+        hints: list[str] = []
         start = self._start_m
         span = 0.0 if start is None else self._deepest_m - self._least_m
         if span > _LARGEST_DEPTH_M:
@@ -73,16 +75,25 @@ class SignCheck:
             return (*hints, still)
         if self._fresh_m > 0.0 and self._pushed_Nm / self._fresh_m < -_LEAST_FORCE_N:
             hints.append(
-                "the force is negative while the needle goes in; it must be positive when tissue "
-                "pushes back: flip its sign"
+                Message(
+                    "the force is negative while the needle goes in; it must be positive "
+                    "when tissue pushes back: ",
+                    SignAdvice.FLIP_FORCE,
+                )
             )
         if start - self._least_m > 0.7 * span and self._largest_N > self._least_N:
             hints.append(
-                "depth falls before it rises; it must grow into the tissue: flip its sign?"
+                Message(
+                    "depth falls before it rises; it must grow into the tissue: ",
+                    SignAdvice.FLIP_DEPTH,
+                )
             )
         if self._agreement < 0.0:
             hints.append(
-                "speed has the sign opposite to the change of depth: flip one of them"
+                Message(
+                    "speed has the sign opposite to the change of depth: ",
+                    SignAdvice.FLIP_SPEED,
+                )
             )
         return tuple(hints)
 

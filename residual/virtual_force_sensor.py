@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.advice import Message
+from residual.advice import TareAdvice
 from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step
@@ -205,8 +207,11 @@ class VirtualForceSensor:
         """
         if self._monitor.velocity_fault and not ignore_contact:
             raise VelocityError(
-                f"{self._monitor.velocity_fault} No tare would hold: correct the signals and move "
-                "in free air anew, or ignore_contact=True if you know better"
+                Message(
+                    f"{self._monitor.velocity_fault} No tare would hold: correct the "
+                    "signals and move in free air anew",
+                    TareAdvice.IGNORE_CONTACT,
+                )
             )
         external = self._stream is not None and self._stream.is_external
         try:
@@ -215,15 +220,15 @@ class VirtualForceSensor:
             )
         except TareError as error:
             # What may be the cause of it.
-            hints = [
-                f"{self.question} If not, {error}" if self.question else str(error)
-            ]
+            hints: list[str] = [Message.of(error)]
+            if self.question:
+                hints = [Message(f"{self.question} If not, ", Message.of(error))]
             if self.rejected and not len(self._offset.memory.recorder.sums):
                 hints += [
                     f"{self.rejected} samples were rejected, the last one: {self._refusal}"
                 ]
             hints += filter(None, [long_step(self.elapsed_s, self._config.max_gap_s)])
-            raise TareError("; ".join(hints)) from None
+            raise TareError(Message.joined("; ", hints)) from None
         self._weigh()
         self._follows = False
         return tare

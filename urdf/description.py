@@ -17,6 +17,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
+from foundation.advice import Message
+from urdf.advice import RobotAdvice
 from urdf.errors import (
     InputError,
     UnknownNameError,
@@ -90,14 +92,20 @@ def check_description(
         mimic = joint.find("mimic")
         if name not in locked and kind not in _ONE_NUMBER_JOINTS:
             raise UnsupportedJointError(
-                f"{source}: joint {name!r} is of type {kind!r}, expected one of "
-                f"{', '.join(_ONE_NUMBER_JOINTS)}; lock it with locked_joints, or give "
-                "a continuous joint limits and call it revolute"
+                Message(
+                    f"{source}: joint {name!r} is of type {kind!r}, expected one of "
+                    f"{', '.join(_ONE_NUMBER_JOINTS)}; ",
+                    RobotAdvice.LOCK_JOINT,
+                    ", or give a continuous joint limits and call it revolute",
+                )
             )
         if name not in locked and mimic is not None:
             raise UnsupportedJointError(
-                f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it does "
-                "not move on its own; lock it with locked_joints"
+                Message(
+                    f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it "
+                    "does not move on its own; ",
+                    RobotAdvice.LOCK_JOINT,
+                )
             )
     for link in root.findall("link"):
         inertial = link.find("inertial")

@@ -13,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from foundation.advice import Message
+from urdf.advice import RobotAdvice
 from urdf.description import build_model, check_description, read_description
 from urdf.errors import (
     Array,
@@ -191,8 +193,10 @@ def example_robot_path(name: str) -> Path:
     """
     if name not in _EXAMPLES:
         raise UnknownNameError(
-            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; "
-            "load_urdf(FILE) loads any other"
+            Message(
+                f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; ",
+                RobotAdvice.LOAD_FILE,
+            )
         )
     # Conda puts shared data below the prefix of Python, pip into a cmeel wheel.
     prefixes = [Path(sys.prefix)]

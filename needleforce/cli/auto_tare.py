@@ -2,15 +2,17 @@
 
 import math
 
+from foundation.advice import Advice, Message
 from needleforce.cli.terminal import CommandError, say
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
+from residual.advice import TareAdvice
 
-_WITHOUT_OPTIONS = {
-    ", or ignore_contact=True if you know better": "",
-    "set torque_is_gravity_compensated=True": "give needleforce force --gravity-compensated",
+_ADVICES: dict[Advice, str] = {
+    TareAdvice.IGNORE_CONTACT: "",
+    TareAdvice.COMPENSATE_GRAVITY: "give needleforce force --gravity-compensated",
 }
-"""What a refused tare advises in code, where there is no option for it."""
+"""Words of the command for what a refused tare advises; it has no option for some."""
 
 
 class SessionTare:
@@ -35,8 +37,6 @@ class SessionTare:
         try:
             session.tare()
         except TareError as error:
-            reason = str(error)
-            for words, here in _WITHOUT_OPTIONS.items():
-                reason = reason.replace(words, here)
+            reason = Message.of(error).in_words(_ADVICES)
             say(f"no tare at {now.time_s:.1f} s: {reason}")
         return session.tared

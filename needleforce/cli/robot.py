@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 import urdf
+from foundation.advice import Advice, Message
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.cli.toml_tables import NOTHING, decoded
@@ -25,11 +26,18 @@ from residual import (
     SigmoidFriction,
 )
 from urdf import NeedleTool, Payload, Robot, example_robot_path
+from urdf.advice import RobotAdvice
 from urdf.errors import finite_array
 
 # The arm, and what hangs on its flange.
 
 LWR = "lwr"
+
+_ADVICES: dict[Advice, str] = {
+    RobotAdvice.LOCK_JOINT: "lock it with --lock",
+    RobotAdvice.LOAD_FILE: "--urdf FILE loads any other",
+}
+"""Options for what messages about a robot advise."""
 
 
 def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
@@ -58,10 +66,7 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
             return urdf.load_example(str(options.robot), **placed)
         return urdf.load_urdf(options.urdf, locked_joints=locked, **placed)
     except (urdf.UnsupportedJointError, urdf.UnknownNameError) as error:
-        reason = str(error).replace("lock it with locked_joints", "lock it with --lock")
-        raise CommandError(
-            reason.replace("load_urdf(FILE) loads", "--urdf FILE loads")
-        ) from error
+        raise CommandError(Message.of(error).in_words(_ADVICES)) from error
 
 
 def _locked(text: str) -> tuple[str, float]:

@@ -9,6 +9,8 @@ from typing import Self
 import numpy as np
 import pinocchio as pin
 
+from foundation.advice import Message
+from residual.advice import TareAdvice
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import follow_joints
 from residual.bias.model import BiasModel, Tare, TareBlocks
@@ -314,12 +316,12 @@ class BiasEstimator:
                 "start_tare_recording(), move in free air, then tare() again"
             )
         if not len(memory.recorder.sums):
-            nothing = (
-                f"no settled free motion has been recorded (less than {self.block_s:g} s of it); "
-                "update() the sensor without contact first, in steps no longer than max_gap_s, "
-                "then tare()"
+            nothing = Message(
+                "no settled free motion has been recorded (less than "
+                f"{self.block_s:g} s of it); ",
+                TareAdvice.MOVE_FREELY,
             )
-            raise TareError("; ".join(filter(None, (nothing, self.warning))))
+            raise TareError(Message.joined("; ", (nothing, self.warning)))
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         fit = FreeMotionFit(self._basis, blocks)
         if not ignore_contact:

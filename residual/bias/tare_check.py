@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from foundation.advice import Message
+from residual.advice import TareAdvice
 from residual.bias.fit import FreeMotionFit
 from residual.bias.model import BiasModel, TareBlocks
 from residual.errors import Array, TareError, named_joints
@@ -83,9 +85,12 @@ def check_free_of_contact(
     if touch or cause:
         text = "the sensor reads {:.2f} N along the needle where 0 +/- {:.2f} N is expected in "
         raise TareError(
-            (text.format(*touch[0]) + "free motion: " if touch else "")
-            + (cause or "the needle seems to be in contact, or the payload is wrong")
-            + ". Tare in free air, or ignore_contact=True if you know better"
+            Message(
+                text.format(*touch[0]) + "free motion: " if touch else "",
+                cause or "the needle seems to be in contact, or the payload is wrong",
+                ". Tare in free air",
+                TareAdvice.IGNORE_CONTACT,
+            )
         )
 
 
@@ -208,7 +213,8 @@ def explain_residual(
         if _rms(residual - factor * gravity) < MOST_LEFT * size:
             for known, reason in _GRAVITY_FACTORS[is_external].items():
                 if abs(factor / known - 1.0) < NEAR:
-                    return f"the residual is {factor:.2f} times gravity's torque g(q): {reason}"
+                    seen = f"the residual is {factor:.2f} times gravity's torque g(q): "
+                    return Message(seen, reason)
     order = (
         ()
         if is_external
@@ -223,13 +229,18 @@ def explain_residual(
 
 _GRAVITY_FACTORS = {
     False: {
-        1.0: "tau seems to leave gravity out; set torque_is_gravity_compensated=True",
-        2.0: "tau seems to have the wrong sign; negate it",
-        -1.0: "gravity seems to be added twice; set torque_is_gravity_compensated=False",
+        1.0: Message("tau seems to leave gravity out; ", TareAdvice.COMPENSATE_GRAVITY),
+        2.0: Message("tau seems to have the wrong sign; ", TareAdvice.NEGATE_TORQUE),
+        -1.0: Message("gravity seems to be added twice; ", TareAdvice.KEEP_GRAVITY),
     },
     True: {
-        1.0: "it seems to be the measured torque; call update() instead",
-        -1.0: "it seems to be the negated measured torque; negate it and call update() instead",
+        1.0: Message(
+            "it seems to be the measured torque; ", TareAdvice.SEND_MEASURED_TORQUE
+        ),
+        -1.0: Message(
+            "it seems to be the negated measured torque; ",
+            TareAdvice.SEND_NEGATED_TORQUE,
+        ),
     },
 }
 

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.advice import Advice, Message
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Estimate, LayerEstimate
+from identification.advice import SignAdvice
 from identification.log_replay import ReplayStream
 from needleforce import plots
 from needleforce.cli.logs.log_session import LogSession, mapping_from_options
@@ -132,7 +134,8 @@ def identify_layers(
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in (+left_out).items()
     )
-    warnings = (*counted, *map(_with_option, stream.hints))
+    hints = (Message(hint).in_words(_ADVICES) for hint in stream.hints)
+    warnings = (*counted, *hints)
     layers = stream.layers
     for warning in warnings:
         say(f"warning: {warning}")
@@ -141,18 +144,13 @@ def identify_layers(
     )
 
 
-_FLIPPED = {
-    "the force": "--force fz:N:-1",
-    "depth": "--depth z:m:-1",
-    "speed": "--speed v:m/s:-1",
+_FACTOR = "; a factor of -1 after the unit does, as in"
+_ADVICES: dict[Advice, str] = {
+    SignAdvice.FLIP_FORCE: f"flip its sign{_FACTOR} --force fz:N:-1",
+    SignAdvice.FLIP_DEPTH: f"flip its sign{_FACTOR} --depth z:m:-1",
+    SignAdvice.FLIP_SPEED: f"flip one of them{_FACTOR} --speed v:m/s:-1",
 }
-
-
-def _with_option(hint: str) -> str:
-    for what, option in _FLIPPED.items():
-        if "flip" in hint and hint.startswith(what):
-            return f"{hint.rstrip('?')}; a factor of -1 after the unit does, as in {option}"
-    return hint
+"""Options for what hints about signs advise."""
 
 
 _EVENTS = ("rupture", "identified_layer", "retracted")

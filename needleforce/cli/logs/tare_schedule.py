@@ -4,9 +4,11 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
+from foundation.advice import Advice, Message
 from needleforce.cli.shared_options import SensorOptions
 from needleforce.cli.terminal import CommandError
 from residual import Status, TareError, VirtualForceSensor
+from residual.advice import TareAdvice
 from residual.bias.model import Tare
 from residual.errors import VelocityError
 
@@ -30,18 +32,20 @@ _UNITS = (
 )
 
 
-_AS_OPTIONS = {
-    "ignore_contact=True": "--force-tare",
-    "set torque_is_gravity_compensated=True": "give --gravity-compensated",
-    "set torque_is_gravity_compensated=False": "leave --gravity-compensated out",
-    "negate it and call update() instead": "leave --external-torque out and negate it",
-    "call update() instead": "leave --external-torque out and read it with --tau",
-    "negate it": "negate it, as in --tau tau_*:Nm:-1",
-    "update() the sensor without contact first, in steps no longer than max_gap_s, then tare()": (
-        "choose a longer window, without gaps in time"
+_ADVICES: dict[Advice, str] = {
+    TareAdvice.IGNORE_CONTACT: ", or --force-tare if you know better",
+    TareAdvice.COMPENSATE_GRAVITY: "give --gravity-compensated",
+    TareAdvice.KEEP_GRAVITY: "leave --gravity-compensated out",
+    TareAdvice.NEGATE_TORQUE: "negate it, as in --tau tau_*:Nm:-1",
+    TareAdvice.SEND_MEASURED_TORQUE: (
+        "leave --external-torque out and read it with --tau"
     ),
+    TareAdvice.SEND_NEGATED_TORQUE: (
+        "leave --external-torque out and negate it, as in --tau tau_*:Nm:-1"
+    ),
+    TareAdvice.MOVE_FREELY: "choose a longer window, without gaps in time",
 }
-"""What a refused tare advises in code, as options."""
+"""Options for what a refused tare advises."""
 
 
 class TareWindow(NamedTuple):
@@ -182,9 +186,7 @@ class TareSchedule:
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
-            reason = str(error)
-            for words, option in _AS_OPTIONS.items():
-                reason = reason.replace(words, option)
+            reason = Message.of(error).in_words(_ADVICES)
             choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
             raise CommandError(f"{what}: {reason}. {choices}") from error
         self.done = window._replace(tare=tare)
