@@ -23,12 +23,11 @@ BANDWIDTH_rad_s = 200.0
 """Natural frequency of the loop, critically damped: stiff enough that the few newtons
 of a rupture move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 
-# For which one mass matrix serves: the arm turns by 5 mrad meanwhile at most.
 MASS_TICKS = 10
+"""Ticks for which one mass matrix serves: the arm turns by 5 mrad at most meanwhile."""
 
-_REPORT_TICKS = 500
+_REPORT_TICKS = 500  # Between reports of the progress
 _MAX_POSITION_ERROR_rad = 0.02
-_OF_JOINTS = ("q_rad", "dq_rad_s", "tau_Nm", "joint_friction_Nm")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -92,19 +91,11 @@ def drive(
     """
     feed_forward, mass = _dynamics_along(model, motion)
     ticks, joints = feed_forward.shape
-    trace = ArmTrace(
-        **{name: np.empty((ticks, joints)) for name in _OF_JOINTS},
-        ft_wrench=np.empty((ticks, 6)),
-        axial_jacobian=np.empty((ticks + 1, joints)),
-        depth_m=np.empty(ticks),
-        mean_axial_N=np.empty(ticks),
-        forces=[],
-    )
-    q_rad, dq_rad_s = motion
-    plant.place(q_rad[0], dq_rad_s[0])
+    trace = _empty_trace(ticks, joints)
+    plant.place(motion.q_rad[0], motion.dq_rad_s[0])
     for k, ahead in enumerate(feed_forward):
-        error = q_rad[k] - plant.q_rad
-        slip = dq_rad_s[k] - plant.dq_rad_s
+        error = motion.q_rad[k] - plant.q_rad
+        slip = motion.dq_rad_s[k] - plant.dq_rad_s
         acceleration = BANDWIDTH_rad_s**2 * error + 2.0 * BANDWIDTH_rad_s * slip
         torque = ahead + mass[k // MASS_TICKS] @ acceleration
         if k % _REPORT_TICKS == 0:
@@ -130,6 +121,21 @@ def drive(
     return trace
 
 
+def _empty_trace(ticks: int, joints: int) -> ArmTrace:
+    """Return a trace whose rows are not set yet."""
+    return ArmTrace(
+        q_rad=np.empty((ticks, joints)),
+        dq_rad_s=np.empty((ticks, joints)),
+        tau_Nm=np.empty((ticks, joints)),
+        joint_friction_Nm=np.empty((ticks, joints)),
+        ft_wrench=np.empty((ticks, 6)),
+        axial_jacobian=np.empty((ticks + 1, joints)),
+        depth_m=np.empty(ticks),
+        mean_axial_N=np.empty(ticks),
+        forces=[],
+    )
+
+
 def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array]:
     """Return feed-forward torques and mass matrices along a motion.
 
@@ -137,7 +143,8 @@ def _dynamics_along(model: pin.Model, motion: JointMotion) -> tuple[Array, Array
         Torques, shape (n, 7), and mass matrices, shape (ceil(n / MASS_TICKS), 7, 7).
     """
     # At the middle of each tick: a torque held over it sets the mean acceleration.
-    q, dq = motion
+    q = motion.q_rad
+    dq = motion.dq_rad_s
     middles = zip(
         0.5 * (q[1:] + q[:-1]),
         0.5 * (dq[1:] + dq[:-1]),

@@ -1,5 +1,7 @@
 """Commanded motion of the arm: the needle's straight line, and free joint motion."""
 
+from typing import NamedTuple
+
 import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline, make_interp_spline
@@ -19,27 +21,43 @@ the Jacobian 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limi
 FREE_MOTION_s = 20.0
 
 _KNOT_SPACING_m = 5e-3
-_TOLERANCE = 1e-12
-_ITERATIONS = 50
-_MAX_CONDITION = 30.0
+_SPLINE_DEGREE = 5
+_TOLERANCE = 1e-12  # Of the placement, m and rad
+_MAX_ITERATIONS = 50
+_MAX_CONDITION = 30.0  # Of the Jacobian
 
-# Incommensurate slow sines of the free motion: peak speeds near 0.5 rad/s; no two
-# periods with a small common multiple within a run.
+# Slow sines of the free motion, with peak speeds near 0.5 rad/s.
 _AMPLITUDE_rad = np.array([0.55, 0.40, 0.50, 0.45, 0.50, 0.45, 0.40])
+# Incommensurate: no two periods have a small common multiple within a run.
 _FREQUENCY_Hz = np.array([0.11, 0.13, 0.12, 0.14, 0.15, 0.16, 0.18])
-_REST_s = 1.0
-_FADE_s = 4.0
+_REST_s = 1.0  # At rest before and after the sines
+_FADE_s = 4.0  # Time in which they grow and fade
 
 
-JointMotion = tuple[
-    Array, Array
-]  # Positions [rad] and velocities [rad/s], (n + 1, 7) each
-InsertionPath = tuple[BSpline, pin.SE3]
-"""A straight line of the tool frame along its own z axis: joint positions (7,) as a
-function of travel in m, and where the tool frame is in the base at travel zero.
+class JointMotion(NamedTuple):
+    """Commanded motion of all joints at n + 1 ticks.
 
-Quintic spline through knots solved to rounding every 5 mm; between knots the tip leaves
-the line by less than a nanometre."""
+    Attributes:
+        q_rad: Positions, shape (n + 1, 7).
+        dq_rad_s: Velocities, shape (n + 1, 7).
+    """
+
+    q_rad: Array
+    dq_rad_s: Array
+
+
+class InsertionPath(NamedTuple):
+    """A straight line of the tool frame along its own z axis.
+
+    Attributes:
+        posture_rad: Joint positions, shape (7,), as a function of the travel [m]: a
+            quintic spline through knots solved to rounding every 5 mm. Between knots
+            the tip leaves the line by less than a nanometre.
+        start: Placement of the tool frame in the base at travel zero.
+    """
+
+    posture_rad: BSpline
+    start: pin.SE3
 
 
 def needle_down(robot: Robot, posture_rad: Array) -> Array:
@@ -74,10 +92,11 @@ def insertion_path(
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, start_rad)
     start = data.oMf[robot.tool_frame_id].copy()
-    first = int(np.floor(travel_m[0] / _KNOT_SPACING_m)) - 1
-    last = int(np.ceil(travel_m[1] / _KNOT_SPACING_m)) + 1
+    first_knot = int(np.floor(travel_m[0] / _KNOT_SPACING_m)) - 1
+    last_knot = int(np.ceil(travel_m[1] / _KNOT_SPACING_m)) + 1
+    last_knot = max(last_knot, _SPLINE_DEGREE)
     knots = {0: start_rad}
-    for indices in (range(1, max(last, 5) + 1), range(-1, first - 1, -1)):
+    for indices in (range(1, last_knot + 1), range(-1, first_knot - 1, -1)):
         posture = start_rad
         for index in indices:
             offset = pin.SE3(np.eye(3), np.array([0.0, 0.0, index * _KNOT_SPACING_m]))
@@ -85,13 +104,15 @@ def insertion_path(
     indices = sorted(knots)
     postures = np.array([knots[index] for index in indices])
     _check_postures(robot, data, postures)
-    return make_interp_spline(np.array(indices) * _KNOT_SPACING_m, postures, k=5), start
+    travels_m = np.array(indices) * _KNOT_SPACING_m
+    spline = make_interp_spline(travels_m, postures, k=_SPLINE_DEGREE)
+    return InsertionPath(spline, start)
 
 
 def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
     """Return a posture that reaches a placement, by Newton steps of least norm."""
     posture = np.array(posture_rad)
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         pin.framesForwardKinematics(robot.model, data, posture)
         error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
         if np.abs(error).max() < _TOLERANCE:
@@ -107,6 +128,7 @@ def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) ->
 
 
 def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
+    """Raise `MotionError` for a posture outside the limits or near a singularity."""
     outside = (postures < robot.position_lower_rad) | (
         postures > robot.position_upper_rad
     )
@@ -142,7 +164,10 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
     at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
     rate[at_rest] = 0.0
-    return centre_rad + _AMPLITUDE_rad * fade[:, None] * sine, _AMPLITUDE_rad * rate
+    return JointMotion(
+        q_rad=centre_rad + _AMPLITUDE_rad * fade[:, None] * sine,
+        dq_rad_s=_AMPLITUDE_rad * rate,
+    )
 
 
 def scenario_path(robot: Robot, scenario: Scenario) -> InsertionPath:
@@ -167,11 +192,10 @@ def scenario_motion(path: InsertionPath, scenario: Scenario) -> JointMotion:
     end_s = motion.duration_s if scenario.layers else motion.tare_end_s
     time = np.arange(round(end_s / TICK_s) + 1, dtype=np.float64) * TICK_s
     travel_m = motion.position_m(time) - motion.start_m
-    spline, _ = path
-    q_rad = spline(travel_m)
-    dq_rad_s = spline(travel_m, nu=1) * motion.speed_m_s(time)[:, None]
+    q_rad = path.posture_rad(travel_m)
+    dq_rad_s = path.posture_rad(travel_m, nu=1) * motion.speed_m_s(time)[:, None]
     if not scenario.layers:
-        free_rad, free_rad_s = joint_excitation(q_rad[-1], FREE_MOTION_s)
-        q_rad = np.concatenate([q_rad, free_rad[1:]])
-        dq_rad_s = np.concatenate([dq_rad_s, free_rad_s[1:]])
-    return q_rad, dq_rad_s
+        free = joint_excitation(q_rad[-1], FREE_MOTION_s)
+        q_rad = np.concatenate([q_rad, free.q_rad[1:]])
+        dq_rad_s = np.concatenate([dq_rad_s, free.dq_rad_s[1:]])
+    return JointMotion(q_rad, dq_rad_s)

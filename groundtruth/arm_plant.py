@@ -6,14 +6,14 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from groundtruth.errors import Array, PlantError, PlantModelError, require_fraction
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
-from groundtruth.rig_contacts import Contact, TouchedPoint
+from groundtruth.rig_contacts import Contact, TouchedPoint, Vector3
 from groundtruth.scenarios import ElbowPush, LateralForce, Scenario, TissueMotion
 from groundtruth.tissue import Tissue, TissueForce, no_force
 from urdf import NeedleTool, Payload, Robot, load_lwr
@@ -31,88 +31,80 @@ four), so the number is set by the tissue: four per tick follow the release of a
 rupture."""
 SUBSTEP_s = TICK_s / SUBSTEPS
 
+
+class _CadLink(NamedTuple):
+    """A link of the CAD table.
+
+    Attributes:
+        mass_kg: Mass.
+        com_m: Centre of mass in the joint frame.
+        moments_kg_m2: Ixx, Iyy, Izz about the centre of mass.
+        products_kg_m2: Ixy, Ixz, Iyz about the centre of mass.
+    """
+
+    mass_kg: float
+    com_m: Vector3
+    moments_kg_m2: Vector3
+    products_kg_m2: Vector3
+
+    @property
+    def inertia(self) -> pin.Inertia:
+        """The link as a Pinocchio inertia in its joint frame."""
+        ixx, iyy, izz = self.moments_kg_m2
+        ixy, ixz, iyz = self.products_kg_m2
+        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
+        return pin.Inertia(self.mass_kg, np.array(self.com_m), about_com)
+
+
 # The second link table of the LWR 4+: the end point of the plant's model error, so that
 # no estimator is evaluated on an arm that has exactly its own numbers (the nominal
 # table of the ``urdf`` package is a fit to KUKA's own interface data).
 #
 # Read in two public LWR 4 simulators (a course work of Sapienza, models of the KUKA_LWR
-# MATLAB simulator); believed to stem from CoppeliaSim's LBR4p. Joint frames, inertia
-# about the com.
-# mass kg, com x, y, z m,            Ixx,      Ixy,   Ixz,   Iyy,      Iyz,       Izz  kg m^2
+# MATLAB simulator); believed to stem from CoppeliaSim's LBR4p.
 _CAD_TABLE = (
-    (
-        2.7,
-        0.00134,
-        0.02622,
-        0.11222,
-        0.016341,
-        1e-6,
-        3e-6,
-        0.016172,
-        -0.003533,
-        0.005026,
+    _CadLink(
+        mass_kg=2.7,
+        com_m=(0.00134, 0.02622, 0.11222),
+        moments_kg_m2=(0.016341, 0.016172, 0.005026),
+        products_kg_m2=(1e-6, 3e-6, -0.003533),
     ),
-    (
-        2.7,
-        0.00134,
-        -0.02622,
-        0.08778,
-        0.016341,
-        -1e-6,
-        3e-6,
-        0.016172,
-        0.003533,
-        0.005026,
+    _CadLink(
+        mass_kg=2.7,
+        com_m=(0.00134, -0.02622, 0.08778),
+        moments_kg_m2=(0.016341, 0.016172, 0.005026),
+        products_kg_m2=(-1e-6, 3e-6, 0.003533),
     ),
-    (
-        2.7,
-        -0.00134,
-        -0.02622,
-        0.11222,
-        0.016341,
-        -1e-6,
-        3e-6,
-        0.016192,
-        0.003533,
-        0.005026,
+    _CadLink(
+        mass_kg=2.7,
+        com_m=(-0.00134, -0.02622, 0.11222),
+        moments_kg_m2=(0.016341, 0.016192, 0.005026),
+        products_kg_m2=(-1e-6, 3e-6, 0.003533),
     ),
-    (
-        2.7,
-        -0.00134,
-        0.02622,
-        0.08778,
-        0.016341,
-        -1e-6,
-        -3e-6,
-        0.016192,
-        -0.003533,
-        0.005026,
+    _CadLink(
+        mass_kg=2.7,
+        com_m=(-0.00134, 0.02622, 0.08778),
+        moments_kg_m2=(0.016341, 0.016192, 0.005026),
+        products_kg_m2=(-1e-6, -3e-6, -0.003533),
     ),
-    (
-        1.7,
-        -0.00099,
-        0.02696,
-        0.07835,
-        0.009573,
-        -1e-6,
-        -1e-6,
-        0.008807,
-        -0.003094,
-        0.003708,
+    _CadLink(
+        mass_kg=1.7,
+        com_m=(-0.00099, 0.02696, 0.07835),
+        moments_kg_m2=(0.009573, 0.008807, 0.003708),
+        products_kg_m2=(-1e-6, -1e-6, -0.003094),
     ),
-    (
-        1.6,
-        -0.00026,
-        -0.00596,
-        -0.00533,
-        0.002898,
-        0.0,
-        0.0,
-        0.003022,
-        -1.9e-5,
-        0.003413,
+    _CadLink(
+        mass_kg=1.6,
+        com_m=(-0.00026, -0.00596, -0.00533),
+        moments_kg_m2=(0.002898, 0.003022, 0.003413),
+        products_kg_m2=(0.0, 0.0, -1.9e-5),
     ),
-    (0.3, 0.0, 0.0, -0.015, 0.000101, 0.0, 0.0, 0.000101, 0.0, 0.000158),
+    _CadLink(
+        mass_kg=0.3,
+        com_m=(0.0, 0.0, -0.015),
+        moments_kg_m2=(0.000101, 0.000101, 0.000158),
+        products_kg_m2=(0.0, 0.0, 0.0),
+    ),
 )
 
 
@@ -127,11 +119,8 @@ def blended_links(nominal: pin.Model, cad_fraction: float) -> tuple[pin.Inertia,
     """
     require_fraction(PlantModelError, cad_fraction=cad_fraction)
     links = []
-    for joint, (mass, cx, cy, cz, ixx, ixy, ixz, iyy, iyz, izz) in enumerate(
-        _CAD_TABLE, start=1
-    ):
-        about_com = np.array([[ixx, ixy, ixz], [ixy, iyy, iyz], [ixz, iyz, izz]])
-        cad = pin.Inertia(mass, np.array([cx, cy, cz]), about_com).toDynamicParameters()
+    for joint, link in enumerate(_CAD_TABLE, start=1):
+        cad = link.inertia.toDynamicParameters()
         believed = nominal.inertias[joint].toDynamicParameters()
         blend = (1.0 - cad_fraction) * believed + cad_fraction * cad
         links.append(pin.Inertia.FromDynamicParameters(blend))
@@ -272,8 +261,8 @@ STRIBECK_SPEED_rad_s = 0.05
 """Speed over which the peak falls off. Chosen between the joint speeds of an insertion
 (0.005 rad/s) and of the tare stroke (0.1 rad/s): the stroke in air shows less friction
 than the insertion meets."""
-# Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm.
 PRESLIDING_rad = 1e-4
+"""Rotation until a bearing slides. Chosen: 5 um at a radius of 50 mm."""
 
 
 def bearings(
@@ -332,15 +321,14 @@ class BearingFriction:
         """
         torque_Nm = np.empty(len(dq_rad_s))
         joints = zip(dq_rad_s.tolist(), self._levels, strict=True)
-        for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(
-            joints
-        ):  # faster than arrays of seven
-            level = 1.0 + (STRIBECK_PEAK - 1.0) * math.exp(
-                -((dq / STRIBECK_SPEED_rad_s) ** 2)
-            )
+        # Numbers one by one: faster than arrays of seven.
+        for i, (dq, (coulomb_Nm, viscous_Nms)) in enumerate(joints):
+            stribeck = math.exp(-((dq / STRIBECK_SPEED_rad_s) ** 2))
+            level = 1.0 + (STRIBECK_PEAK - 1.0) * stribeck
             sliding = math.copysign(level, dq)
-            left = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * level))
-            self._bristles[i] = bristle = sliding + (self._bristles[i] - sliding) * left
+            remaining = math.exp(-abs(dq) * dt_s / (PRESLIDING_rad * level))
+            bristle = sliding + (self._bristles[i] - sliding) * remaining
+            self._bristles[i] = bristle
             torque_Nm[i] = -coulomb_Nm * bristle - viscous_Nms * dq
         return torque_Nm
 
@@ -390,14 +378,22 @@ def tissue_before(
 class ArmPlant:
     """MuJoCo arm with a needle, driven by joint torques held over each tick.
 
-    Now, views: joint positions `q_rad` and velocities `dq_rad_s`, shape (7,); where the
-    needle's tip is, `tip_m`, and the needle's axes, `tip_axes`, of which the third
-    points along it, in base axes. Now, too: `axial_jacobian`, speed of the tip along
-    the needle per joint velocity, shape (7,), and `depth_m` below the surface, zero
-    without tissue. At the start of the last tick: `ft_wrench`, the reading of the F/T
-    sensor (force and torque of the environment on the needle, plus weight, minus
-    inertia, in ``ft_sensor`` axes, N and Nm), and `tissue_force`. Mean over that tick:
-    `mean_axial_N` of it, and `friction_Nm` of the bearings on the links, shape (7,).
+    Attributes:
+        q_rad: Present joint positions, shape (7,), a view.
+        dq_rad_s: Present joint velocities, shape (7,), a view.
+        tip_m: Present position of the needle's tip, base axes, a view.
+        tip_axes: Axes of the needle in base axes, shape (3, 3), a view; the third
+            points along it.
+        axial_jacobian: Speed of the tip along the needle per joint velocity, shape
+            (7,).
+        depth_m: Depth of the tip below the surface; zero without tissue.
+        ft_wrench: Reading of the F/T sensor at the start of the last tick: force and
+            torque of the environment on the needle, plus weight, minus inertia, in
+            ``ft_sensor`` axes, N and Nm.
+        tissue_force: Force of the tissue at the start of the last tick.
+        mean_axial_N: Its axial force, mean over that tick.
+        friction_Nm: Torque of the bearings on the links, mean over that tick, shape
+            (7,).
     """
 
     def __init__(
@@ -439,7 +435,8 @@ class ArmPlant:
         self.mean_axial_N = 0.0
         self.friction_Nm = np.zeros(self._model.nv)
         self._held_Nm = np.zeros(self._model.nv)
-        self._time_s = self._surface_m_s = 0.0
+        self._time_s = 0.0
+        self._surface_m_s = 0.0
         self._touched = [
             TouchedPoint(
                 self._model, self._data, [item for item in touching if item.at == place]
@@ -488,8 +485,9 @@ class ArmPlant:
         # the arm.
         np.negative(self._data.sensordata, out=self.ft_wrench)
         for _ in range(SUBSTEPS - 1):
-            before, speed = speed, float(rate.dot(self.dq_rad_s)) - away
-            depth += 0.5 * SUBSTEP_s * (before + speed)
+            speed_before = speed
+            speed = float(rate.dot(self.dq_rad_s)) - away
+            depth += 0.5 * SUBSTEP_s * (speed_before + speed)
             axial = law.step(depth, speed, SUBSTEP_s).axial_N
             total += axial
             self._tip_force[:] = axial * back + aside
@@ -499,7 +497,7 @@ class ArmPlant:
         self._locate()
 
     def _step(self) -> None:
-        """Step once, with all contacts and the bearings' friction held over the step."""
+        """Step once, with contacts and the bearings' friction held over the step."""
         for point in self._touched:
             point.act(self._time_s, self.dq_rad_s, SUBSTEP_s)
         if self._friction is not None:

@@ -39,21 +39,33 @@ class PlantError(GroundTruthError, RuntimeError):
     """The simulated arm cannot run, or has left its commanded motion."""
 
 
-def _requirement(is_met: Callable[[float], bool], wanted: str) -> Callable[..., None]:
+def _requirement(is_met: Callable[[float], bool], advice: str) -> Callable[..., None]:
+    """Return a check of numbers.
+
+    Args:
+        is_met: Whether a number passes.
+        advice: What to give instead, for the message.
+    """
+
     def require(
         error: type[GroundTruthError],
         owner: object = None,
         names: str = "",
         **values: float,
     ) -> None:
-        """Raise `error` unless these fields of the owner, and these values, are what
-        is wanted.
+        """Raise ``error`` for the first number that does not pass.
+
+        Args:
+            error: Type of the error.
+            owner: Object whose fields are checked.
+            names: Names of these fields, separated by blanks.
+            **values: Further numbers by name.
         """
         for name, value in (
             {n: getattr(owner, n) for n in names.split()} | values
         ).items():
             if not is_met(value):
-                raise error(f"{name} is {value!r}; give {wanted}")
+                raise error(f"{name} is {value!r}; give {advice}")
 
     return require
 

@@ -14,14 +14,16 @@ from groundtruth.errors import (
     require_positive,
 )
 
-# Until the cutting force is there: about one needle diameter (18G 1.27 mm).
 CUTTING_ONSET_M = 1e-3
+"""Travel until the cutting force is there: about one needle diameter (18G 1.27 mm)."""
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four
 diameters. In a thinner layer the rest goes with its own rupture."""
-# A power law of speed is linear below: no step follows an infinite slope.
 SPEED_ROUNDING_M_S = 2e-5
+"""Speed below which a power law of speed is linear: no step follows an infinite
+slope."""
 TEXTURE_WAVES = 16
+"""Number of waves of a texture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,13 +250,13 @@ class Layer:
         require_fraction(
             TissueError, self, "kept_fraction cutting_fraction relaxed_fraction"
         )
-        taken = self.entry_m + CUTTING_ONSET_M + self.release_m
+        least_m = self.entry_m + CUTTING_ONSET_M + self.release_m
         if self.membrane is not None:
-            taken += self.membrane.release_m
-        if self.thickness_m <= taken:
+            least_m += self.membrane.release_m
+        if self.thickness_m <= least_m:
             raise TissueError(
                 f"layer {self.name!r} is {self.thickness_m} m thick, but indentation, "
-                f"cutting onset and release take {taken:.4g} m: make it thicker"
+                f"cutting onset and release take {least_m:.4g} m: make it thicker"
             )
 
     @property
@@ -328,8 +330,8 @@ class Interface:
             deepest_m: Largest depth that the tip has reached.
         """
         held = 1.0 - self.released(deepest_m)
-        kept = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
-        return (1.0 - self.kept_fraction) * held + self.kept_fraction * kept * kept
+        fade = max(1.0 - max(deepest_m - self.onset_m, 0.0) / KEPT_FADE_M, 0.0)
+        return (1.0 - self.kept_fraction) * held + self.kept_fraction * fade * fade
 
     def released(self, deepest_m: float) -> float:
         """Return the fraction of the force that is released, 0 to 1.
@@ -340,8 +342,9 @@ class Interface:
         Args:
             deepest_m: Largest depth that the tip has reached.
         """
-        rest = 1.0 - min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
-        return 1.0 - rest * rest
+        travelled = min(max(deepest_m - self.onset_m, 0.0) / self.release_m, 1.0)
+        remaining = 1.0 - travelled
+        return 1.0 - remaining * remaining
 
 
 def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
@@ -349,7 +352,7 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
 
     There is one more than layers, or none.
     """
-    found: list[Interface] = []
+    boundaries: list[Interface] = []
     depth = 0.0
     for i, below in enumerate((*layers, None) if layers else ()):
         membrane = None if below is None else below.membrane
@@ -360,9 +363,12 @@ def interfaces(layers: tuple[Layer, ...]) -> tuple[Interface, ...]:
             onset = depth + membrane.indentation_m
             drop = drop + membrane.puncture_N
             release = membrane.release_m
-        kept = 0.0
+        kept_fraction = 0.0
         if i and below is not None:
-            kept = layers[i - 1].kept_fraction * layers[i - 1].exit_force_N / drop
-        found.append(Interface(depth, onset, release, drop, membrane, kept))
+            above = layers[i - 1]
+            kept_fraction = above.kept_fraction * above.exit_force_N / drop
+        boundaries.append(
+            Interface(depth, onset, release, drop, membrane, kept_fraction)
+        )
         depth += 0.0 if below is None else below.thickness_m
-    return tuple(found)
+    return tuple(boundaries)

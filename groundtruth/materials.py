@@ -144,7 +144,8 @@ capsule."""
 BOVINE_LIVER = _layer(
     "liver",
     32e-3,
-    0.9,  # human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range
+    # Human liver peaks at 1.1-3.4 N over 85 mm, friction included: this is mid-range.
+    0.9,
     soft_tissue_friction(LIVER_FRICTION_N_PER_M, TABLE_I_SPEED_M_S),
     membrane=BOVINE_CAPSULE,
 )

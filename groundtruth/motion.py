@@ -6,7 +6,7 @@ The protocol is rest, tare stroke, insertion, rest, withdrawal, rest.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,33 @@ from groundtruth.errors import Array, MotionError, require_positive
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`:
 half a period of a sinusoid."""
-Move = tuple[Profile, float, float]  # profile, duration [s] and travel [m] of a stroke
+
+
+class Move(NamedTuple):
+    """A stroke without its place in time and space.
+
+    Attributes:
+        profile: Course of the speed.
+        duration_s: Length in time.
+        travel_m: Travel, signed.
+    """
+
+    profile: Profile
+    duration_s: float
+    travel_m: float
+
+
+class StrokeMotion(NamedTuple):
+    """Motion at some times; arrays of the times' shape.
+
+    Attributes:
+        position_m: Position of the tip.
+        speed_m_s: Its speed, positive inwards.
+    """
+
+    position_m: Array
+    speed_m_s: Array
+
 
 FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
@@ -27,7 +53,7 @@ TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
 # Time in which a constant-speed stroke reaches its speed: under 1 mm of travel.
 RAMP_S = 0.5
-RAMP_FRACTION_MAX = 0.5
+MAX_RAMP_FRACTION = 0.5
 TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
 
@@ -56,7 +82,7 @@ class Stroke:
 
     def __post_init__(self) -> None:
         require_positive(MotionError, self, "duration_s ramp_fraction")
-        if self.ramp_fraction > RAMP_FRACTION_MAX:
+        if self.ramp_fraction > MAX_RAMP_FRACTION:
             raise MotionError(
                 f"ramp_fraction is {self.ramp_fraction!r}; two ramps need at most 0.5 "
                 "each"
@@ -72,36 +98,64 @@ class Stroke:
         """Position of its end."""
         return self.start_m + self.travel_m
 
-    def evaluate(self, t_s: Array) -> tuple[Array, Array]:
+    def evaluate(self, t_s: Array) -> StrokeMotion:
         """Return position [m] and speed [m/s] at any times.
 
         Outside the stroke they are those of its ends, at rest.
         """
-        s = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
+        time = np.clip((t_s - self.start_s) / self.duration_s, 0.0, 1.0)
         if self.profile == "quintic":
-            done = s**3 * (10.0 + s * (6.0 * s - 15.0))
-            rate = 30.0 * (s * (1.0 - s)) ** 2
+            travelled, rate = _quintic_course(time)
         elif self.profile == "cosine":
-            done = 0.5 - 0.5 * np.cos(np.pi * s)
-            rate = 0.5 * np.pi * np.sin(np.pi * s)
+            travelled, rate = _cosine_course(time)
         elif self.profile == "cruise":
-            # Speed rises as 3q² - 2q³, holds, and falls alike.
-            mirrored = np.minimum(s, 1.0 - s)
-            ramp = self.ramp_fraction
-            q = np.minimum(mirrored / ramp, 1.0)
-            full = 1.0 / (1.0 - ramp)
-            half = full * (
-                ramp * q**3 * (1.0 - 0.5 * q) + np.maximum(mirrored - ramp, 0.0)
-            )
-            done = np.where(s <= 0.5, half, 1.0 - half)
-            rate = full * q * q * (3.0 - 2.0 * q)
+            travelled, rate = _cruise_course(time, self.ramp_fraction)
         else:
-            done = np.zeros_like(s)
-            rate = np.zeros_like(s)
-        return (
-            self.start_m + self.travel_m * done,
-            self.travel_m / self.duration_s * rate,
+            travelled = np.zeros_like(time)
+            rate = np.zeros_like(time)
+        return StrokeMotion(
+            position_m=self.start_m + self.travel_m * travelled,
+            speed_m_s=self.travel_m / self.duration_s * rate,
         )
+
+
+def _quintic_course(time: Array) -> tuple[Array, Array]:
+    """Return the travelled fraction and its rate over time from 0 to 1: minimum jerk.
+
+    x = 10 t³ - 15 t⁴ + 6 t⁵
+    """
+    travelled = time**3 * (10.0 + time * (6.0 * time - 15.0))
+    rate = 30.0 * (time * (1.0 - time)) ** 2
+    return travelled, rate
+
+
+def _cosine_course(time: Array) -> tuple[Array, Array]:
+    """Return the travelled fraction and its rate: half a period of a sinusoid.
+
+    x = (1 - cos πt) / 2
+    """
+    travelled = 0.5 - 0.5 * np.cos(np.pi * time)
+    rate = 0.5 * np.pi * np.sin(np.pi * time)
+    return travelled, rate
+
+
+def _cruise_course(time: Array, ramp: float) -> tuple[Array, Array]:
+    """Return the travelled fraction and its rate: constant speed between ramps.
+
+    Speed rises as 3q² - 2q³, q the fraction of the ramp, holds, and falls alike.
+
+    Args:
+        time: From 0 to 1.
+        ramp: Fraction of the time that each ramp takes.
+    """
+    mirrored = np.minimum(time, 1.0 - time)
+    q = np.minimum(mirrored / ramp, 1.0)
+    full_rate = 1.0 / (1.0 - ramp)
+    on_ramp = ramp * q**3 * (1.0 - 0.5 * q)
+    half = full_rate * (on_ramp + np.maximum(mirrored - ramp, 0.0))
+    travelled = np.where(time <= 0.5, half, 1.0 - half)
+    rate = full_rate * q * q * (3.0 - 2.0 * q)
+    return travelled, rate
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -128,9 +182,9 @@ class Motion:
     def __post_init__(self) -> None:
         if not self.strokes:
             raise MotionError("a motion without strokes; give at least one")
-        for last, following in pairwise(self.strokes):
-            gap_s = following.start_s - last.end_s
-            gap_m = following.start_m - last.end_m
+        for stroke, following in pairwise(self.strokes):
+            gap_s = following.start_s - stroke.end_s
+            gap_m = following.start_m - stroke.end_m
             if abs(gap_s) > TOLERANCE or abs(gap_m) > TOLERANCE:
                 raise MotionError(
                     f"a stroke begins {gap_s:.3g} s and {gap_m:.3g} m after the end of "
@@ -154,16 +208,17 @@ class Motion:
 
     def position_m(self, t_s: ArrayLike) -> Array:
         """Return the position of the tip at one time or at an array of times."""
-        return self._at(t_s, 0)
+        return self._evaluate(t_s).position_m
 
     def speed_m_s(self, t_s: ArrayLike) -> Array:
         """Return the speed of the tip at one time or at an array of times.
 
         It is positive inwards.
         """
-        return self._at(t_s, 1)
+        return self._evaluate(t_s).speed_m_s
 
-    def _at(self, t_s: ArrayLike, which: int) -> Array:
+    def _evaluate(self, t_s: ArrayLike) -> StrokeMotion:
+        """Return the motion at one time or at an array of times."""
         t = np.asarray(t_s, dtype=np.float64)
         if not np.isfinite(t).all():
             raise MotionError(
@@ -172,11 +227,14 @@ class Motion:
         index = np.searchsorted(
             [stroke.start_s for stroke in self.strokes[1:]], t, side="right"
         )
-        out = np.empty_like(t)
+        position_m = np.empty_like(t)
+        speed_m_s = np.empty_like(t)
         for i in np.unique(index):
             inside = index == i
-            out[inside] = self.strokes[i].evaluate(t[inside])[which]
-        return out[()]  # a number for a number
+            motion = self.strokes[i].evaluate(t[inside])
+            position_m[inside] = motion.position_m
+            speed_m_s[inside] = motion.speed_m_s
+        return StrokeMotion(position_m[()], speed_m_s[()])  # a number for a number
 
 
 def chain_strokes(
@@ -187,12 +245,15 @@ def chain_strokes(
     `MotionError` as of `Stroke`.
     """
     strokes: list[Stroke] = []
-    time = 0.0
-    place = start_m
-    for profile, duration, travel in moves:
-        strokes.append(Stroke(profile, time, duration, place, travel, ramp_fraction))
-        time = strokes[-1].end_s
-        place = strokes[-1].end_m
+    time_s = 0.0
+    position_m = start_m
+    for profile, duration_s, travel_m in moves:
+        stroke = Stroke(
+            profile, time_s, duration_s, position_m, travel_m, ramp_fraction
+        )
+        strokes.append(stroke)
+        time_s = stroke.end_s
+        position_m = stroke.end_m
     return tuple(strokes)
 
 
@@ -216,18 +277,17 @@ def protocol(
         tare_stroke_m: Length of the tare stroke; 0 for none.
     """
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
-    tare: list[Move] = [
-        ("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)
-    ]
-    travel_m = sum(move[2] for move in insertion)
-    profile, last_s, last_m = insertion[-1]
-    moves: list[Move] = [
-        ("rest", FIRST_REST_S, 0.0),
+    tare = [Move("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)]
+    travel_m = sum(move.travel_m for move in insertion)
+    final = insertion[-1]
+    withdrawal_s = final.duration_s * travel_m / final.travel_m
+    moves = [
+        Move("rest", FIRST_REST_S, 0.0),
         *tare,
         *insertion,
-        ("rest", TURNING_REST_S, 0.0),
-        (profile, last_s * travel_m / last_m, -travel_m),
-        ("rest", LAST_REST_S, 0.0),
+        Move("rest", TURNING_REST_S, 0.0),
+        Move(final.profile, withdrawal_s, -travel_m),
+        Move("rest", LAST_REST_S, 0.0),
     ]
     strokes = chain_strokes(
         -standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction
@@ -258,7 +318,7 @@ def constant_motion(*, speed_m_s: float, depth_m: float, standoff_m: float) -> M
             f"{travel} m are too short to reach {speed_m_s} m/s: go deeper or slower"
         )
     return protocol(
-        standoff_m, [("cruise", duration, travel)], ramp_fraction=RAMP_S / duration
+        standoff_m, [Move("cruise", duration, travel)], ramp_fraction=RAMP_S / duration
     )
 
 
@@ -278,4 +338,4 @@ def sinusoidal_motion(
         raise MotionError(
             f"a stroke of {stroke_m} m ends above the surface, {standoff_m} m away"
         )
-    return protocol(standoff_m, [("cosine", 0.5 / frequency_hz, stroke_m)])
+    return protocol(standoff_m, [Move("cosine", 0.5 / frequency_hz, stroke_m)])

@@ -28,10 +28,10 @@ def coloured(white: Array, period_s: float, correlation_s: float) -> Array:
     """
     if correlation_s == 0.0:
         return white
-    kept = np.exp(-period_s / correlation_s)
-    entering = np.sqrt(1.0 - kept * kept) * white
+    pole = np.exp(-period_s / correlation_s)
+    entering = np.sqrt(1.0 - pole * pole) * white
     entering[0] = white[0]  # as if it had gone on for ever before
-    return np.asarray(lfilter([1.0], [1.0, -kept], entering, axis=0))
+    return np.asarray(lfilter([1.0], [1.0, -pole], entering, axis=0))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,63 +172,34 @@ class PlantModel:
     """
 
     name: str
-
     cad_fraction: float = 0.0
-
     payload_error: float = 0.0
-
     payload_com_spread_m: float = 0.0
-
     kinematic_error_m: float = 0.0
-
     kinematic_error_rad: float = 0.0
-
     torque_noise_std_Nm: tuple[float, ...] = (0.0,) * 7
-
     torque_noise_correlation_s: float = 0.0
-
     torque_bias_min_Nm: tuple[float, ...] = (0.0,) * 7
-
     torque_bias_max_Nm: tuple[float, ...] = (0.0,) * 7
-
     torque_drift_std_per_min: float = 0.0
-
     torque_random_walk_std_per_sqrt_min: float = 0.0
-
     torque_warm_up: float = 0.0
-
     warm_up_s: float = 60.0
-
     torque_ripple: float = 0.0
-
     torque_hysteresis: float = 0.0
-
     torque_nonlinearity: float = 0.0
-
     joint_coulomb: float = 0.0
-
     joint_viscous_Nms_per_rad: tuple[float, ...] = (0.0,) * 7
-
     size_spread: float = 1.0
-
     position_noise_std_rad: float = 0.0
-
     position_step_rad: float = 0.0
-
     velocity_noise_std_rad_s: float | None = 0.0
-
     clock_jitter_std_s: float = 0.0
-
     ticks_per_sample: int = 1
-
     drop_probability: float = 0.0
-
     drop_max_samples: int = 1
-
     ft_noise_std: tuple[float, ...] = (0.0,) * 6
-
     ft_noise_correlation_s: float = 0.0
-
     ft_drift_std_per_min: tuple[float, ...] = (0.0,) * 6
 
 
@@ -253,9 +224,8 @@ _FT_DRIFT = tuple(
     for span in (145.0, 145.0, 290.0, 5.0, 5.0, 5.0)
 )
 
-IDEAL = PlantModel(
-    name="ideal"
-)  # The estimator's parameters, clean signals: proves algebra only
+IDEAL = PlantModel(name="ideal")
+"""The estimator's parameters, clean signals: proves algebra only."""
 
 CLEAN = PlantModel(
     name="clean",
@@ -308,7 +278,8 @@ DEGRADED = replace(
 """A neglected arm seen through its bare research interface: twice the noise, further
 errors."""
 
-PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}  # By name
+PLANT_MODELS = {model.name: model for model in (IDEAL, CLEAN, FRI, DEGRADED)}
+"""Plant models by name."""
 
 
 def plant_named(plant: PlantModel | str) -> PlantModel:

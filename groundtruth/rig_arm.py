@@ -41,14 +41,14 @@ from urdf import NeedleTool, Robot
 Servo = Literal["stiff", "impedance"]
 
 JOINT_STIFFNESS_Nm = 2000.0
-"""Of the impedance servo, per rad: the most that the real arm's joint impedance mode
-takes."""
+"""Stiffness of the impedance servo, per rad: the most that the real arm's joint
+impedance mode takes."""
 COMMAND_HOLD_s = 5e-3
-"""For so long the arm goes on at its last velocity when commands stay away; then it
-brakes. Both are choices, nothing public says what an LWR does; a Panda stops after 20
-missed cycles of 1 ms (Polymetis, troubleshooting:
-`communication_constraints_violation`)."""
+"""Time for which the arm goes on at its last velocity when commands stay away; then it
+brakes. Chosen, nothing public says what an LWR does; a Panda stops after 20 missed
+cycles of 1 ms (Polymetis, troubleshooting: `communication_constraints_violation`)."""
 BRAKING_rad_s2 = 10.0
+"""Deceleration with which it then brakes. Chosen, too."""
 
 
 class ArmSample(NamedTuple):
@@ -128,9 +128,9 @@ class _Servo:
         if self._tick % MASS_TICKS == 0:
             self._refresh(q_rad)
         self._tick += 1
-        before = self._dq_rad_s
-        step = velocity_rad_s - self._dq_rad_s
-        mean = before + 0.5 * step
+        start_rad_s = self._dq_rad_s
+        step = velocity_rad_s - start_rad_s
+        mean = start_rad_s + 0.5 * step
         ahead = pin.rnea(
             self._model,
             self._data,
@@ -141,13 +141,14 @@ class _Servo:
         torque = (
             ahead
             + self._spring @ (self._q_rad - q_rad)
-            + self._damper @ (before - dq_rad_s)
+            + self._damper @ (start_rad_s - dq_rad_s)
         )
         self._q_rad = self._q_rad + TICK_s * mean
-        self._dq_rad_s = before + step
+        self._dq_rad_s = start_rad_s + step
         return torque
 
     def _refresh(self, q_rad: Array) -> None:
+        """Compute spring and damper for a posture."""
         mass = pin.crba(self._model, self._data, q_rad).copy()
         if self._is_stiff:
             self._spring = BANDWIDTH_rad_s**2 * mass
@@ -165,9 +166,8 @@ class _Commands:
 
     def __init__(self, joints: int, latency_s: float) -> None:
         ticks = round(latency_s / TICK_s)
-        if (
-            ticks < 1
-        ):  # what is sent during a tick can at the earliest act in the next one
+        # What is sent during a tick can at the earliest act in the next one.
+        if ticks < 1:
             raise PlantError(
                 f"latency_s is {latency_s!r}; expected at least a tick, {TICK_s} s"
             )
@@ -183,9 +183,9 @@ class _Commands:
         if arrived is not None:
             self._velocity_rad_s = arrived
         elif self._silent_ticks * TICK_s > COMMAND_HOLD_s:
-            most = BRAKING_rad_s2 * TICK_s
+            step_rad_s = BRAKING_rad_s2 * TICK_s
             self._velocity_rad_s = self._velocity_rad_s - np.clip(
-                self._velocity_rad_s, -most, most
+                self._velocity_rad_s, -step_rad_s, step_rad_s
             )
         return self._velocity_rad_s
 
@@ -323,7 +323,8 @@ class SimulatedArm:
         self._forces: list[TissueForce] = []
         self._deepest_m = -np.inf
         self._faults: list[tuple[int, Callable[[ArmSample], ArmSample | None]]] = []
-        self._lost_until = self._refused_until = 0
+        self._lost_until = 0
+        self._refused_until = 0
         self._unreported_s = 0.0  # of samples that a fault has lost
 
     def __iter__(self) -> Iterator[ArmSample]:
@@ -455,9 +456,11 @@ class SimulatedArm:
         self._refused_until = self._ticks_ahead(seconds)
 
     def _ticks_ahead(self, seconds: float) -> int:
+        """Return the tick after some seconds from the next sample on."""
         return self._tick + 1 + round(seconds / TICK_s)
 
     def _with_faults(self, sample: ArmSample | None) -> ArmSample | None:
+        """Return the sample behind all faults; None where it is lost."""
         if sample is None:
             return None
         self._faults = [item for item in self._faults if item[0] > self._tick]
@@ -471,6 +474,7 @@ class SimulatedArm:
         return sample
 
     def _pass_tick(self) -> None:
+        """Let the arm move for a tick, and record the tissue."""
         plant = self._plant
         self._commands.end_tick()
         self._depths_m.append(plant.depth_m)

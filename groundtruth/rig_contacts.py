@@ -72,6 +72,11 @@ class Contact(Protocol):
         ...
 
 
+def _vector3(numbers: Sequence[float]) -> Vector3:
+    x, y, z = numbers
+    return x, y, z
+
+
 def dot(a: Vector3, b: Vector3) -> float:
     """Return the scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
@@ -281,7 +286,7 @@ class TouchedPoint:
         place = data.xpos[self._point]
         mujoco.mj_jac(self._model, data, jacobian[:3], jacobian[3:], place, self._body)
         x, y, z = place.tolist()
-        _, _, ax, _, _, ay, _, _, az = data.xmat[self._point].tolist()
+        ax, ay, az = data.xmat[self._point][2::3].tolist()  # third column
         cx, cy, cz = data.xipos[self._body].tolist()
         self._now = PointMotion((x, y, z), (ax, ay, az), NO_FORCE, NO_FORCE)
         self._from_com_m = x - cx, y - cy, z - cz
@@ -293,9 +298,9 @@ class TouchedPoint:
 
     def act(self, t_s: float, dq_rad_s: Array, step_s: float) -> None:
         """Apply the contacts' forces for one physics step, and move the point along."""
-        vx, vy, vz, wx, wy, wz = self._jacobian.dot(dq_rad_s).tolist()
-        speed = (vx, vy, vz)
-        turning = (wx, wy, wz)
+        twist = self._jacobian.dot(dq_rad_s).tolist()
+        speed = _vector3(twist[:3])
+        turning = _vector3(twist[3:])
         change = cross(turning, self._now.axis)
         # At the middle of the step: a force held from its start would feed energy into
         # a spring.
@@ -305,10 +310,10 @@ class TouchedPoint:
         force = NO_FORCE
         torque = NO_FORCE
         for contact in self._contacts:
-            part, where = contact.force(t_s, motion)
-            force = add(force, part)
-            lever = add(add(where, position, -1.0), self._from_com_m)
-            torque = add(torque, cross(lever, part))
+            contact_force, point = contact.force(t_s, motion)
+            force = add(force, contact_force)
+            lever = add(add(point, position, -1.0), self._from_com_m)
+            torque = add(torque, cross(lever, contact_force))
         self._wrench[:] = force + torque
         end = add(position, speed, 0.5 * step_s)
         self._now = PointMotion(end, add(axis, change, 0.5 * step_s), speed, turning)

@@ -111,20 +111,20 @@ class HapticMaster:
         mass = operator.mass_kg + mass_kg
         k = operator.stiffness_N_per_m / mass
         b = operator.damping_Ns_per_m / mass
-        # Exact over a cycle for a held force: state x, v and the input (k wish + f) /
-        # m.
+        # Exact over a cycle for a held force: state x, v and input (k wish + f) / m.
         step = expm(
             np.array([[0.0, 1.0, 0.0], [-k, -b, 1.0], [0.0, 0.0, 0.0]]) * TICK_s
         )
         self._step = step[:2]
         self._mass_kg = mass
-        self._kept = float(np.exp(-TICK_s / speed_filter_s))
+        self._pole = float(np.exp(-TICK_s / speed_filter_s))
         self.position_m = np.array(tuple(operator.wish_m(0.0)), dtype=np.float64)
         self.velocity_m_s = np.zeros(3)
-        self._seen_m = self._measured()
-        self._seen_m_s = np.zeros(3)
+        self._measured_m = self._measured()
+        self._measured_m_s = np.zeros(3)
         self._force_N = np.zeros(3)
-        self.port_energy_J = self.least_energy_J = 0.0
+        self.port_energy_J = 0.0
+        self.least_energy_J = 0.0
         self.clutch = True
         self._cycle = 0
         self._gone_until = 0
@@ -141,20 +141,22 @@ class HapticMaster:
             self._operator.stiffness_N_per_m * wish + self._force_N
         ) / self._mass_kg
         state = np.array((self.position_m, self.velocity_m_s, drive))
-        before = self.position_m
+        start_m = self.position_m
         self.position_m, self.velocity_m_s = self._step @ state
-        self.port_energy_J -= float(self._force_N.dot(self.position_m - before))
+        self.port_energy_J -= float(self._force_N.dot(self.position_m - start_m))
         self.least_energy_J = min(self.least_energy_J, self.port_energy_J)
         self._cycle += 1
-        seen = self._measured()
-        fresh = (seen - self._seen_m) / TICK_s
-        self._seen_m = seen
-        self._seen_m_s = fresh + self._kept * (self._seen_m_s - fresh)
+        measured_m = self._measured()
+        difference_m_s = (measured_m - self._measured_m) / TICK_s
+        self._measured_m = measured_m
+        self._measured_m_s = difference_m_s + self._pole * (
+            self._measured_m_s - difference_m_s
+        )
         if self._cycle < self._gone_until:
             self._force_N = np.zeros(3)
             return None
         return MasterSample(
-            self.time_s, seen.copy(), self._seen_m_s.copy(), self.clutch
+            self.time_s, measured_m.copy(), self._measured_m_s.copy(), self.clutch
         )
 
     def render(self, force_N: ArrayLike) -> None:
@@ -173,6 +175,7 @@ class HapticMaster:
         self._gone_until = self._cycle + 1 + round(seconds / TICK_s)
 
     def _measured(self) -> Array:
+        """Return the position as the encoders report it, shape (3,)."""
         step = self._position_step_m
         return (
             np.round(self.position_m / step) * step

@@ -9,6 +9,7 @@ dozen curves.
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +17,31 @@ from numpy.typing import ArrayLike
 from groundtruth.errors import Array, ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 from groundtruth.materials import ABDOMEN, BOVINE_LIVER, GLOVE, TABLE_I_SPEED_M_S, gel
-from groundtruth.motion import Motion, constant_motion, protocol, sinusoidal_motion
+from groundtruth.motion import (
+    Motion,
+    Move,
+    constant_motion,
+    protocol,
+    sinusoidal_motion,
+)
 from groundtruth.variations import VARIATIONS, TissueVariation, random_variation
 
 # What reaches arm and tissue from outside; no estimator learns of it but through the
 # signals.
+
+
+class Wave(NamedTuple):
+    """A wave of `TissueMotion`.
+
+    Attributes:
+        amplitude_m: Half of its stroke.
+        frequency_Hz: Waves per second.
+        phase_rad: Phase at time zero.
+    """
+
+    amplitude_m: float
+    frequency_Hz: float
+    phase_rad: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -30,10 +51,10 @@ class TissueMotion:
         x(t) = sum_i amplitude_i sin(2π frequency_i t + phase_i)
 
     Attributes:
-        waves: Amplitude [m], frequency [Hz], phase [rad].
+        waves: Waves that add up.
     """
 
-    waves: tuple[tuple[float, float, float], ...]
+    waves: tuple[Wave, ...]
 
     def at(self, t_s: ArrayLike) -> tuple[Array, Array]:
         """Return position [m] and speed [m/s] of the undeformed surface.
@@ -88,8 +109,8 @@ class ElbowPush:
 
     def at(self, t_s: float) -> Array:
         """Return the force on the elbow in base axes [N], shape (3,)."""
-        done = [(t_s - start) / self.duration_s for start in self.start_s]
-        size = sum(math.sin(math.pi * part) for part in done if 0.0 < part < 1.0)
+        phases = [(t_s - start) / self.duration_s for start in self.start_s]
+        size = sum(math.sin(math.pi * phase) for phase in phases if 0.0 < phase < 1.0)
         return size * np.array(self.force_N)
 
 
@@ -197,7 +218,7 @@ def _catalogue() -> Iterator[Scenario]:
         title="no tissue",
         layers=(),
         # A sinusoid of 0.05 Hz that turns 20 mm above the surface.
-        motion=protocol(20e-3 + 120e-3, [("cosine", 10.0, 120e-3)]),
+        motion=protocol(20e-3 + 120e-3, [Move("cosine", 10.0, 120e-3)]),
     )
 
 
@@ -244,16 +265,12 @@ def scenario(name: str, seed: int = 0) -> Scenario:
 # Ranges of the random scenarios.
 
 LAYERS = (1, 4)
-THICKNESS_M = (
-    10e-3,
-    40e-3,
-)  # from muscle over a rib to a slice of liver; gels are 28-38 mm
+# From muscle over a rib to a slice of liver; gels are 28-38 mm.
+THICKNESS_M = (10e-3, 40e-3)
 # With the stretch beyond and the standoff, still short of the 153 mm needle.
-TOTAL_MAX_M = 110e-3
-FRICTION_N_PER_M = (
-    4.0,
-    40.0,
-)  # at the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18
+MAX_TOTAL_M = 110e-3
+# At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18.
+FRICTION_N_PER_M = (4.0, 40.0)
 COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
 PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
 RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
@@ -265,18 +282,14 @@ STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
 PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
-INDENTATION_FRACTION = (
-    0.1,
-    0.3,
-)  # of the thickness: the bovine capsule's is 11 mm on 32
+# Of the thickness: the bovine capsule's is 11 mm on 32.
+INDENTATION_FRACTION = (0.1, 0.3)
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
 PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
-RANDOM_STANDOFF_M = (
-    12e-3,
-    22e-3,
-)  # Of a sinusoid: deep enough in the stroke for contact at speed
+# Of a sinusoid: deep enough in the stroke for contact at speed.
+RANDOM_STANDOFF_M = (12e-3, 22e-3)
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
@@ -288,7 +301,7 @@ def random_stack(rng: np.random.Generator) -> Scenario:
     sine = bool(rng.random() < 0.5)
     speed = rng.uniform(*(PEAK_SPEED_M_S if sine else SPEED_M_S))
     thickness = rng.uniform(*THICKNESS_M, size=count)
-    thickness *= min(1.0, TOTAL_MAX_M / thickness.sum())
+    thickness *= min(1.0, MAX_TOTAL_M / thickness.sum())
     layers = tuple(
         _layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1)
     )

@@ -16,7 +16,8 @@ from groundtruth.plant_model import PlantModel, TICK_s, coloured, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
 SECONDS_PER_MINUTE = 60.0
-JITTER_LIMIT = 0.4  # Largest error of a time stamp in ticks; below one half stamps keep their order
+MAX_JITTER_TICKS = 0.4
+"""Largest error of a time stamp; below one half stamps keep their order."""
 
 
 def measured_torque(
@@ -99,11 +100,12 @@ class TorqueSensor:
             q_rad: True positions.
             ticks: Which of the n ticks.
         """
-        seen = lagging_Nm
+        reading_Nm = lagging_Nm
         plant_model = self._plant_model
         if plant_model.torque_ripple > 0.0:
             angle = 2.0 * np.array(LWR_GEAR_RATIO) * q_rad + self._phase_rad
-            seen = seen + plant_model.torque_ripple * self._limit_Nm * np.sin(angle)
+            ripple_Nm = plant_model.torque_ripple * self._limit_Nm
+            reading_Nm = reading_Nm + ripple_Nm * np.sin(angle)
         if plant_model.torque_nonlinearity > 0.0:
             # A smooth deviation from a straight line, at most 1 for loads from -1 to 1:
             # bow and S, Chebyshev polynomials of second and third degree, in parts
@@ -112,8 +114,11 @@ class TorqueSensor:
             size, bow = self._bend
             bent = bow * (2.0 * load**2 - 1.0)
             bent = size * (bent + (1.0 - np.abs(bow)) * (4.0 * load**3 - 3.0 * load))
-            seen = seen + plant_model.torque_nonlinearity * self._limit_Nm * bent
-        return seen + self._bias_Nm + self._drift_Nm[ticks] + self._noise_Nm[ticks]
+            bend_Nm = plant_model.torque_nonlinearity * self._limit_Nm
+            reading_Nm = reading_Nm + bend_Nm * bent
+        return (
+            reading_Nm + self._bias_Nm + self._drift_Nm[ticks] + self._noise_Nm[ticks]
+        )
 
 
 def backlash(signal: Array, half_width: Array) -> Array:
@@ -175,7 +180,9 @@ def time_stamps(
     They are the true instants but for the jitter of the clock.
     """
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
-    return true_s + np.clip(error, -JITTER_LIMIT * TICK_s, JITTER_LIMIT * TICK_s)
+    return true_s + np.clip(
+        error, -MAX_JITTER_TICKS * TICK_s, MAX_JITTER_TICKS * TICK_s
+    )
 
 
 def received_samples(
@@ -186,10 +193,10 @@ def received_samples(
     Of `count` ticks the first and the last always do.
     """
     sent = np.arange(0, count, plant_model.ticks_per_sample)
-    kept = np.ones(len(sent), dtype=bool)
+    is_received = np.ones(len(sent), dtype=bool)
     starts = np.flatnonzero(rng.random(len(sent)) < plant_model.drop_probability)
     lengths = rng.integers(1, plant_model.drop_max_samples, len(starts), endpoint=True)
     for start, length in zip(starts, lengths, strict=True):
-        kept[start : start + length] = False
-    kept[[0, -1]] = True
-    return sent[kept]
+        is_received[start : start + length] = False
+    is_received[[0, -1]] = True
+    return sent[is_received]

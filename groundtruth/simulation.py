@@ -144,18 +144,14 @@ def simulate(
     bodies = lwr_bodies(tool, plant_model, np.random.default_rng(mass_seed))
     path = scenario_path(bodies.robot, chosen)
     # The zero of the scenario's motion is the surface.
-    contact = tissue_before(path[1], -chosen.motion.start_m, chosen)
+    contact = tissue_before(path.start, -chosen.motion.start_m, chosen)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
     friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))
     trace = drive(ArmPlant(bodies, contact, friction), bodies.model(), motion, progress)
-    time = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
-    kept, signals = _sense(trace, time, limit_Nm, plant_model, sensor_seed)
-    tissue = collect_truth(contact.law, time, trace.depth_m, trace.forces)
-    found: dict[str, Any] = {"t_s": time[kept]}
-    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
-        value = getattr(tissue if hasattr(tissue, name) else trace, name)
-        found[name] = value[kept] if isinstance(value, np.ndarray) else value
+    time_s = np.arange(len(trace.q_rad), dtype=np.float64) * TICK_s
+    received, signals = _sense(trace, time_s, limit_Nm, plant_model, sensor_seed)
+    tissue = collect_truth(contact.law, time_s, trace.depth_m, trace.forces)
     return Run(
         scenario=chosen,
         plant=plant_model.name,
@@ -163,36 +159,49 @@ def simulate(
         robot=bodies.robot,
         tool=tool,
         signals=signals,
-        truth=Truth(**found),
+        truth=_truth_at(received, time_s, trace, tissue),
         tare_end_s=chosen.motion.tare_end_s,
     )
 
 
+def _truth_at(
+    received: NDArray[np.intp], time_s: Array, trace: ArmTrace, tissue: TissueTruth
+) -> Truth:
+    """Return the ground truth of arm and tissue at the ticks that were received."""
+    columns: dict[str, Any] = {"t_s": time_s[received]}
+    for name in [item.name for item in fields(Truth) if item.name != "t_s"]:
+        value = getattr(tissue if hasattr(tissue, name) else trace, name)
+        columns[name] = value[received] if isinstance(value, np.ndarray) else value
+    return Truth(**columns)
+
+
 def _sense(
     trace: ArmTrace,
-    time: Array,
+    time_s: Array,
     limit_Nm: Array,
     plant_model: PlantModel,
     seed: SeedSequence,
 ) -> tuple[NDArray[np.intp], Signals]:
-    """Return the true signals behind sensors and wire, and the samples received.
+    """Return the indices of the ticks received, and the signals at them.
 
     Each sensor has its own stream of noise.
     """
     clock, loss, position, velocity, torque, wrench = map(
         np.random.default_rng, seed.spawn(6)
     )
-    kept = sensors.received_samples(len(time), plant_model, loss)
+    received = sensors.received_samples(len(time_s), plant_model, loss)
     dq = sensors.measured_velocity(trace.dq_rad_s, plant_model, velocity)
     tau = sensors.measured_torque(
         trace.tau_Nm, trace.q_rad, limit_Nm, plant_model, torque
     )
-    return kept, Signals(
-        t_s=sensors.time_stamps(time, plant_model, clock)[kept],
-        q_rad=sensors.measured_position(trace.q_rad, plant_model, position)[kept],
-        dq_rad_s=None if dq is None else dq[kept],
-        tau_Nm=tau[kept],
-        ft_wrench=sensors.measured_wrench(trace.ft_wrench, plant_model, wrench)[kept],
+    q = sensors.measured_position(trace.q_rad, plant_model, position)
+    ft_wrench = sensors.measured_wrench(trace.ft_wrench, plant_model, wrench)
+    return received, Signals(
+        t_s=sensors.time_stamps(time_s, plant_model, clock)[received],
+        q_rad=q[received],
+        dq_rad_s=None if dq is None else dq[received],
+        tau_Nm=tau[received],
+        ft_wrench=ft_wrench[received],
     )
 
 

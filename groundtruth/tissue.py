@@ -24,10 +24,10 @@ from groundtruth.layers import Layer, interfaces
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will
 lose in 8.5 s (median), the quick loss of viscous friction at the stop included."""
-# Travel after which the tip meets fresh tissue: a fraction of its diameter.
 RECOVERY_M = 0.3e-3
-# Backward travel over which the tip unloads: it leaves the channel's front.
+"""Travel after which the tip meets fresh tissue: a fraction of its diameter."""
 UNLOADING_M = 0.5e-3
+"""Backward travel over which the tip unloads: it leaves the channel's front."""
 
 
 class TissueForce(NamedTuple):
@@ -121,9 +121,8 @@ class Tissue:
         self._deepest_m = 0.0  # the end of the channel
         self._ruptured = 0  # interfaces ruptured so far, a bare surface included
         self._relaxed = 0.0  # relaxation of the tip force, 0 (fresh) to 1 (a long rest)
-        self._bristles = [0.0] * len(
-            self.layers
-        )  # presliding deflection per layer, -1 to 1
+        # Presliding deflection of each layer, -1 to 1.
+        self._bristles = [0.0] * len(self.layers)
 
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.
@@ -152,14 +151,19 @@ class Tissue:
         self._ruptured = bisect_right(self._onsets_m, self._deepest_m)
         self._bristles = [
             bristle_step(
-                w, travel, dt_s, layer.friction.presliding_m, layer.relaxed_fraction
+                bristle,
+                travel,
+                dt_s,
+                layer.friction.presliding_m,
+                layer.relaxed_fraction,
             )
-            for w, layer in zip(self._bristles, self.layers, strict=True)
+            for bristle, layer in zip(self._bristles, self.layers, strict=True)
         ]
         self._relaxed = relaxation_step(self._relaxed, speed_m_s, dt_s)
         return self._force(depth_m, speed_m_s)
 
     def _force(self, depth_m: float, speed_m_s: float) -> TissueForce:
+        """Return the force of the present state."""
         count = len(self.layers)
         if count == 0 or depth_m <= 0.0:
             return no_force(count)
@@ -168,9 +172,8 @@ class Tissue:
         while layer > 0 and depth_m < self.interfaces[layer - 1].depth_m:
             layer -= 1
         holding = self.layers[max(min(self._ruptured, count) - 1, 0)]
-        tip = (1.0 - self._relaxed * holding.relaxed_fraction) * self._fresh_tip_N(
-            depth_m
-        )
+        unrelaxed = 1.0 - self._relaxed * holding.relaxed_fraction
+        tip = unrelaxed * self._fresh_tip_N(depth_m)
         per_layer = self._layer_friction_N(depth_m, speed_m_s, min(layer, count))
         friction = sum(per_layer)
         return TissueForce(tip + friction, tip, friction, layer, per_layer)
@@ -186,11 +189,11 @@ class Tissue:
         back = (deepest - depth_m) / UNLOADING_M
         force = 0.0
         if back < 1.0 and ruptured > 0:
-            last = boundaries[ruptured - 1]
-            force = last.held(deepest) * last.drop_N
+            behind = boundaries[ruptured - 1]
+            force = behind.held(deepest) * behind.drop_N
             if ruptured < len(boundaries):
                 front = min(deepest, boundaries[ruptured].depth_m)
-                force += self.layers[ruptured - 1].tip_force_N(front - last.onset_m)
+                force += self.layers[ruptured - 1].tip_force_N(front - behind.onset_m)
             force *= (1.0 - back) ** 2
         if ruptured < len(boundaries):
             membrane = boundaries[ruptured].membrane
@@ -208,7 +211,7 @@ class Tissue:
             speed_m_s: Its speed.
             count: Number of layers that hold any.
         """
-        found = [0.0] * len(self.layers)
+        per_layer = [0.0] * len(self.layers)
         for i in range(count):
             entry = self.interfaces[i]
             friction = self.layers[i].friction
@@ -219,8 +222,8 @@ class Tissue:
                 embedded *= entry.released(self._deepest_m)
             embedded = friction.gripped_m(embedded, self.layers[i].thickness_m)
             coulomb = friction.coulomb_N_per_m * self._bristles[i]
-            found[i] = embedded * (coulomb + friction.rising_N_per_m(speed_m_s))
-        return tuple(found)
+            per_layer[i] = embedded * (coulomb + friction.rising_N_per_m(speed_m_s))
+        return tuple(per_layer)
 
 
 class ReadOnlyArrays:
@@ -358,17 +361,18 @@ def _ruptures(
             continue
         end_s = _first_crossing_s(t_s, depth_m, boundary.onset_m + boundary.release_m)
         end_s = float(t_s[-1]) if np.isnan(end_s) else end_s
-        before = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
-        after = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
+        # The samples before the onset and after the end.
+        first = max(int(np.searchsorted(t_s, onset_s)) - 1, 0)
+        final = min(int(np.searchsorted(t_s, end_s)), t_s.size - 1)
         yield Rupture(
             onset_s=onset_s,
             end_s=end_s,
             onset_m=boundary.onset_m,
             layer=above,
-            drop_N=float(tip_N[before]),
-            visible_drop_N=float(axial_N[before] - axial_N[before : after + 1].min()),
-            layer_friction_N=float(layer_friction_N[before, above - 1])
+            drop_N=float(tip_N[first]),
+            visible_drop_N=float(axial_N[first] - axial_N[first : final + 1].min()),
+            layer_friction_N=float(layer_friction_N[first, above - 1])
             if above
             else 0.0,
-            friction_N=float(friction_N[after]),
+            friction_N=float(friction_N[final]),
         )

@@ -111,13 +111,13 @@ class Torso:
         direction = along / length
         cuts = {t for shape in self.shapes for t in shape.depths_m(entry, direction)}
         depths = [0.0, *sorted(t for t in cuts if 0.0 < t < length), length]
-        found: list[Stretch] = []
+        stretches: list[Stretch] = []
         for begin, end in pairwise(depths):
             name = self.name_at(entry + 0.5 * (begin + end) * direction)
-            if found and found[-1].name == name:
-                begin = found.pop().entry_m
-            found.append(Stretch(name, begin, end))
-        return found
+            if stretches and stretches[-1].name == name:
+                begin = stretches.pop().entry_m
+            stretches.append(Stretch(name, begin, end))
+        return stretches
 
     def name_at(self, point_m: ArrayLike) -> str:
         """Return the name of the organ at a point, empty for air."""
@@ -140,23 +140,37 @@ class Torso:
         labels = np.zeros(shape, np.uint8)
         origin = np.asarray(origin_m, float)
         axes = np.asarray(axes_m, float)
-        inverse = np.linalg.inv(axes)
         for number, body in enumerate(self.shapes, 1):
-            centre = inverse @ (body.centre_m - origin)
-            reach = np.linalg.norm(inverse @ (body.axes * body.radii_m), axis=1)
-            low = np.clip(np.floor(centre - reach), 0, shape).astype(int)
-            high = np.clip(np.ceil(centre + reach) + 1, 0, shape).astype(int)
-            steps = [np.arange(a, b) for a, b in zip(low, high, strict=True)]
-            for i in steps[0]:  # plane by plane: a fine volume's points need gigabytes
-                j, k = np.meshgrid(steps[1], steps[2], indexing="ij")
-                points = origin + np.stack([np.full_like(j, i), j, k], axis=-1) @ axes.T
-                plane = labels[i, low[1] : high[1], low[2] : high[2]]
-                plane[np.sum(body.scaled(points) ** 2, axis=-1) < 1.0] = number
+            _label_inside(labels, number, body, origin, axes)
         return labels
 
 
+def _label_inside(
+    labels: NDArray[np.uint8],
+    number: int,
+    body: Ellipsoid,
+    origin_m: NDArray[np.float64],
+    axes_m: NDArray[np.float64],
+) -> None:
+    """Write a number into all voxels whose centres an ellipsoid holds."""
+    inverse = np.linalg.inv(axes_m)
+    centre = inverse @ (body.centre_m - origin_m)
+    reach = np.linalg.norm(inverse @ (body.axes * body.radii_m), axis=1)
+    low = np.clip(np.floor(centre - reach), 0, labels.shape).astype(int)
+    high = np.clip(np.ceil(centre + reach) + 1, 0, labels.shape).astype(int)
+    j, k = np.meshgrid(
+        np.arange(low[1], high[1]), np.arange(low[2], high[2]), indexing="ij"
+    )
+    # Plane by plane: the points of a fine volume need gigabytes.
+    for i in range(low[0], high[0]):
+        indices = np.stack([np.full_like(j, i), j, k], axis=-1)
+        points_m = origin_m + indices @ axes_m.T
+        plane = labels[i, low[1] : high[1], low[2] : high[2]]
+        plane[np.sum(body.scaled(points_m) ** 2, axis=-1) < 1.0] = number
+
+
+# Name, centre [mm], radii [mm], rotation vector [degrees].
 _SHAPES = (
-    # name, centre, radii, rotation vector in degrees; mm
     ("fat", (0, 0, 0), (165, 115, 160), (0, 0, 0)),
     ("muscle", (0, 2, 0), (148, 99, 152), (0, 0, 0)),
     ("cavity", (0, 0, 0), (134, 84, 142), (0, 0, 0)),

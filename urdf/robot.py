@@ -246,8 +246,8 @@ def assemble_robot(
         ]
         raise InertiaError(
             f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
-            f"joints that move no inertia: {', '.join(massless) or 'none alone'}. Give the "
-            "links inertia, or lock joints"
+            f"joints that move no inertia: {', '.join(massless) or 'none alone'}. Give "
+            "the links inertia, or lock joints"
         )
     return robot
 

@@ -59,7 +59,7 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
     t_s = PERIOD_s * np.arange(-2, count + 2, dtype=np.float64)[:, None]
     start = Stroke("quintic", 0.6, 1.0, 0.0, 1.0)
-    size = start.evaluate(t_s)[0] if rng.random() < 0.5 else np.ones_like(t_s)
+    size = start.evaluate(t_s).position_m if rng.random() < 0.5 else np.ones_like(t_s)
     while True:
         q = middle + size * most / omega * np.sin(omega * t_s + phase)
         dq = np.gradient(q, PERIOD_s, axis=0)

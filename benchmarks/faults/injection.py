@@ -324,7 +324,7 @@ def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
     at_m = _TOP_M
     for _, to_m, profile, given_s in _STROKES:
         seconds = abs(to_m - at_m) / SPEED_M_S / 0.9 if profile == "cruise" else given_s
-        moves.append((profile, seconds, to_m - at_m))
+        moves.append(Move(profile, seconds, to_m - at_m))
         at_m = to_m
     strokes = chain_strokes(_TOP_M, moves)
     ends = {

@@ -17,7 +17,7 @@ import numpy as np
 
 from groundtruth import PLANT_MODELS, Motion, PlantModel, Scenario
 from groundtruth.motion import Move, protocol
-from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion
+from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion, Wave
 from groundtruth.variations import TissueVariation, random_variation
 
 Rng = np.random.Generator
@@ -137,14 +137,14 @@ class Perturbation(
         inside = [
             s for s in motion.strokes[4:] if s.end_s < motion.withdrawal_start_s - 1e-6
         ]
-        moves: list[Move] = [(s.profile, s.duration_s, s.travel_m) for s in inside]
+        moves = [Move(s.profile, s.duration_s, s.travel_m) for s in inside]
         ramp = inside[0].ramp_fraction
         travel_m = inside[-1].end_m + standoff_m
         if self.speed_m_s is not None:
             ramp = 0.05
-            moves = [("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
+            moves = [Move("cruise", travel_m / drawn(self.speed_m_s, rng), travel_m)]
         if self.steps is not None:
-            speed_m_s = travel_m / sum(move[1] for move in moves)
+            speed_m_s = travel_m / sum(move.duration_s for move in moves)
             ramp = 0.1
             moves = _pieces(self.steps, travel_m, speed_m_s, rng)
         if self.tare_stroke_m is not None:
@@ -182,14 +182,14 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     """Each wave with a second harmonic of up to half its size: no organ moves as a
     pure sine.
     """
-    found: list[tuple[float, float, float]] = []
+    found: list[Wave] = []
     for wave in waves:
         size_m = drawn(wave.amplitude_m, rng)
         frequency_hz = drawn(wave.frequency_hz, rng)
         phases = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
         second_m = float(rng.uniform(0.0, 0.5)) * size_m
-        found.append((size_m, frequency_hz, phases[0]))
-        found.append((second_m, 2.0 * frequency_hz, phases[1]))
+        found.append(Wave(size_m, frequency_hz, phases[0]))
+        found.append(Wave(second_m, 2.0 * frequency_hz, phases[1]))
     return TissueMotion(waves=tuple(found))
 
 
@@ -204,13 +204,13 @@ def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[M
         reached_m += drawn(steps.every_m, rng)
         travel_m = reached_m - place_m
         back_m = drawn(steps.back_m, rng)
-        found.append(("cruise", travel_m / speed_m_s, travel_m))
-        found.append(("rest", drawn(steps.rest_s, rng), 0.0))
+        found.append(Move("cruise", travel_m / speed_m_s, travel_m))
+        found.append(Move("rest", drawn(steps.rest_s, rng), 0.0))
         if back_m > 0.0:
-            found.append(("cruise", back_m / speed_m_s, -back_m))
+            found.append(Move("cruise", back_m / speed_m_s, -back_m))
         place_m = reached_m - back_m
     last_m = total_m - place_m
-    found.append(("cruise", last_m / speed_m_s, last_m))
+    found.append(Move("cruise", last_m / speed_m_s, last_m))
     return found
 
 

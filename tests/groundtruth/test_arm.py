@@ -7,6 +7,7 @@ import pytest
 
 from groundtruth.arm_control import drive
 from groundtruth.arm_motion import (
+    JointMotion,
     LWR_POSTURE_rad,
     insertion_path,
     joint_excitation,
@@ -98,10 +99,10 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
     np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
     in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
     np.testing.assert_allclose(start.translation, in_place, atol=1e-10)
-    spline, line = insertion_path(ROBOT, START, (0.0, REACH_M))
+    path = insertion_path(ROBOT, START, (0.0, REACH_M))
     for travel in np.linspace(0.0, REACH_M, 97):
-        q = spline(travel)
-        moved = line.actInv(pose_of(ROBOT, q))
+        q = path.posture_rad(travel)
+        moved = path.start.actInv(pose_of(ROBOT, q))
         np.testing.assert_allclose(moved.translation, [0.0, 0.0, travel], atol=2e-9)
         np.testing.assert_allclose(moved.rotation, np.eye(3), atol=2e-9)
         margin = np.minimum(ROBOT.position_upper_rad - q, q - ROBOT.position_lower_rad)
@@ -134,9 +135,9 @@ def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_res
     np.testing.assert_array_equal(dq_rad_s[[0, -1]], 0.0)
     assert np.abs(np.diff(dq_rad_s, axis=0)).max() / TICK_s < 2.0
     free = SCENARIOS["free-motion"]
-    whole, _ = scenario_motion(scenario_path(ROBOT, free), free)
-    assert len(whole) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
-    assert np.abs(np.diff(whole, axis=0)).max() < 1e-3
+    motion = scenario_motion(scenario_path(ROBOT, free), free)
+    assert len(motion.q_rad) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
+    assert np.abs(np.diff(motion.q_rad, axis=0)).max() < 1e-3
 
 
 def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
@@ -144,11 +145,11 @@ def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
     plant = plant_in(Tissue(()), bodies)
     motion = joint_excitation(START, 10.0)
     trace = drive(plant, bodies.model(), motion)
-    assert np.abs(trace.q_rad - motion[0][:-1]).max() < 1e-6
+    assert np.abs(trace.q_rad - motion.q_rad[:-1]).max() < 1e-6
     assert not trace.external_torque_Nm.any()
     jump = np.repeat([START, START + 1.0], (500, 502), axis=0)
     with pytest.raises(PlantError, match="off its motion at tick 500"):
-        drive(plant, bodies.model(), (jump, np.zeros_like(jump)))
+        drive(plant, bodies.model(), JointMotion(jump, np.zeros_like(jump)))
 
 
 class Push:

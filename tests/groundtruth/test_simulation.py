@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from groundtruth import PLANT_MODELS, Run, Scenario, Signals, simulate
 from groundtruth.errors import PlantError, PlantModelError, ScenarioError
 from groundtruth.materials import gel
-from groundtruth.motion import Motion, chain_strokes
+from groundtruth.motion import Motion, Move, chain_strokes
 from groundtruth.plant_model import TICK_s
 
 GAIN_PER_S = 50.0
@@ -19,8 +19,14 @@ GRAVITY = 9.80665
 
 def short_scenario(exit_force_N):
     """One thin gel and little air: 7 s in all."""
-    moves = [("rest", 0.5, 0.0), ("quintic", 1.0, 0.01), ("cruise", 2.0, 0.016)]
-    moves += [("rest", 0.5, 0.0), ("cruise", 2.0, -0.016), ("rest", 0.5, 0.0)]
+    moves = [
+        Move("rest", 0.5, 0.0),
+        Move("quintic", 1.0, 0.01),
+        Move("cruise", 2.0, 0.016),
+        Move("rest", 0.5, 0.0),
+        Move("cruise", 2.0, -0.016),
+        Move("rest", 0.5, 0.0),
+    ]
     strokes = chain_strokes(-0.014, moves, ramp_fraction=0.2)
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
     instants = dict(zip(names, (stroke.end_s for stroke in strokes[1:5]), strict=True))
