@@ -5,12 +5,14 @@
 or the command line, says which columns to use where their names do not. Row by row,
 whatever the length: `stream_tables` and `LogStream` in, `open_table` out.
 
-Reading order: `open_recording`, `table` (what a file holds, and time), `channels`
-(units and usual names), `mapping`, `log`. The formats: `follow` (bytes as they come),
-`csv_file`, `columnar` (npz, Parquet); ROS 2 bags: `bag_reader`, `bag_messages`,
-`bag_types`. Writing: `output`.
+Reading order: `open_recording`, `table` (what a file holds), `time_stamps`, `channels`
+(units and usual names), `column_names`, `mapping`, `channel_request`, `log`,
+`log_signal`, `log_stream`, `mapping_suggestion`. The formats: `follow` (bytes as they
+come), `text_lines`, `csv_file`, `columnar` (npz, Parquet), `bags` (ROS 2). Writing:
+`output`, `writers`.
 """
 
+from needleforce.recordings.channel_request import ChannelRequest as ChannelRequest
 from needleforce.recordings.channels import CHANNELS as CHANNELS
 from needleforce.recordings.errors import (
     ColumnError as ColumnError,
@@ -21,9 +23,9 @@ from needleforce.recordings.errors import (
     RecordingError as RecordingError,
 )
 from needleforce.recordings.follow import FollowOptions as FollowOptions
-from needleforce.recordings.log import Log as Log, LogStream as LogStream
+from needleforce.recordings.log import Log as Log
+from needleforce.recordings.log_stream import LogStream as LogStream
 from needleforce.recordings.mapping import (
-    ChannelRequest as ChannelRequest,
     ColumnMapping as ColumnMapping,
     ColumnSpec as ColumnSpec,
     load_mapping as load_mapping,

@@ -7,9 +7,10 @@ import zipfile
 from collections import Counter
 from math import prod
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
     FormatError,
@@ -17,16 +18,20 @@ from needleforce.recordings.errors import (
     optional_library,
     require_size,
 )
-from needleforce.recordings.table import START_KEY, Table, start_of_clock, to_seconds
+from needleforce.recordings.table import START_KEY, Table
+from needleforce.recordings.time_stamps import start_of_clock, to_seconds
 
-_CUT = "so that nothing can be read without its end"
+BYTES_PER_NUMBER = 8
+"""Of a number in memory, as float64 or int64."""
 
 
 def read_npz(path: Path, max_bytes: int) -> Table:
-    """Read an npz archive: arrays of numbers become columns; single numbers are not.
+    """Read an npz archive: arrays of numbers become columns; single numbers do not.
 
-    Arrays that hold no numbers, or are damaged, are left out, with a warning. Raises as
-    `read_table` does.
+    Arrays that hold no numbers, or are damaged, are left out, with a warning.
+
+    Raises:
+        RecordingError: As `read_table` does.
     """
     with file_errors(path):
         try:
@@ -34,21 +39,23 @@ def read_npz(path: Path, max_bytes: int) -> Table:
                 return _npz_table(path, archive, max_bytes)
         except (zipfile.BadZipFile, NotImplementedError) as error:
             raise FormatError(
-                f"{path} is not an npz archive, or it is cut short: an npz file ends with its "
-                f"table of contents, {_CUT}"
+                f"{path} is not an npz archive, or it is cut short: an npz file ends "
+                "with its table of contents, so that nothing can be read without its "
+                "end"
             ) from error
 
 
 def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
+    """Return the arrays of an open archive as a table."""
     arrays: dict[str, np.ndarray] = {}
     warnings: list[str] = []
-    total = 0
+    size = 0
     for member in archive.namelist():
         name = member.removesuffix(".npy")
         try:
             with archive.open(member) as stream:
-                total += _npy_size(stream)
-            require_size(total, max_bytes, f"{path}: what its arrays hold")
+                size += _npy_size(stream)
+            require_size(size, max_bytes, f"{path}: what its arrays hold")
             with archive.open(member) as stream:
                 arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
         except (OSError, FormatError, MemoryError):
@@ -58,6 +65,7 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
             warnings.append(
                 f"column {name!r} cannot be read ({error}) and was left out"
             )
+
     start = arrays.get(START_KEY)
     start_ns = int(start) if start is not None and start.shape == () else 0
     columns = {name: values for name, values in arrays.items() if values.ndim}
@@ -68,8 +76,10 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
 
 
 def _npy_size(stream: IO[bytes]) -> int:
-    """Return from an array's header how many bytes it takes; `ValueError` if it is
-    no column.
+    """Return from an array's header how many bytes it takes.
+
+    Raises:
+        ValueError: It is no column of numbers.
     """
     if np.lib.format.read_magic(stream) == (1, 0):
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -79,30 +89,26 @@ def _npy_size(stream: IO[bytes]) -> int:
         raise ValueError(f"it holds {dtype}, no numbers")
     if len(shape) > 2 or any(n < 1 for n in shape):
         raise ValueError(f"its shape is {shape}, not (n,) or (n, k)")
-    return prod(shape) * max(dtype.itemsize, 8)
+    return prod(shape) * max(dtype.itemsize, BYTES_PER_NUMBER)
 
 
 def read_parquet(path: Path, max_bytes: int) -> Table:
-    """Read columns of numbers, empty cells as NaN, and time stamps, as seconds, without
-    loss.
+    """Read the columns of numbers and of time stamps of a Parquet file.
 
-    Columns of anything else are left out, with a warning. Raises as `read_table` does.
+    Empty cells are NaN; time stamps are seconds, without loss. Columns of anything else
+    are left out, with a warning.
+
+    Raises:
+        RecordingError: As `read_table` does.
     """
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     arrow = optional_library("pyarrow", "Parquet files")
     try:
         with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-            groups = [
-                file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)
-            ]
-            # Repeated numbers take no room in the file, but all of it in memory.
-            values = (
-                g.column(i).num_values for g in groups for i in range(g.num_columns)
-            )
-            size = max(8 * sum(values), sum(group.total_byte_size for group in groups))
+            size = _parquet_size(file.metadata)
             require_size(size, max_bytes, f"{path}: what it holds")
-            names = Counter(file.schema_arrow.names)
-            if twice := [name for name, count in names.items() if count > 1]:
+            name_counts = Counter(file.schema_arrow.names)
+            if twice := [name for name, count in name_counts.items() if count > 1]:
                 raise FormatError(
                     f"{path} has more than one column {twice[0]!r}; rename the others"
                 )
@@ -113,38 +119,74 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
             with file_errors(path):
                 raise
         raise FormatError(
-            f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet file ends "
-            f"with its table of contents, {_CUT} ({error})"
+            f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet "
+            "file ends with its table of contents, so that nothing can be read without "
+            f"its end ({error})"
         ) from error
 
 
-def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
-    columns: dict[str, np.ndarray] = {}
-    warnings = []
+def _parquet_size(metadata: Any) -> int:
+    """Return how many bytes the content of a Parquet file takes.
+
+    Repeated numbers take no room in the file, but all of it in memory.
+    """
+    groups = [metadata.row_group(i) for i in range(metadata.num_row_groups)]
+    number_count = sum(
+        group.column(i).num_values for group in groups for i in range(group.num_columns)
+    )
+    packed_size = sum(group.total_byte_size for group in groups)
+    return max(BYTES_PER_NUMBER * number_count, packed_size)
+
+
+class _Stamps(NamedTuple):
+    """Time stamps of a Parquet column: whole nanoseconds, and which are not empty."""
+
+    stamps_ns: NDArray[np.int64]
+    is_known: NDArray[np.bool_]
+
+
+def _read_stamps(cells: Any, arrow: Any) -> _Stamps:
+    """Return a column of time stamps, of any unit, in nanoseconds."""
+    zone = cells.type.tz
+    nanoseconds = cells.cast(arrow.timestamp("ns", zone)).cast(arrow.int64())
+    is_known = cells.is_valid().to_numpy(zero_copy_only=False)
+    stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
+    return _Stamps(stamps_ns, is_known)
+
+
+def _read_numbers(cells: Any, arrow: Any) -> np.ndarray:
+    """Return a column of numbers, empty cells as NaN.
+
+    Raises:
+        TypeError, ArrowInvalid, ArrowNotImplementedError: It holds no numbers.
+    """
     types = arrow.types
-    seconds = frozenset[str]()
-    start_ns = int((file.schema_arrow.metadata or {}).get(START_KEY.encode(), 0))
+    if types.is_string(cells.type) or types.is_large_string(cells.type):
+        raise TypeError("text, which a cast would read as numbers")
+    if not types.is_integer(cells.type) or cells.null_count:
+        # Without the check of `safe`, which refuses integers that a double rounds.
+        cells = cells.cast(arrow.float64(), safe=False)
+    return cells.to_numpy(zero_copy_only=False)
+
+
+def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
+    """Return the columns of an open Parquet file as a table."""
+    columns: dict[str, np.ndarray] = {}
+    warnings: list[str] = []
+    seconds: set[str] = set()
+    metadata = file.schema_arrow.metadata or {}
+    start_ns = int(metadata.get(START_KEY.encode(), 0))
     for name in file.schema_arrow.names if file.metadata.num_rows else ():
         cells = file.read(columns=[name]).column(0).combine_chunks()
-        if types.is_timestamp(cells.type):
-            nanoseconds = cells.cast(arrow.timestamp("ns", cells.type.tz)).cast(
-                arrow.int64()
-            )
-            is_known = cells.is_valid().to_numpy(zero_copy_only=False)
-            stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
+        if arrow.types.is_timestamp(cells.type):
+            stamps_ns, is_known = _read_stamps(cells, arrow)
             if is_known.any():
                 start_ns = start_ns or start_of_clock(int(stamps_ns[is_known][0]))
             columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
-            seconds |= {name}
+            seconds.add(name)
             continue
         try:
-            if types.is_string(cells.type) or types.is_large_string(cells.type):
-                raise TypeError("text, which a cast would read as numbers")
-            if not types.is_integer(cells.type) or cells.null_count:
-                # Without the check of `safe`, which refuses integers that a double
-                # rounds.
-                cells = cells.cast(arrow.float64(), safe=False)
-            columns[name] = cells.to_numpy(zero_copy_only=False)  # empty ones are NaN
+            columns[name] = _read_numbers(cells, arrow)
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
             warnings.append(
                 f"column {name!r} holds {cells.type}, no numbers, and was left out"
@@ -155,5 +197,8 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
             f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}"
         )
     return Table(
-        columns=columns, warnings=tuple(warnings), start_ns=start_ns, seconds=seconds
+        columns=columns,
+        warnings=tuple(warnings),
+        start_ns=start_ns,
+        seconds=frozenset(seconds),
     )

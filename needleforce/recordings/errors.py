@@ -1,10 +1,14 @@
-"""What this package raises, and the limits that every format shares."""
+"""The errors of this package, counts of faults, and the limits of every format."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
+
+MAX_BYTES = 2 << 30
+"""Memory that a recording may take by default; a small damaged file can ask for any."""
 
 
 class RecordingError(Exception):
@@ -12,9 +16,7 @@ class RecordingError(Exception):
 
 
 class FileAccessError(RecordingError, OSError):
-    """A file cannot be opened for reading or writing, or its suffix names no known
-    format.
-    """
+    """A file cannot be opened, or its suffix names no known format."""
 
 
 class FormatError(RecordingError, ValueError):
@@ -33,30 +35,74 @@ class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
 
-MAX_BYTES = (
-    2 << 30
-)  # The most memory a recording may ask for; a small damaged file can ask for any
+class FaultCount(NamedTuple):
+    """How often one kind of fault occurred.
+
+    Attributes:
+        count: Number of occurrences.
+        first: Where it occurred first, in words; empty where that says nothing.
+    """
+
+    count: int
+    first: str
 
 
-def require_size(size: int, limit: int, what: str) -> None:
-    """Refuse what would take more bytes than `max_bytes` allows; `what` begins the
-    message.
+class FaultCounts(dict[str, FaultCount]):
+    """What is wrong with a recording: kinds of faults in words, and how often each."""
+
+    def note(self, fault: str, where: str, count: int = 1) -> None:
+        """Count a fault.
+
+        Args:
+            fault: Its kind, in words.
+            where: Its place in the file; the first place of each kind is reported.
+            count: How often it occurred.
+        """
+        known = self.get(fault, FaultCount(0, ""))
+        self[fault] = FaultCount(known.count + count, known.first or where)
+
+    def lines(self) -> tuple[str, ...]:
+        """Return one line for each kind of fault that occurred."""
+        return tuple(
+            f"{fault}: {count} (first: {first})" if first else fault
+            for fault, (count, first) in self.items()
+            if count
+        )
+
+
+def require_size(size: int, limit: int, subject: str) -> None:
+    """Raise `FormatError` if something takes more bytes than `max_bytes` allows.
+
+    Args:
+        size: Bytes that it takes.
+        limit: Bytes that are allowed.
+        subject: What takes them; the message begins with it.
     """
     if size > limit:
         raise FormatError(
-            f"{what} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
+            f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
             f"{limit / 1e6:.3g} MB; if the file is trusted, raise max_bytes"
         )
 
 
-def optional_library(module: str, what: str) -> ModuleType:
-    """Import a library that may not be installed; the error says what needs it."""
+def optional_library(module: str, user: str) -> ModuleType:
+    """Import a library that may not be installed.
+
+    Args:
+        module: Its dotted name.
+        user: What needs it, in the plural, for the message.
+
+    Raises:
+        FileAccessError: It is not installed.
+    """
     try:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        needed = f"{library}: pip install {'pyarrow' if library == 'pyarrow' else 'rosbags mcap'}"
-        raise FileAccessError(f"{what} need the library {needed}") from error
+        packages = "pyarrow" if library == "pyarrow" else "rosbags mcap"
+        raise FileAccessError(
+            f"{user} need the library {library}: pip install {packages}"
+        ) from error
 
 
 @contextmanager
@@ -73,13 +119,15 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
     except ValueError as error:
         if "null" not in str(error):
             raise
-        # A name with a NUL in it, which no file can have.
+        # The name has a NUL in it, which no file can have.
         raise FileAccessError(f"cannot {verb} {str(name)!r}: {error}") from error
 
 
 def readable_path(path: str | Path) -> Path:
-    """Return a path to be opened; refuse devices, which never end, and names no file
-    can have.
+    """Return the path of a file, a folder or a pipe that is to be read.
+
+    Raises:
+        FileAccessError: It is a device, which never ends, or no file can have its name.
     """
     path = Path(path)
     with file_errors(path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from groundtruth import insert_needle
 from identification import Identifier, replay
 from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
-from needleforce.recordings.table import RowClock
+from needleforce.recordings.time_stamps import RowClock
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots import FiguresError
 from needleforce.recordings import FileAccessError, load_mapping, read_log, write_table
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 from tests.needleforce.cli.residual_command_log import insertion
 
 
@@ -233,7 +233,9 @@ def test_the_commands_print_edit_and_read_it(run, lwr):
     columns = insertion(lwr)
     table = {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
     turned = {k: v[..., ::-1] if v.ndim == 2 else v for k, v in table.items()}
-    write_table("log.mcap", turned, labels=Labels(joint_names=lwr.joint_names[::-1]))
+    write_table(
+        "log.mcap", turned, labels=TableLabels(joint_names=lwr.joint_names[::-1])
+    )
     write_table("log.csv", table)
     text = run("force", "log.mcap", "--print-config")
     assert tomllib.loads(text)["joints"] == list(lwr.joint_names)

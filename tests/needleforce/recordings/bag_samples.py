@@ -14,10 +14,10 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from needleforce.recordings import ColumnMapping, ColumnSpec
-from needleforce.recordings.bag_messages import MAGIC
+from needleforce.recordings.bags.mcap_file import MAGIC
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.log import LogStream
-from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.open_recording import stream_tables
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)

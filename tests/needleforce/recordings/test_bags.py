@@ -15,8 +15,8 @@ from needleforce.recordings import (
     read_log,
     read_table,
 )
-from needleforce.recordings.bag_messages import BagTopic
-from needleforce.recordings.bag_types import TopicDecoder
+from needleforce.recordings.bags.message_types import TopicDecoder
+from needleforce.recordings.bags.messages import BagTopic
 from tests.needleforce.recordings.bag_samples import (
     TYPES,
     data_file,

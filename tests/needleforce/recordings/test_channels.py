@@ -24,7 +24,7 @@ from needleforce.recordings.channels import (
     parse_column_name,
 )
 from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.mapping_suggestion import suggest_mapping
 from tests.needleforce.recordings.bag_samples import insertion_rows, mapped, write_bag
 
 JOINTS = ("q", "dq", "tau")

@@ -16,9 +16,9 @@ from needleforce.recordings import (
     read_table,
     write_table,
 )
-from needleforce.recordings.bag_messages import read_messages
+from needleforce.recordings.bags.message_reader import read_messages
 from needleforce.recordings.errors import MAX_BYTES
-from needleforce.recordings.table import to_nanoseconds
+from needleforce.recordings.time_stamps import to_nanoseconds
 from tests.needleforce.recordings.bag_samples import (
     START_NS,
     STEP_NS,

@@ -10,10 +10,11 @@ import pytest
 
 from needleforce import recordings
 from needleforce.recordings import CHANNELS, ColumnMapping, read_log
-from needleforce.recordings.bag_types import bag_topics, standard_types
-from needleforce.recordings.csv_file import CSV_SUFFIXES, HEAD_ROWS
+from needleforce.recordings.bags.message_types import standard_types
+from needleforce.recordings.bags.written_topics import bag_topics
+from needleforce.recordings.csv_file import CSV_SUFFIXES
 from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import HEAD_ROWS, TableLabels
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
@@ -91,7 +92,7 @@ def test_the_table_of_topics_is_the_codes():
         "axial_N": rows,
     }
     table = BAGS.split("## What is written")[1].split("## When")[0]
-    for name, kind, _ in bag_topics(columns, Labels(), [0]):
+    for name, kind, _ in bag_topics(columns, TableLabels(), [0]):
         (row,) = [line for line in table.splitlines() if f"| `{name}`" in line]
         assert f"`{kind.replace('/msg', '')}`" in row
     for kind in re.findall(r"`(\w+_msgs/\w+)`", BAGS):

@@ -18,7 +18,7 @@ from needleforce.recordings import (
     read_table,
     write_table,
 )
-from needleforce.recordings.bag_types import standard_types
+from needleforce.recordings.bags.message_types import standard_types
 from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.follow import BINARY
 

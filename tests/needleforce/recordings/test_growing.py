@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from needleforce.recordings import FileAccessError, FormatError, read_log
-from needleforce.recordings.bag_messages import MAGIC
+from needleforce.recordings.bags.mcap_file import MAGIC
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.open_recording import stream_tables
 from tests.needleforce.recordings.bag_samples import (
     ASKED,

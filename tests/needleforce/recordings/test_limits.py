@@ -26,10 +26,10 @@ from needleforce.recordings import (
     stream_tables,
     write_table,
 )
-from needleforce.recordings.bag_messages import MAGIC
+from needleforce.recordings.bags.mcap_file import MAGIC
 from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.errors import MAX_BYTES
-from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.mapping_suggestion import suggest_mapping
 from tests.needleforce.recordings.bag_samples import number, write_bag
 
 SMALL = 8 << 20  # bytes

@@ -21,8 +21,8 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.channels import CHANNELS
-from needleforce.recordings.log import LogStream
-from needleforce.recordings.table import (
+from needleforce.recordings.log_stream import LogStream
+from needleforce.recordings.time_stamps import (
     RowClock,
     start_of_clock,
     to_nanoseconds,

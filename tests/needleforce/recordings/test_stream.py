@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from needleforce.recordings import FileAccessError, FormatError, read_log, write_table
-from needleforce.recordings.csv_file import HEAD_ROWS, csv_tables
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.csv_file import csv_tables
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.log import LogStream
-from needleforce.recordings.mapping import ChannelRequest
+from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.open_recording import stream_tables
+from needleforce.recordings.table import HEAD_ROWS
 from tests.needleforce.recordings.bag_samples import assert_same, followed, grow
 
 ASKED = {"required": ("q", "tau"), "optional": ("dq",)}

@@ -21,7 +21,7 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.output import open_table
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 from tests.needleforce.recordings.bag_samples import START_NS
 
 T_S = np.arange(3) / 1000.0
@@ -185,7 +185,9 @@ def messages_of(path, topic):
 
 def test_joint_signals_are_joint_states_and_a_wrench(path):
     columns = joint_columns()
-    write_table(path, columns, labels=Labels(joint_names=("a", "b"), start_ns=START_NS))
+    write_table(
+        path, columns, labels=TableLabels(joint_names=("a", "b"), start_ns=START_NS)
+    )
     for k, (stamp_ns, state) in enumerate(messages_of(path, "/joint_states")):
         assert stamp_ns == START_NS + k * 1_000_000
         assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == stamp_ns
@@ -206,7 +208,7 @@ def test_joint_signals_are_joint_states_and_a_wrench(path):
 
 def test_estimates_are_a_wrench_and_numbers(path):
     columns = estimate_columns()
-    write_table(path, columns, labels=Labels(frame="base"))
+    write_table(path, columns, labels=TableLabels(frame="base"))
     (_, wrench), *_ = messages_of(path, "/needleforce/wrench")
     assert wrench.header.frame_id == "base"
     assert wrench.wrench.force.y == columns["force_y_in_base_N"][0]

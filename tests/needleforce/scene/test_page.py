@@ -360,7 +360,7 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     from needleforce.cli.logs.session_view import replay_session
     from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
-    from needleforce.recordings.table import Labels
+    from needleforce.recordings.table import TableLabels
 
     model = load_lwr()
     order = [3, 1, 0, 2, 6, 5, 4]
@@ -371,9 +371,9 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     turned = {name: v[:, order] if v.ndim == 2 else v for name, v in signals.items()}
     names = tuple(model.joint_names[k] for k in order)
     write_table(
-        tmp_path / "a.mcap", signals, labels=Labels(joint_names=model.joint_names)
+        tmp_path / "a.mcap", signals, labels=TableLabels(joint_names=model.joint_names)
     )
-    write_table(tmp_path / "b.mcap", turned, labels=Labels(joint_names=names))
+    write_table(tmp_path / "b.mcap", turned, labels=TableLabels(joint_names=names))
     one, other = (
         replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )

@@ -1,0 +1,239 @@
+"""Rows of a bag: the messages of one topic, with the others interpolated to them."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.bags.messages import NONE_YET, RawMessage
+from needleforce.recordings.bags.topics import Bag, Topic
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.table import HEAD_ROWS, Table
+from needleforce.recordings.time_stamps import (
+    NS_PER_S,
+    FloatArray,
+    interpolate,
+    start_of_clock,
+    to_seconds,
+)
+
+MAX_TABLE_ROWS = 2048
+"""Of one table."""
+
+EQUAL_RATE_RATIO = 0.9
+"""A topic with this fraction of another's messages counts as equally fast: a few
+messages that were lost shall make no difference."""
+
+LATE_NS = NS_PER_S
+"""A topic whose messages come so much later than those of others loses nothing."""
+
+
+class JointOrder(NamedTuple):
+    """The order of a topic's joints.
+
+    Attributes:
+        joints: Their names, in order.
+        notes: What was assumed, one sentence each.
+    """
+
+    joints: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+class JoinedRows:
+    """Rows at the stamps of one topic, the reference; others are interpolated to them.
+
+    Args:
+        bag: The bag, whose topics are known.
+        request: Which topic is the reference, and in which order joints are.
+        needed: Names of the columns that are read.
+
+    Attributes:
+        topics: That are read, by name.
+        reference: The topic whose messages are the rows.
+
+    Raises:
+        ColumnError: The mapping does not fit the bag.
+    """
+
+    def __init__(
+        self, bag: Bag, request: ChannelRequest, needed: frozenset[str]
+    ) -> None:
+        columns = {
+            name: [column for column in topic.columns if column in needed]
+            for name, topic in bag.topics.items()
+            if topic.columns.keys() & needed
+        }
+        reference_name = _choose_reference(bag, request, columns)
+        self.topics = {
+            name: bag.topics[name] for name in {**columns, reference_name: ()}
+        }
+        self.reference = self.topics[reference_name]
+        self._others = [
+            topic for topic in self.topics.values() if topic is not self.reference
+        ]
+        self._warnings = bag.warnings
+        for name, topic in self.topics.items():
+            order = _order_joints(topic, request)
+            self._warnings += order.notes
+            topic.choose(columns.get(name, ()), order.joints)
+        self._warnings += self._rate_warnings()
+        self._start_ns = 0
+        self._is_new = True  # before the first table
+
+    def _rate_warnings(self) -> list[str]:
+        """Return a note if topics differ in rate, and are interpolated therefore.
+
+        One message more or less is no other rate, only where the recording begins or
+        ends.
+        """
+        rows = self.reference
+        if all(abs(topic.count - rows.count) <= 1 for topic in self._others):
+            return []
+        rates = ", ".join(
+            f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others
+        )
+        return [
+            f"rows are the messages of {rows.name} ({rows.rate_hz:.4g} Hz); "
+            f"interpolated to their stamps: {rates}"
+        ]
+
+    def tables(self, messages: Iterable[RawMessage]) -> Iterator[Table]:
+        """Turn messages into tables of up to `MAX_TABLE_ROWS`, with a column `t_s`.
+
+        At `NONE_YET` no row that is complete waits.
+        """
+        for count, message in enumerate(messages, 1):
+            topic = self.topics.get(message.topic.name)
+            if topic is not None:
+                topic.add(message)
+            is_waiting = message is NONE_YET
+            if is_waiting or count % MAX_TABLE_ROWS == 0:
+                yield from self._ready_tables(is_waiting=is_waiting)
+                self._forget_old_rows()
+        for topic in self.topics.values():
+            self._warnings += topic.notes()
+        while self.reference.rows or self._is_new or self._warnings:
+            yield self._take_table(MAX_TABLE_ROWS)
+
+    def _ready_tables(self, *, is_waiting: bool) -> Iterator[Table]:
+        """Yield rows that are complete, once there are enough of them.
+
+        Which columns are which channels is decided from the first table, so that one is
+        not short.
+        """
+        min_rows = 1 if is_waiting and not self._is_new else HEAD_ROWS
+        ready_rows = self._count_ready()
+        while ready_rows >= min_rows:
+            yield self._take_table(min(ready_rows, MAX_TABLE_ROWS))
+            min_rows = 1 if is_waiting else HEAD_ROWS
+            ready_rows = self._count_ready()
+
+    def _forget_old_rows(self) -> None:
+        """Drop rows that no row needs that waits, or may still come a little late."""
+        newest_ns = max(topic.latest_ns for topic in self.topics.values())
+        waiting_ns = (row.stamp_ns for row in self.reference.rows)
+        oldest_ns = min(waiting_ns, default=newest_ns - LATE_NS)
+        for topic in self._others:
+            kept_from_ns = oldest_ns - 2 * topic.limit_ns
+            topic.rows = [row for row in topic.rows if row.stamp_ns >= kept_from_ns]
+
+    def _count_ready(self) -> int:
+        """Return how many rows nothing that may still come can change."""
+        if not self.reference.rows:
+            return 0
+        latest_ns = np.maximum.accumulate(self.reference.stamps_ns())
+        complete_ns = min(
+            max(
+                topic.latest_ns,
+                int(latest_ns[-1]) - max(int(topic.limit_ns), LATE_NS) - 1,
+            )
+            for topic in self.topics.values()
+        )
+        return int(np.searchsorted(latest_ns, complete_ns, side="right"))
+
+    def _take_table(self, row_count: int) -> Table:
+        """Return the first rows as a table, and drop them."""
+        reference = self.reference
+        at_ns = reference.stamps_ns()[:row_count]
+        if self._is_new and at_ns.size:
+            self._start_ns = start_of_clock(int(at_ns[0]))
+        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
+        joint_names: dict[str, tuple[str, ...]] = {}
+        for topic in self.topics.values():
+            named = topic.named & topic.widths.keys()
+            joint_names |= dict.fromkeys(named, topic.joints)
+            for name, values in topic.values().items():
+                if topic is reference:
+                    numbers = values[:row_count]
+                else:
+                    numbers = interpolate(
+                        at_ns, topic.stamps_ns(), values, topic.limit_ns
+                    )
+                is_single = topic.columns[name] is None
+                columns[name] = numbers[:, 0] if is_single else numbers
+        del reference.rows[:row_count]
+        warnings = tuple(self._warnings)
+        self._warnings = []
+        self._is_new = False
+        return Table(
+            columns=columns,
+            warnings=warnings,
+            joint_names=joint_names,
+            start_ns=self._start_ns,
+        )
+
+
+def _choose_reference(
+    bag: Bag, request: ChannelRequest, columns: Mapping[str, list[str]]
+) -> str:
+    """Return the name of the topic whose messages are the rows.
+
+    It is the one of the mapping, else the first of the fastest.
+
+    Args:
+        bag: The bag.
+        request: Its mapping may choose the topic.
+        columns: That are read, by topic.
+
+    Raises:
+        ColumnError: The topic of the mapping is not there, or cannot be read.
+    """
+    chosen = request.mapping.reference_topic
+    if chosen is None:
+        max_count = max(bag.topics[name].count for name in columns)
+        min_count = EQUAL_RATE_RATIO * max_count
+        return next(name for name in columns if bag.topics[name].count >= min_count)
+    if chosen not in bag.topics or bag.topics[chosen].fault:
+        raise ColumnError(
+            f"reference_topic = {chosen!r} is no topic that can be read; topics are: "
+            f"{', '.join(bag.topics)}"
+        )
+    return chosen
+
+
+def _order_joints(topic: Topic, request: ChannelRequest) -> JointOrder:
+    """Return the order of a topic's joints: the mapping's, the robot's, or the bag's.
+
+    Raises:
+        ColumnError: The topic lacks a joint of the mapping.
+    """
+    bag_joints = tuple(topic.joint_names)
+    if not bag_joints:
+        return JointOrder(())
+    missing = [joint for joint in request.mapping.joints if joint not in bag_joints]
+    if missing:
+        raise ColumnError(
+            f"joints of the mapping that {topic.name} does not have: "
+            f"{', '.join(missing)}; it has: {', '.join(bag_joints)}"
+        )
+    order = request.mapping.joints or request.joints
+    if not order or set(order) <= set(bag_joints):
+        return JointOrder(order or bag_joints)
+    note = (
+        f"{topic.name} has the joints {', '.join(bag_joints)}, the robot "
+        f"{', '.join(order)}; the order of the bag was kept, name another one with "
+        "joints in the mapping"
+    )
+    return JointOrder(bag_joints, (note,))

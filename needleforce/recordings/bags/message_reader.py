@@ -1,0 +1,75 @@
+"""The messages of a bag of one file or several, in the order of recording."""
+
+import heapq
+from collections.abc import Iterator
+from itertools import chain
+from operator import attrgetter
+from pathlib import Path
+
+from needleforce.recordings.bags.mcap_file import McapReader
+from needleforce.recordings.bags.messages import BAG_SUFFIXES, RawMessage, bag_files
+from needleforce.recordings.bags.sqlite_file import sqlite_messages
+from needleforce.recordings.errors import (
+    FormatError,
+    file_errors,
+    optional_library,
+    readable_path,
+)
+from needleforce.recordings.follow import FollowOptions
+
+MAX_OPEN_FILES = 64
+"""Of bags of more files one file at a time is open."""
+
+CHUNK_DIVISOR = 8
+"""One chunk or message of a bag may take 1/8 of the memory allowed for all."""
+
+
+def read_messages(
+    path: Path, faults: list[str], max_bytes: int, options: FollowOptions | None = None
+) -> Iterator[RawMessage]:
+    """Read messages as they were recorded.
+
+    A damaged or cut MCAP file gives those that can be had.
+
+    Args:
+        path: A file, or a folder of files.
+        faults: Gets what is wrong with the files, one sentence each.
+        max_bytes: A chunk or message may take an eighth of it when unpacked.
+        options: A growing MCAP file is followed until its recorder finishes it, and
+            `NONE_YET` comes each time before more is waited for. None: it is read to
+            its end.
+
+    Raises:
+        FormatError: There are no messages, or a file is no bag.
+    """
+    optional_library("rosbags.typesys", "ROS 2 bags")
+    files = bag_files(path) if path.is_dir() else [path]
+    if not files:
+        raise FormatError(
+            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that "
+            "end in .zstd must be unpacked: zstd -d"
+        )
+    limit = max_bytes // CHUNK_DIVISOR
+    streams = [_messages_of_file(file, faults, limit, options) for file in files]
+    # Files may have been recorded side by side.
+    if len(files) > MAX_OPEN_FILES:
+        return chain.from_iterable(streams)
+    return heapq.merge(*streams, key=attrgetter("log_ns"))
+
+
+def _messages_of_file(
+    file: Path, faults: list[str], limit: int, options: FollowOptions | None
+) -> Iterator[RawMessage]:
+    """Yield the messages of one file; faults and errors get its name."""
+    file_faults: list[str] = []
+    try:
+        with file_errors(file):
+            if file.name.lower().endswith(".db3"):
+                yield from sqlite_messages(readable_path(file), file_faults)
+            else:
+                reader = McapReader(file, file_faults, limit)
+                yield from reader.messages(options)
+    except FormatError as error:
+        raise FormatError(f"{file} {error}") from error
+    finally:
+        faults.extend(f"{file.name} {fault}" for fault in file_faults)

@@ -1,0 +1,266 @@
+"""ROS messages as columns of numbers; the library `rosbags` has their types."""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import cache, lru_cache
+from operator import attrgetter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.bags.messages import BagTopic
+from needleforce.recordings.errors import FormatError, optional_library
+from needleforce.recordings.time_stamps import NS_PER_S
+
+STANDARD = "ROS2_HUMBLE"
+"""Whose standard messages are meant where a bag holds no definitions."""
+
+CDR = "cdr"
+"""How ROS 2 serialises messages."""
+
+MAX_ELEMENTS = 64
+"""Longer arrays are images and point clouds, not signals."""
+
+MAX_DEFINITION_CHARACTERS = 1 << 18
+"""Longer definitions are not parsed."""
+
+MAX_UNROLLED_ELEMENTS = 2000
+"""`rosbags` generates code for each element of an array of texts or messages."""
+
+_NAME_FIELDS = ("name", "names", "joint_names")
+"""Fields that name the elements of the arrays beside them."""
+
+_VECTOR_FIELDS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
+"""Fields of messages that are one vector."""
+
+_STAMP_FIELDS = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
+
+_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
+_FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+# Kinds of fields, as rosbags numbers them.
+_BASE = 1
+_NAME = 2
+_ARRAY = 3
+
+_FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+
+@cache
+def standard_types() -> Any:
+    """Return the type store of ROS's own messages.
+
+    Raises:
+        FileAccessError: rosbags is not installed.
+    """
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    return library.get_typestore(getattr(library.Stores, STANDARD))
+
+
+@lru_cache(maxsize=256)
+def _types_of(kind: str, definition: str) -> Any:
+    """Return a store with a type as the bag defines it, else as ROS does."""
+    standard = standard_types()
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    if definition and len(definition) <= MAX_DEFINITION_CHARACTERS:
+        # The parser raises whatever a damaged definition makes it run into; some types
+        # of a bag are of no interest.
+        with suppress(Exception):
+            types = dict(library.get_types_from_msg(definition, kind))
+            _require_plain(types)
+            store = library.get_typestore(library.Stores.EMPTY)
+            store.register(types)
+            store.get_msgdef(kind)
+            return store
+    if kind not in standard.fielddefs:
+        raise FormatError(f"holds messages of the type {kind}, without its definition")
+    return standard
+
+
+def _require_plain(types: Mapping[str, Any]) -> None:
+    """Refuse definitions that would harm the code that `rosbags` generates of them.
+
+    Raises:
+        ValueError: A name would not stay a name, or arrays make too much code.
+    """
+    unrolled_count = 0
+    for kind, (constants, fields) in types.items():
+        names = [entry[0] for entry in (*constants, *fields)]
+        if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
+            raise ValueError(f"{kind!r} has names that ROS does not allow")
+        unrolled_count += sum(_unrolled_elements(field) for _, field in fields)
+    if unrolled_count > MAX_UNROLLED_ELEMENTS:
+        raise ValueError(f"arrays of {unrolled_count} texts or messages")
+
+
+def _unrolled_elements(field: Any) -> int:
+    """Return for how many elements of a field code is generated."""
+    node, details = field
+    if node != _ARRAY:
+        return 0
+    (element_node, element_details), length = details
+    is_text = element_node != _NAME and element_details[0] == "string"
+    return length if element_node == _NAME or is_text else 0
+
+
+class MessageContent(NamedTuple):
+    """What a message holds.
+
+    Attributes:
+        stamp_ns: Of the source; 0 if never set, None if the type has none.
+        names: Of joints.
+        values: By column; none for arrays that are empty or long.
+        named: Columns with one number for each name.
+    """
+
+    stamp_ns: int | None
+    names: tuple[str, ...]
+    values: dict[str, Any]
+    named: frozenset[str]
+
+
+def size_of(value: Any) -> int | None:
+    """Return how many numbers a value of a message has; None for a single number."""
+    return len(value) if isinstance(value, tuple | np.ndarray) else None
+
+
+class _FieldColumn(NamedTuple):
+    """A column of numbers in a message.
+
+    Attributes:
+        path: The fields that lead to it.
+        get: Returns its numbers from a message.
+        is_array: Whether these may be any number.
+    """
+
+    path: tuple[str, ...]
+    get: Callable[[Any], Any]
+    is_array: bool
+
+
+class _NamedColumn(NamedTuple):
+    """A column as messages are decoded.
+
+    Attributes:
+        name: Of the column.
+        get: Returns its numbers from a message.
+        is_array: Whether these may be any number.
+        is_beside_names: Whether its elements may belong to the joints of the message.
+    """
+
+    name: str
+    get: Callable[[Any], Any]
+    is_array: bool
+    is_beside_names: bool
+
+
+class TopicDecoder:
+    """Decodes the messages of one topic.
+
+    A column is called by its topic and the fields that lead to it:
+    `/joint_states/position`. Vectors are one column of several numbers:
+    `/ft/wrench/force_xyz`. In a `...Stamped` message the one field beside the header
+    goes unnamed, and so does `data`: `/depth_mm`.
+
+    Raises:
+        FormatError: The topic's type is not known, or it is encoded otherwise.
+    """
+
+    def __init__(self, topic: BagTopic) -> None:
+        if topic.encoding != CDR:
+            raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
+        self._kind = topic.kind
+        self._types = _types_of(topic.kind, topic.definition)
+        try:
+            fields = {name for name, _ in self._types.get_msgdef(topic.kind).fields}
+            columns = list(self._find_columns((), topic.kind))
+        except (KeyError, RecursionError) as error:
+            raise FormatError(
+                f"has the type {topic.kind}, whose definition is damaged"
+            ) from error
+        self._has_stamp = {column.path for column in columns} >= _STAMP_FIELDS
+        self._name_field = next((name for name in _NAME_FIELDS if name in fields), None)
+        self._columns = [
+            _NamedColumn(
+                name=_column_name(topic, column.path),
+                get=column.get,
+                is_array=column.is_array,
+                is_beside_names=len(column.path) == 1,
+            )
+            for column in columns
+            if not (self._has_stamp and column.path in _STAMP_FIELDS)
+        ]
+
+    def _find_columns(self, path: tuple[str, ...], kind: str) -> Iterator[_FieldColumn]:
+        """Yield where there are numbers in a type: single ones, vectors and arrays."""
+        fields = self._types.get_msgdef(kind).fields
+        names = tuple(name for name, _ in fields)
+        if names in _VECTOR_FIELDS and {field for _, field in fields} <= _FLOATS:
+            yield _vector_column(path, names)
+            return
+        for name, (node, details) in fields:
+            field_path = (*path, name)
+            if node == _NAME:
+                yield from self._find_columns(field_path, details)
+                continue
+            is_array = node >= _ARRAY
+            element = details[0] if is_array else (node, details)
+            if element[0] == _BASE and element[1][0] != "string":
+                get = attrgetter(".".join(field_path))
+                yield _FieldColumn(field_path, get, is_array)
+
+    def decode(self, data: bytes) -> MessageContent:
+        """Decode a message; `FormatError` if it does not fit its type."""
+        if data.startswith(_ZSTD_MAGIC):
+            raise FormatError(
+                "is compressed message by message; unpack it with: ros2 bag convert"
+            )
+        try:
+            message = self._types.deserialize_cdr(data, self._kind)
+        except Exception as error:
+            # Damaged bytes end in whatever the generated code runs into.
+            raise FormatError(f"does not fit its type {self._kind}") from error
+        names = self._joint_names(message)
+        values = {}
+        named = set()
+        for column, get, is_array, is_beside_names in self._columns:
+            value = get(message)
+            if is_array:
+                if not 0 < len(value) <= MAX_ELEMENTS:
+                    continue
+                if is_beside_names and len(value) == len(names):
+                    named.add(column)
+            values[column] = value
+        stamp_ns = None
+        if self._has_stamp:
+            stamp = message.header.stamp
+            stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
+        return MessageContent(stamp_ns, names, values, frozenset(named))
+
+    def _joint_names(self, message: Any) -> tuple[str, ...]:
+        """Return the names in a message; none if they identify no joint.
+
+        Empty or repeated names do not: the order of the joints then has to.
+        """
+        if self._name_field is None:
+            return ()
+        field = getattr(message, self._name_field)
+        names = tuple(field) if isinstance(field, list) else ()
+        is_unique = all(names) and len(set(names)) == len(names)
+        return names if is_unique else ()
+
+
+def _vector_column(path: tuple[str, ...], axes: tuple[str, ...]) -> _FieldColumn:
+    """Return the column of a vector, named as in `force_xyz`."""
+    name = "_".join((*path[-1:], "".join(axes)))
+    get = attrgetter(*(".".join((*path, axis)) for axis in axes))
+    return _FieldColumn((*path[:-1], name), get, is_array=False)
+
+
+def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
+    """Return the name of a column by its topic and the fields that lead to it."""
+    if topic.kind.endswith("Stamped"):
+        path = path[1:] or path
+    return topic.name if path == ("data",) else "/".join((topic.name, *path))

@@ -1,0 +1,77 @@
+"""The messages of a ROS 2 bag as bytes, and the files that hold them."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from needleforce.recordings.errors import FormatError, file_errors
+
+BAG_SUFFIXES = (".mcap", ".db3")
+
+METADATA = "metadata.yaml"
+"""The file beside the files of a bag that is a folder."""
+
+
+class BagTopic(NamedTuple):
+    """A topic of a bag.
+
+    Attributes:
+        name: Such as /joint_states.
+        kind: The type of its messages, such as sensor_msgs/msg/JointState.
+        encoding: Of the messages, cdr for ROS 2.
+        definition: Of the type, as the bag holds it; empty if it holds none.
+    """
+
+    name: str
+    kind: str
+    encoding: str
+    definition: str = ""
+
+
+class RawMessage(NamedTuple):
+    """A serialised message.
+
+    Attributes:
+        topic: That it was recorded on.
+        log_ns: When it was recorded, on the recorder's clock, in ns.
+        data: Its bytes.
+    """
+
+    topic: BagTopic
+    log_ns: int
+    data: bytes
+
+
+NONE_YET = RawMessage(BagTopic("", "", ""), 0, b"")
+"""Stands in place of a message wherever more of a growing bag may have to be waited
+for."""
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a path names a ROS 2 bag: by its suffix, or as a folder of one."""
+    has_suffix = path.name.lower().endswith(BAG_SUFFIXES)
+    return has_suffix or (path.is_dir() and bool(bag_files(path)))
+
+
+def bag_files(folder: Path) -> list[Path]:
+    """Return the files of messages in a folder; those of a split bag are numbered."""
+    with file_errors(folder):
+        files = [
+            path
+            for path in folder.iterdir()
+            if path.is_file() and path.name.endswith(BAG_SUFFIXES)
+        ]
+    return sorted(files, key=_numbers_in_name)
+
+
+def _numbers_in_name(path: Path) -> list[int]:
+    """Return the numbers in a file's name, in order; 0 if there is none."""
+    return [int(digits) for digits in re.findall(r"\d{1,99}", path.name)] or [0]
+
+
+def require_magic(head: bytes, magic: bytes, kind: str) -> None:
+    """Raise `FormatError` if a file does not begin as files of its kind do."""
+    if not head:
+        raise FormatError("is empty")
+    if not head.startswith(magic[: len(head)]):
+        raise FormatError(f"is not an {kind} file: it does not begin as one")

@@ -1,0 +1,277 @@
+"""A bag and its topics: what their messages hold, and the rows collected of them."""
+
+from collections import Counter
+from collections.abc import Collection
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needleforce.recordings.bags.message_types import (
+    MessageContent,
+    TopicDecoder,
+    size_of,
+)
+from needleforce.recordings.bags.messages import BagTopic, RawMessage
+from needleforce.recordings.errors import FormatError
+from needleforce.recordings.table import Table
+from needleforce.recordings.time_stamps import NS_PER_S, FloatArray
+
+LEARNED_MESSAGES = 20
+"""So many messages of a topic are looked into."""
+
+MIN_BRIDGED_S = 0.1
+"""Messages of a topic may always lie so far apart and still be bridged."""
+
+MAX_BRIDGED_PERIODS = 5.0
+"""So many periods of a topic may lie between two of its messages that are bridged."""
+
+MIN_RATE_HZ = 1e-9
+"""A topic of one message has no rate; it is bridged as one of this rate."""
+
+BEFORE_ALL_NS = -(1 << 62)
+"""Earlier than any stamp."""
+
+
+class TopicRow(NamedTuple):
+    """The numbers of a message.
+
+    Attributes:
+        stamp_ns: Its time stamp.
+        values: Of each chosen column, in their order.
+    """
+
+    stamp_ns: int
+    values: tuple[Any, ...]
+
+
+class Topic:
+    """A topic of a bag: what its messages hold, and the rows collected of it.
+
+    Joints are put where their names say; a joint that a message lacks is NaN. Messages
+    that name joints, but none of those chosen, are left out. The time stamp is the
+    header's; where there is none, or it was never set, the recorder's.
+
+    Attributes:
+        topic: Its name and type.
+        name: Its name.
+        count: Messages so far.
+        first_ns: When the first of them was recorded.
+        latest_log_ns: When the latest of them was recorded.
+        columns: Widths of its columns by name, None for one number a message.
+        joint_names: The elements of the columns `named`.
+        named: Columns whose elements have names.
+        has_stamp: Whether messages have a time stamp of the source.
+        fault: Why its messages cannot be read; empty if they can.
+        joints: Order of the joints in rows.
+        widths: Of the columns in rows.
+        rows: What was collected.
+        latest_ns: The latest stamp of a row.
+    """
+
+    def __init__(self, topic: BagTopic, first_ns: int) -> None:
+        self.topic = topic
+        self.name = topic.name
+        self.count = 0
+        self.first_ns = first_ns
+        self.latest_log_ns = first_ns
+        self.columns: dict[str, int | None] = {}
+        self.joint_names: list[str] = []
+        self.named: set[str] = set()
+        self.has_stamp = False
+        self.fault = ""
+        self.choose((), ())
+
+    @property
+    def rate_hz(self) -> float:
+        """Messages per second, 0 for fewer than two."""
+        span_s = (self.latest_log_ns - self.first_ns) / NS_PER_S
+        return (self.count - 1) / span_s if span_s > 0.0 else 0.0
+
+    @property
+    def limit_ns(self) -> float:
+        """How far apart messages may be for interpolation between them."""
+        periods_s = MAX_BRIDGED_PERIODS / max(self.rate_hz, MIN_RATE_HZ)
+        return NS_PER_S * max(MIN_BRIDGED_S, periods_s)
+
+    @cached_property
+    def _decoder(self) -> TopicDecoder:
+        return TopicDecoder(self.topic)
+
+    def learn(self, message: RawMessage) -> None:
+        """Count a message, and look at what the first ones hold."""
+        self.count += 1
+        self.latest_log_ns = max(self.latest_log_ns, message.log_ns)
+        if self.count > LEARNED_MESSAGES:
+            return
+        try:
+            content = self._decoder.decode(message.data)
+        except FormatError as error:
+            # One damaged message, the first even, is no reason to lose the topic.
+            self.fault = "" if self.columns else str(error)
+            return
+        self.fault = ""
+        self.has_stamp = content.stamp_ns is not None
+        if content.named:
+            known = self.joint_names
+            self.joint_names += [name for name in content.names if name not in known]
+        self.named |= content.named
+        for name, value in content.values.items():
+            self.columns.setdefault(name, size_of(value))
+
+    def describe(self) -> str:
+        """Return the topic in one line."""
+        stamps = "source stamps" if self.has_stamp else "stamps of the recorder"
+        state = self.fault or (stamps if self.columns else "no numbers")
+        messages = f"{self.count} messages, {self.rate_hz:.4g} Hz"
+        return f"{self.name}: {self.topic.kind}, {messages}, {state}"
+
+    def choose(self, columns: Collection[str], joints: Collection[str]) -> None:
+        """Begin to collect rows of some columns, with the joints in this order."""
+        self.joints = tuple(joints)
+        self.widths = {
+            name: len(self.joints) if name in self.named else self.columns[name] or 1
+            for name in columns
+        }
+        self._faults: Counter[str] = Counter()
+        self.rows: list[TopicRow] = []
+        self.latest_ns = BEFORE_ALL_NS
+
+    def add(self, message: RawMessage) -> None:
+        """Collect the row of a message, unless nothing in it can be used."""
+        try:
+            content = self._decoder.decode(message.data)
+        except FormatError:
+            self._faults["messages that do not fit their type, left out"] += 1
+            return
+        if content.names and content.names != self.joints:
+            missing = set(self.joints) - set(content.names)
+            if self.joints and len(missing) == len(self.joints):
+                self._faults["messages without any of the joints, left out"] += 1
+                return
+            if missing:
+                self._faults["messages that lack joints"] += 1
+        if content.stamp_ns == 0 and message.log_ns:
+            self._faults[
+                "messages without a source time stamp; the recorder's was taken"
+            ] += 1
+        stamp_ns = content.stamp_ns or message.log_ns
+        values = tuple(self._numbers(name, content) for name in self.widths)
+        self.rows.append(TopicRow(stamp_ns, values))
+        self.latest_ns = max(self.latest_ns, stamp_ns)
+
+    def _numbers(self, name: str, content: MessageContent) -> Any:
+        """Return the numbers of one column of a message; what does not fit is NaN."""
+        width = self.widths[name]
+        value = content.values.get(name)
+        if value is None or (name in self.named) != (name in content.named):
+            self._faults[
+                f"messages without values of {name}, or not one for each joint"
+            ] += 1
+        elif name in self.named:
+            if self.joints == content.names:
+                return value
+            by_joint = dict(zip(content.names, value, strict=True))
+            return [by_joint.get(joint, np.nan) for joint in self.joints]
+        elif (size_of(value) or 1) == width:
+            return value if isinstance(value, tuple | np.ndarray) else (value,)
+        else:
+            self._faults[f"messages with another number of values of {name}"] += 1
+        return np.full(width, np.nan)
+
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Return the time stamps of the rows, shape (n,)."""
+        return np.array([row.stamp_ns for row in self.rows], dtype=np.int64)
+
+    def values(self) -> dict[str, FloatArray]:
+        """Return the numbers of the rows by column, shape (n, k)."""
+        arrays: dict[str, FloatArray] = {}
+        for i, (name, width) in enumerate(self.widths.items()):
+            numbers = [row.values[i] for row in self.rows]
+            arrays[name] = np.array(numbers, dtype=np.float64).reshape(-1, width)
+        return arrays
+
+    def notes(self) -> list[str]:
+        """Return what was left out or guessed so far, one sentence each."""
+        return [
+            f"{self.name}: {fault}: {count}" for fault, count in self._faults.items()
+        ]
+
+
+class Bag:
+    """A bag and its topics, as far as it was gone through, see `learn_topics`.
+
+    Attributes:
+        path: Of the bag.
+        topics: By name.
+        faults: What is wrong with its files.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.topics: dict[str, Topic] = {}
+        self.faults: list[str] = []
+
+    def learn(self, message: RawMessage) -> bool:
+        """Learn from a message; return whether its topic is a new one."""
+        name = message.topic.name
+        is_new = name not in self.topics
+        if is_new:
+            self.topics[name] = Topic(message.topic, message.log_ns)
+        self.topics[name].learn(message)
+        return is_new
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was lost or is damaged, and how much there is."""
+        if not self.faults:
+            return []
+        topics = self.topics.values()
+        count = sum(topic.count for topic in topics)
+        start_ns = min(topic.first_ns for topic in topics)
+        end_ns = max(topic.latest_log_ns for topic in topics)
+        return [
+            f"{'; '.join(self.faults)}: {count} messages from "
+            f"{start_ns / NS_PER_S:.3f} s to {end_ns / NS_PER_S:.3f} s could be read, "
+            "what came after, if anything, is lost"
+        ]
+
+    def table(self) -> Table:
+        """Return all columns without rows, to look columns up by name.
+
+        Raises:
+            FormatError: There are no messages, or none with numbers.
+        """
+        topics = self.topics.values()
+        if not topics:
+            faults = "".join(f" ({fault})" for fault in self.faults)
+            raise FormatError(f"{self.path} holds no messages{faults}")
+        widths = {
+            name: width for topic in topics for name, width in topic.columns.items()
+        }
+        if not widths:
+            reasons = (
+                f"{topic.name} ({topic.topic.kind}) {topic.fault or 'holds no numbers'}"
+                for topic in topics
+            )
+            raise FormatError(
+                f"{self.path} holds no topic with numbers: {'; '.join(reasons)}"
+            )
+        return Table(
+            columns={
+                name: np.empty((0,) if width is None else (0, width))
+                for name, width in widths.items()
+            },
+            joint_names={
+                name: tuple(topic.joint_names)
+                for topic in topics
+                for name in topic.named
+            },
+            warnings=tuple(
+                f"{topic.name!r}: {topic.topic.kind} {topic.fault}"
+                for topic in topics
+                if topic.fault
+            ),
+        )

@@ -1,0 +1,166 @@
+"""Rows of a table as messages of ROS 2, to be written to a bag."""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.bags.message_types import standard_types
+from needleforce.recordings.table import TableColumns, TableLabels, flat_columns
+from needleforce.recordings.time_stamps import NS_PER_S
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
+FLOAT64 = "std_msgs/msg/Float64"
+
+JOINT_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
+"""Position, velocity and effort of a `JointState`."""
+
+SENSOR_FORCE = "ft_force_N"
+SENSOR_TORQUE = "ft_torque_Nm"
+SENSOR_FRAME = "ft_sensor"
+
+
+class WrittenTopic(NamedTuple):
+    """A topic to be written.
+
+    Attributes:
+        name: Such as /joint_states.
+        kind: The type of its messages.
+        messages: One for each row.
+    """
+
+    name: str
+    kind: str
+    messages: Iterable[Any]
+
+
+def bag_topics(
+    columns: TableColumns, labels: TableLabels, stamps_ns: Sequence[int]
+) -> Iterator[WrittenTopic]:
+    """Yield the topics of some rows.
+
+    `q_rad`, `dq_rad_s` and `tau_Nm` become a `JointState`; `ft_force_N` with
+    `ft_torque_Nm`, and `force_x_in_...`, `torque_x_in_...` and so on, become a
+    `WrenchStamped`; every other column but `t_s` becomes a `Float64` of its own.
+
+    Args:
+        columns: Of the rows, shape (n,) or (n, k).
+        labels: Names of joints, frame and prefix.
+        stamps_ns: Time stamps of the rows.
+    """
+    remaining = {
+        name: np.array(values, dtype=np.float64, order="C")
+        for name, values in columns.items()
+    }
+    remaining.pop("t_s", None)
+    signals = _pop_joint_signals(remaining)
+    if signals:
+        yield _joint_states(signals, labels, stamps_ns)
+
+    has_sensor = all(
+        name in remaining and remaining[name].shape[1:] == (3,)
+        for name in (SENSOR_FORCE, SENSOR_TORQUE)
+    )
+    if has_sensor:
+        yield _wrenches(
+            "/ft_sensor/wrench",
+            remaining.pop(SENSOR_FORCE),
+            remaining.pop(SENSOR_TORQUE),
+            _headers(stamps_ns, SENSOR_FRAME),
+        )
+
+    force = _pop_vector(remaining, "force")
+    torque = _pop_vector(remaining, "torque")
+    if force is not None:
+        # A force at the tip has no torque.
+        yield _wrenches(
+            f"{labels.prefix}/wrench",
+            force,
+            np.zeros_like(force) if torque is None else torque,
+            _headers(stamps_ns, labels.frame),
+        )
+
+    # Without a header: the time stamp is the one of the record.
+    make_number = standard_types().types[FLOAT64]
+    for name, values in flat_columns(remaining).items():
+        topic_name = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
+        yield WrittenTopic(topic_name, FLOAT64, map(make_number, values.tolist()))
+
+
+def _pop_joint_signals(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Remove and return the joint signals that have as many joints as the first."""
+    names = [
+        name for name in JOINT_SIGNALS if name in columns and columns[name].ndim == 2
+    ]
+    if not names:
+        return {}
+    width = columns[names[0]].shape[1]
+    fitting = [name for name in names if columns[name].shape[1] == width]
+    return {name: columns.pop(name) for name in fitting}
+
+
+def _joint_states(
+    signals: dict[str, np.ndarray], labels: TableLabels, stamps_ns: Sequence[int]
+) -> WrittenTopic:
+    """Return joint signals, shape (n, joints), as a topic of `JointState`."""
+    width = next(iter(signals.values())).shape[1]
+    joint_names = list(labels.joint_names)
+    if len(joint_names) != width:
+        joint_names = [f"joint_{i + 1}" for i in range(width)]
+    nothing = np.empty((len(stamps_ns), 0))
+    numbers = (signals.get(name, nothing) for name in JOINT_SIGNALS)
+    rows = zip(_headers(stamps_ns, ""), *numbers, strict=True)
+    make_state = standard_types().types[JOINT_STATE]
+    messages = (make_state(header, joint_names, *row) for header, *row in rows)
+    return WrittenTopic("/joint_states", JOINT_STATE, messages)
+
+
+def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | None:
+    """Remove and return `force_x_in_...` and so on, shape (n, 3).
+
+    Args:
+        columns: By name.
+        quantity: `force` or `torque`.
+
+    Returns:
+        The vectors; None if an axis is missing, and nothing is removed.
+    """
+    names: dict[str, str] = {}
+    for name, values in columns.items():
+        match = re.fullmatch(rf"{quantity}_([xyz])_in_\w+", name)
+        if match and values.ndim == 1:
+            names.setdefault(match[1], name)
+    if len(names) < len("xyz"):
+        return None
+    return np.column_stack([columns.pop(names[axis]) for axis in "xyz"])
+
+
+def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
+    """Return the headers of messages with these time stamps, in a frame."""
+    types = standard_types().types
+    make_time = types["builtin_interfaces/msg/Time"]
+    make_header = types["std_msgs/msg/Header"]
+    return (
+        make_header(make_time(*divmod(stamp_ns, NS_PER_S)), frame)
+        for stamp_ns in stamps_ns
+    )
+
+
+def _wrenches(
+    name: str, force: np.ndarray, torque: np.ndarray, headers: Iterable[Any]
+) -> WrittenTopic:
+    """Return forces and torques, shape (n, 3), as a topic of `WrenchStamped`."""
+    types = standard_types().types
+    make_vector = types["geometry_msgs/msg/Vector3"]
+    make_wrench = types["geometry_msgs/msg/Wrench"]
+    make_message = types[WRENCH_STAMPED]
+    forces = [make_vector(*row) for row in force.tolist()]
+    torques = [make_vector(*row) for row in torque.tolist()]
+    wrenches = map(make_wrench, forces, torques)
+    messages = (
+        make_message(header, wrench)
+        for header, wrench in zip(headers, wrenches, strict=True)
+    )
+    return WrittenTopic(name, WRENCH_STAMPED, messages)

@@ -1,0 +1,115 @@
+"""Which channels are read of a recording, and which of its columns they are."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.column_names import (
+    NamedValues,
+    detect_columns,
+    find_columns,
+)
+from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.mapping import ColumnMapping, ColumnSpec
+from needleforce.recordings.table import Table
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRequest:
+    """Channels, and which columns they are; of a bag only these are read.
+
+    A recording that has all of the robot's joints by name is put into their order, or
+    into that of `mapping.joints`, if it has some.
+
+    Attributes:
+        mapping: Which columns are which channels, where their names do not say so.
+        required: Channels that must be there.
+        optional: Channels read if they are there; with neither given, all are.
+        joints: Names of the robot's joints, in its order.
+    """
+
+    mapping: ColumnMapping = field(default_factory=ColumnMapping)
+    required: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+
+    def columns(self, table: Table) -> frozenset[str] | None:
+        """Return the names of the columns that the channels need.
+
+        Values are not looked at.
+
+        Returns:
+            The names; None if a required channel is not there.
+
+        Raises:
+            ColumnError: A mapped channel was not found, or is ambiguous.
+        """
+        requested = (*self.required, *self.optional) or tuple(CHANNELS)
+        # Mapped channels first: the topics they choose decide where others would be
+        # ambiguous.
+        names = [name for name in (*requested, "time") if name in self.mapping.channels]
+        needed: set[str] = set()
+        for name in dict.fromkeys((*names, *requested)):
+            spec = self.mapping.channels.get(name)
+            if spec is not None:
+                columns = channel_columns(table, CHANNELS[name], spec)
+            else:
+                columns = self._detect(table, name, needed)
+            if not columns and name in self.required:
+                return None
+            needed |= {_name_in_table(table, column.name) for column in columns}
+        return frozenset(needed)
+
+    def _detect(self, table: Table, name: str, chosen: set[str]) -> list[NamedValues]:
+        """Find a channel by its usual names.
+
+        Of several that would fit, the one beside columns already chosen is taken, else
+        the one whose elements are the robot's joints.
+        """
+        try:
+            return detect_columns(table, CHANNELS[name])
+        except ColumnError:
+            nearby = self._columns_nearby(table, chosen)
+            if nearby:
+                columns = detect_columns(Table(columns=nearby), CHANNELS[name])
+                if columns:
+                    return columns
+            raise
+
+    def _columns_nearby(self, table: Table, chosen: set[str]) -> dict[str, np.ndarray]:
+        """Return columns of the topics of chosen ones, else of the robot's joints."""
+        topics = {column.rpartition("/")[0] for column in chosen}
+        beside = {
+            name: values
+            for name, values in table.columns.items()
+            if name.rpartition("/")[0] in topics
+        }
+        joints = {*(self.mapping.joints or self.joints)}
+        if beside or not joints:
+            return beside
+        return {
+            name: table.columns[name]
+            for name, joint_names in table.joint_names.items()
+            if joints <= set(joint_names)
+        }
+
+
+def _name_in_table(table: Table, name: str) -> str:
+    """Return a column's name; an element such as `force_xyz[2]` has one of its own."""
+    return name if name in table.columns else name.rpartition("[")[0]
+
+
+def channel_columns(
+    table: Table, channel: Channel, spec: ColumnSpec | None
+) -> list[NamedValues]:
+    """Return the columns that a specification names, else those of usual names.
+
+    Raises:
+        ColumnError: They are not there, or ambiguous.
+    """
+    if spec is None:
+        return detect_columns(table, channel)
+    return [
+        column for pattern in spec.patterns for column in find_columns(table, pattern)
+    ]

@@ -1,0 +1,247 @@
+"""A channel in a table: its columns, its conversion to SI, and what is odd in it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import prod
+from typing import NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.channel_request import channel_columns
+from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import (
+    NamedValues,
+    find_columns,
+    parse_column_name,
+)
+from needleforce.recordings.errors import (
+    ColumnError,
+    FaultCounts,
+    LogError,
+    MappingError,
+)
+from needleforce.recordings.mapping import ColumnSpec
+from needleforce.recordings.table import Table
+from needleforce.recordings.time_stamps import FloatArray
+
+
+class PlausibleSize(NamedTuple):
+    """The largest value of a channel that is plausible for a robot or a needle.
+
+    Attributes:
+        name: Of the channel, for the message.
+        limit: In SI units.
+        unit: In which a file is likely to be whose values are larger.
+    """
+
+    name: str
+    limit: float
+    unit: str
+
+
+_PLAUSIBLE_SIZES = {
+    # The median step: ten samples a second are not a force log.
+    "t_s": PlausibleSize("time", 0.1, "ms"),
+    # Two turns of a joint.
+    "q_rad": PlausibleSize("q", 4.0 * np.pi, "deg"),
+    # No arm that leads a needle has such a torque.
+    "tau_Nm": PlausibleSize("tau", 2000.0, "mNm"),
+    # A needle of a metre.
+    "depth_m": PlausibleSize("depth", 1.0, "mm"),
+    "speed_m_s": PlausibleSize("speed", 1.0, "mm/s"),
+    # Such a force buckles any needle.
+    "force_N": PlausibleSize("force", 200.0, "mN"),
+}
+_ANY_SIZE = PlausibleSize("", np.inf, "")
+
+MIN_STEP_NS = 1e5
+"""A median step of so many units is one in nanoseconds, in logs up to 10 kHz."""
+
+MIN_STEP_US = 200.0
+"""A median step of so many units, and fewer than `MIN_STEP_NS`, is in microseconds."""
+
+
+@dataclass(slots=True, eq=False)
+class Signal:
+    """A channel: where in a table it stands, how it becomes SI, and what is odd in it.
+
+    Attributes:
+        channel: The channel.
+        columns: Names of its columns.
+        factors: To SI, one for each value of a row.
+        is_sure: Whether the unit is stated, or was doubted before.
+        row_count: Rows watched so far.
+        size: The largest magnitude in SI units, of time the median step.
+        any_finite: Whether there was a finite value so far.
+        faults: Rows that are not finite.
+    """
+
+    channel: Channel
+    columns: tuple[str, ...]
+    factors: FloatArray
+    is_sure: bool
+    row_count: int = 0
+    size: float = 0.0
+    any_finite: bool = False
+    faults: FaultCounts = field(default_factory=FaultCounts)
+
+    def read(self, table: Table) -> FloatArray:
+        """Return the values of a table's rows in SI units, shape (n,) or (n, joints)."""
+        columns = [
+            column.values
+            for name in self.columns
+            for column in find_columns(table, name)
+        ]
+        values = np.column_stack(columns) * self.factors
+        return values if self.channel.per_joint else values[:, 0]
+
+    def watch(self, values: FloatArray) -> None:
+        """Note what is odd in further rows; the step of time is that of the first."""
+        is_finite = np.isfinite(values)
+        if not is_finite.all():
+            axes = tuple(range(1, values.ndim))
+            invalid_rows = np.flatnonzero(~is_finite.all(axis=axes))
+            self.faults.note(
+                f"{self.channel.key}: rows with NaN or infinity",
+                f"row {self.row_count + int(invalid_rows[0]) + 1}",
+                invalid_rows.size,
+            )
+        self.any_finite = self.any_finite or bool(is_finite.any())
+        if not self.is_sure:
+            self._update_size(values[is_finite])
+        self.row_count += len(values)
+
+    def _update_size(self, values: FloatArray) -> None:
+        """Update the size by further finite values."""
+        if self.channel.key != "t_s":
+            self.size = max(self.size, float(np.max(np.abs(values), initial=0.0)))
+        elif not self.row_count and values.size > 1:
+            self.size = float(np.median(np.abs(np.diff(values))))
+
+    def report_not_finite(self) -> tuple[str, ...]:
+        """Report rows that are not finite.
+
+        Raises:
+            LogError: There was no finite value at all.
+        """
+        if self.faults and not self.any_finite:
+            raise LogError(
+                f"{self.channel.key} has no finite value in {self.row_count} rows"
+            )
+        return self.faults.lines()
+
+    def report_implausible(self) -> tuple[str, ...]:
+        """Report, once, values of an assumed unit that can hardly be in SI units."""
+        name, limit, unit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE)
+        if self.is_sure or self.size <= limit:
+            return ()
+        self.is_sure = True
+        quantity = "it"
+        if self.channel.key == "t_s":
+            quantity = "its median step"
+            unit = _unit_of_step(self.size, unit)
+        return (
+            f"{name}: {quantity} reaches {self.size:.4g} in SI; if the file is in "
+            f"{unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+        )
+
+
+def _unit_of_step(step: float, default: str) -> str:
+    """Return the unit of time in which a log's median step is likely to be."""
+    if step >= MIN_STEP_NS:
+        return "ns"
+    return "us" if step >= MIN_STEP_US else default
+
+
+def find_signal(
+    table: Table, channel: Channel, spec: ColumnSpec | None
+) -> Signal | None:
+    """Find a channel in a table.
+
+    The unit is the specification's, else that in each column's name, else SI.
+
+    Args:
+        table: With rows or without.
+        channel: What is looked for.
+        spec: Which columns it is; None to find them by their usual names.
+
+    Returns:
+        The channel's signal; None if no name looks like it.
+
+    Raises:
+        ColumnError: The columns are not there, ambiguous, or too many.
+        LogError: They differ in length.
+        MappingError: There are more or fewer scale factors than columns.
+    """
+    columns = channel_columns(table, channel, spec)
+    if not columns:
+        return None
+    spec = spec or ColumnSpec(columns=channel.name)
+    widths = _widths(channel, columns)
+    width = sum(widths)
+    scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
+    if scales.size not in (1, width):
+        raise MappingError(
+            f"{channel.name}: {scales.size} scale factors for {width} columns; give "
+            f"one or {width}"
+        )
+
+    names = tuple(column.name for column in columns)
+    units: list[str | None] = []
+    for name in names:
+        unit = spec.unit or parse_column_name(name, channel.units).unit
+        units.append("s" if name in table.seconds else unit)
+    si_factors = np.array([channel.units[unit or channel.si_unit] for unit in units])
+    factors = np.repeat(si_factors, widths) * scales
+    return Signal(channel, names, factors, all(units))
+
+
+def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
+    """Return how many values a row has in each column of a channel.
+
+    Raises:
+        ColumnError: Several, for a channel of one value.
+        LogError: The columns differ in length.
+    """
+    widths = [prod(column.values.shape[1:]) for column in columns]
+    names = ", ".join(column.name for column in columns)
+    if sum(widths) != 1 and not channel.per_joint:
+        raise ColumnError(
+            f"{channel.name} is one column, but {names} gives {sum(widths)}; choose one"
+        )
+    if len({len(column.values) for column in columns}) > 1:
+        raise LogError(f"{channel.name}: the columns {names} differ in length")
+    return widths
+
+
+def require_equal_sizes(
+    values: Mapping[str, FloatArray], signals: Mapping[str, Signal]
+) -> None:
+    """Raise `LogError` if channels differ in length, or in the number of joints.
+
+    Args:
+        values: Of each channel, by key, shape (n,) or (n, joints).
+        signals: By the same keys; they may lack time.
+    """
+    shapes = {key: array.shape for key, array in values.items()}
+    if len({shape[0] for shape in shapes.values()}) > 1:
+        lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
+        transposed = [
+            f"; {key} has {shape[0]} rows of {shape[1]}: is it transposed?"
+            for key, shape in shapes.items()
+            if len(shape) == 2 and shape[0] < shape[1]
+        ]
+        raise LogError(
+            f"channels differ in length, in rows: {lengths}{''.join(transposed)}"
+        )
+    joint_counts = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
+    if len(set(joint_counts.values())) > 1:
+        listed = "; ".join(
+            f"{signals[key].channel.name} has {count} "
+            f"({', '.join(signals[key].columns)})"
+            for key, count in joint_counts.items()
+        )
+        raise LogError(
+            f"channels differ in the number of joints: {listed}. Name the columns of "
+            "all joints, as in --q COLUMNS --tau COLUMNS, or in a mapping"
+        )

@@ -1,0 +1,264 @@
+"""From tables to a log: channels in SI units, whole or row by row as they come."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.errors import (
+    MAX_BYTES,
+    ColumnError,
+    FaultCounts,
+    LogError,
+    MappingError,
+    require_size,
+)
+from needleforce.recordings.log import Log
+from needleforce.recordings.log_signal import Signal, find_signal, require_equal_sizes
+from needleforce.recordings.table import HEAD_ROWS, Table
+from needleforce.recordings.time_stamps import (
+    NS_PER_S,
+    FloatArray,
+    RowClock,
+    start_of_clock,
+    to_seconds,
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LogChunk:
+    """Consecutive rows of a log.
+
+    Attributes:
+        t_s: Time stamps, shape (n,), as in a `Log`.
+        dt_s: Time since the latest row that advanced, shape (n,), see `RowClock`.
+        channels: By name, shape (n,) or (n, joints), as in a `Log`.
+    """
+
+    t_s: FloatArray
+    dt_s: FloatArray
+    channels: Mapping[str, FloatArray]
+
+
+class LogStream:
+    """Iterates over the rows of a recording in SI units, a chunk at a time.
+
+    Which columns are which channels is decided from the first rows. Rows and numbers
+    are those of `read_log`, and what is wrong with them is reported as there.
+
+    Args:
+        tables: From `stream_tables`, with the same request.
+        request: Which channels are read, and which columns they are; by default all
+            that look like one.
+
+    Attributes:
+        start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
+    """
+
+    def __init__(
+        self, tables: Iterable[Table], request: ChannelRequest | None = None
+    ) -> None:
+        self._tables = iter(tables)
+        self._request = request or ChannelRequest()
+        self._warnings: dict[str, None] = {}  # in order, each once
+        self._taken_count = 0  # warnings that were taken
+        self._row_count = 0
+        self._kept_count = 0  # rows with a time stamp
+        self._clock_start_ns = 0  # of whole nanoseconds too large for float64
+        self._faults = FaultCounts()
+        self._row_clock = RowClock()
+        self._signals: dict[str, Signal] = {}
+        self.start_ns = 0
+
+    def take_warnings(self) -> tuple[str, ...]:
+        """Return what was wrong with the recording since the last call."""
+        new_warnings = tuple(self._warnings)[self._taken_count :]
+        self._taken_count += len(new_warnings)
+        return new_warnings
+
+    def __iter__(self) -> Iterator[LogChunk]:
+        """Yield the rows; the first chunk has 200, if there are so many.
+
+        Raises as `read_log`; what only the end shows is reported there.
+        """
+        head = next(self._tables)
+        self._report(head.warnings)
+        self.start_ns = head.start_ns
+        self._find_channels(head)
+        if self._request.mapping.rate_hz is None:
+            self._signals = {"t_s": self._find_time(head), **self._signals}
+        for table in chain([head], self._tables):
+            self._report(table.warnings)
+            if len(table) or table is head:
+                yield from self._read_chunk(table)
+        self._report_end()
+
+    def joined(self, max_bytes: int = MAX_BYTES) -> Log:
+        """Return all rows as one log.
+
+        Raises:
+            FormatError: They take more bytes than allowed.
+        """
+        chunks: list[dict[str, FloatArray]] = []
+        size = 0
+        for chunk in self:
+            values = {"t_s": chunk.t_s, **chunk.channels}
+            chunks.append(values)
+            size += sum(array.nbytes for array in values.values())
+            require_size(size, max_bytes, "what is read of it")
+        channels = {
+            key: np.concatenate([values[key] for values in chunks]) for key in chunks[0]
+        }
+        t_s = channels.pop("t_s")
+        return Log(
+            t_s=t_s,
+            channels=channels,
+            warnings=self.take_warnings(),
+            start_ns=self.start_ns,
+        )
+
+    def _report(self, warnings: Iterable[str]) -> None:
+        """Add warnings that were not reported before."""
+        self._warnings |= dict.fromkeys(warnings)
+
+    def _report_implausible(self) -> None:
+        """Add warnings of signals that can hardly be in SI units."""
+        for signal in self._signals.values():
+            self._report(signal.report_implausible())
+
+    def _report_end(self) -> None:
+        """Report what only the whole log shows."""
+        self._report(self._faults.lines())
+        if not self._kept_count:
+            raise LogError(f"of {self._row_count} rows none has a time stamp")
+        self._report_implausible()
+        self._report(self._row_clock.warnings())
+        for key, signal in self._signals.items():
+            if key != "t_s":
+                self._report(signal.report_not_finite())
+
+    def _find_time(self, table: Table) -> Signal:
+        """Find the column of time stamps; `ColumnError` if there is none."""
+        spec = self._request.mapping.channels.get("time")
+        time = find_signal(table, CHANNELS["time"], spec)
+        if time is None:
+            raise ColumnError(
+                "no time column found; say which one with --time, or the sample rate "
+                "with --rate (rate_hz in the mapping). "
+                f"Columns are: {table.describe()}{table.left_out()}"
+            )
+        return time
+
+    def _find_channels(self, table: Table) -> None:
+        """Decide from the first table which columns are read."""
+        missing: list[Channel] = []
+        for name in self._requested_names():
+            channel = CHANNELS[name]
+            spec = self._request.mapping.channels.get(name)
+            signal = find_signal(table, channel, spec)
+            is_required = name in self._request.required
+            if signal is None:
+                if is_required:
+                    missing.append(channel)
+                continue
+            is_named = is_required or spec is not None
+            if is_named or np.isfinite(signal.read(table)[:HEAD_ROWS]).any():
+                self._signals[channel.key] = signal
+            else:
+                self._report(
+                    (
+                        f"{name}: its columns hold no finite value in the first rows "
+                        "and were left out",
+                    )
+                )
+        if missing:
+            raise _not_found(missing, table)
+        if not self._signals:
+            raise ColumnError(
+                f"no channel was recognised. Columns are: {table.describe()}"
+            )
+
+    def _requested_names(self) -> tuple[str, ...]:
+        """Return the channels that are looked for, apart from time.
+
+        Raises:
+            MappingError: The request names one that does not exist.
+        """
+        known = tuple(name for name in CHANNELS if name != "time")
+        requested = (*self._request.required, *self._request.optional)
+        for name in requested:
+            if name not in known:
+                raise MappingError(
+                    f"unknown channel {name!r}; channels are: {', '.join(known)}"
+                )
+        return requested or known
+
+    def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
+        """Yield the rows of a table that have a time stamp, if there are any."""
+        values = {key: signal.read(table) for key, signal in self._signals.items()}
+        row_count = len(next(iter(values.values())))
+        values["t_s"] = self._time_s(table, values, row_count)
+        is_first = not self._row_count
+        if is_first:
+            require_equal_sizes(values, self._signals)
+
+        has_stamp = np.isfinite(values["t_s"])
+        if not has_stamp.all():
+            self._faults.note(
+                "time: rows without a stamp, left out",
+                f"row {self._row_count + int(np.argmin(has_stamp)) + 1}",
+                int(np.count_nonzero(~has_stamp)),
+            )
+            values = {key: array[has_stamp] for key, array in values.items()}
+        for key, signal in self._signals.items():
+            signal.watch(values[key])
+        if is_first:
+            self._report_implausible()
+
+        t_s = values.pop("t_s")
+        self._kept_count += len(t_s)
+        self._row_count += row_count
+        if len(t_s):
+            dt_s = self._row_clock.update(t_s)
+            yield LogChunk(t_s=t_s, dt_s=dt_s, channels=values)
+
+    def _time_s(
+        self, table: Table, values: Mapping[str, FloatArray], row_count: int
+    ) -> FloatArray:
+        """Return the time stamps of a table's rows in s, shape (n,).
+
+        They follow from the mapping's rate, or are those of a column. Whole nanoseconds
+        too large for float64 are counted from the first, so that none is lost.
+        """
+        rate_hz = self._request.mapping.rate_hz
+        if rate_hz is not None:
+            rows = np.arange(self._row_count, self._row_count + row_count)
+            return rows / rate_hz
+        column_s = values["t_s"]
+        signal = self._signals["t_s"]
+        is_in_ns = signal.factors[0] * NS_PER_S == 1.0
+        if table.start_ns or not is_in_ns:
+            return column_s
+        stamps = table.columns.get(signal.columns[0], column_s)
+        is_whole = stamps.dtype.kind == "i"
+        if is_whole and not self._row_count:
+            self._clock_start_ns = start_of_clock(int(stamps[0]))
+            self.start_ns = self._clock_start_ns
+        if is_whole and self._clock_start_ns:
+            return to_seconds(stamps, self._clock_start_ns)
+        return column_s - self._clock_start_ns / NS_PER_S
+
+
+def _not_found(missing: list[Channel], table: Table) -> ColumnError:
+    """Return the error for required channels that no column of a table is."""
+    channel, *others = missing
+    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
+    return ColumnError(
+        f"no column found for {channel.name} ({channel.meaning}); usual names are "
+        f"{', '.join(channel.spellings)}. Say which one {channel.where}. "
+        f"{f'Nor for {also}. ' if also else ''}"
+        f"Columns are: {table.describe()}{table.left_out()}"
+    )

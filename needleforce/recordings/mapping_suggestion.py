@@ -1,0 +1,194 @@
+"""A mapping of a recording as TOML to be edited: what was found, and what else there is."""
+
+import json
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from needleforce.recordings.bags.messages import is_bag
+from needleforce.recordings.bags.tables import learn_topics
+from needleforce.recordings.bags.topics import Bag
+from needleforce.recordings.channel_request import ChannelRequest, channel_columns
+from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.column_names import parse_column_name
+from needleforce.recordings.errors import ColumnError, readable_path
+from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
+from needleforce.recordings.mapping import ColumnMapping, ColumnSpec
+from needleforce.recordings.open_recording import stream_tables
+from needleforce.recordings.table import Table
+
+
+def suggest_mapping(
+    source: str | Path,
+    channels: Iterable[str],
+    *,
+    mapping: ColumnMapping | None = None,
+    joints: Sequence[str] = (),
+    payload: Sequence[str] = (),
+) -> str:
+    """Return a mapping of a recording as TOML, with what else there is as comments.
+
+    Args:
+        source: See `stream_tables`.
+        channels: Names of the channels looked for, apart from time.
+        mapping: What is known already; it stays.
+        joints: The robot's, in its order.
+        payload: Lines that say what hangs on the robot.
+
+    Raises:
+        RecordingError: As `read_table` does; `ColumnError` if the mapping names a
+            column that is not there.
+    """
+    known = mapping or ColumnMapping()
+    names = list(channels)
+    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
+    lines = [comment_line(title), ""]
+    if known.rate_hz is not None:
+        lines += [f"rate_hz = {known.rate_hz}", ""]
+
+    if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
+        bag = Bag(Path(source))
+        learn_topics(bag)
+        table = bag.table()
+        is_time_needed = "time" in known.channels
+        lines += _bag_lines(bag)
+        lines += _reference_lines(bag, table, names, joints, known)
+    else:
+        table = next(stream_tables(source, FollowOptions()))
+        is_time_needed = known.rate_hz is None
+
+    if payload:
+        lines += [*payload, ""]
+    if is_time_needed:
+        names = ["time", *names]
+    return "\n".join([*lines, *mapping_text(table, names, known)])
+
+
+def comment_line(text: str) -> str:
+    """Return a comment for TOML.
+
+    Names in it come from files and must not end its line.
+    """
+    return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def _bag_lines(bag: Bag) -> list[str]:
+    """Return the topics of a bag, and what is wrong with it, as comments."""
+    topics = [comment_line(f"  {topic.describe()}") for topic in bag.topics.values()]
+    return ["# Topics:", *topics, *map(comment_line, bag.warnings), ""]
+
+
+def _reference_lines(
+    bag: Bag,
+    table: Table,
+    channels: Sequence[str],
+    joints: Sequence[str],
+    known: ColumnMapping,
+) -> list[str]:
+    """Return lines on whose messages are the rows, and on the order of joints."""
+    columns: set[str] = set()
+    for name in channels:
+        with suppress(ColumnError):  # several would fit, which the mapping will say
+            request = ChannelRequest(known, optional=(name,))
+            columns |= request.columns(table) or set()
+    topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
+    if not topics:
+        return []
+    most_frequent = max(topics, key=lambda topic: topic.count)
+    reference = known.reference_topic or most_frequent.name
+    joint_names = dict.fromkeys(
+        joint for topic in topics for joint in topic.joint_names
+    )
+    return [
+        "# Rows are the messages of this topic; others are interpolated to its time "
+        "stamps.",
+        f"reference_topic = {json.dumps(reference)}",
+        *_joint_lines(list(joint_names), joints, known),
+        "",
+    ]
+
+
+def _joint_lines(
+    bag_joints: list[str], joints: Sequence[str], known: ColumnMapping
+) -> list[str]:
+    """Return lines on the order of joints, if the bag names any."""
+    if not bag_joints:
+        return []
+    has_all = bool(joints) and set(joints) <= set(bag_joints)
+    order = list(known.joints or (joints if has_all else bag_joints))
+    lines = ["# Joints in the order of the robot; they are found by these names."]
+    if joints and order != list(joints):
+        lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))
+    return [*lines, f"joints = {json.dumps(order)}"]
+
+
+def mapping_text(
+    table: Table, channels: Iterable[str], known: ColumnMapping
+) -> list[str]:
+    """Return a table's mapping as lines of TOML; unused columns stand in comments.
+
+    Args:
+        table: With rows or without.
+        channels: Names of the channels looked for.
+        known: Where it says which columns a channel is, that stays.
+    """
+    lines: list[str] = []
+    used: set[str] = set()
+    for name in channels:
+        spec = known.channels.get(name)
+        lines += [*_channel_lines(table, CHANNELS[name], spec, used), ""]
+    unused = [name for name in table.columns if name not in used]
+    if unused:
+        lines.append("# Columns that are not used:")
+        for name in unused:
+            values = table.columns[name]
+            span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
+            lines.append(comment_line(f"  {name}{span}"))
+        lines.append("")
+    return lines
+
+
+def _channel_lines(
+    table: Table, channel: Channel, spec: ColumnSpec | None, used: set[str]
+) -> list[str]:
+    """Return a channel as a table of TOML, and add its columns to the used ones.
+
+    Where it is not known which columns it is, all stands in comments, with the reason.
+    """
+    reason = f"not found; {channel.meaning}"
+    try:
+        columns = channel_columns(table, channel, spec)
+    except ColumnError as error:
+        if spec is not None:
+            raise
+        columns = []
+        reason = " ".join(str(error).split(";")[0].split())
+    if not columns:
+        return [
+            comment_line(reason),
+            f"# [{channel.name}]",
+            '# columns = ""',
+            f'# unit = "{channel.si_unit}"',
+        ]
+    names = [column.name for column in columns]
+    used |= set(names)
+    joint_note = ", or one for each joint" if channel.per_joint else ""
+    return [
+        f"[{channel.name}]  # {channel.meaning}",
+        f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
+        _unit_line(channel, spec, names),
+        f"scale = {json.dumps(spec.scale if spec else 1.0)}  # -1.0 turns the sign"
+        f"{joint_note}",
+    ]
+
+
+def _unit_line(channel: Channel, spec: ColumnSpec | None, names: list[str]) -> str:
+    """Return the line of TOML that says the unit of a channel's columns."""
+    stated = spec.unit if spec else None
+    units = {stated or parse_column_name(name, channel.units).unit for name in names}
+    if len(units) > 1:
+        return "# No unit for all: they are those of the names."
+    (unit,) = units
+    known_units = f"of {', '.join(channel.units)}"
+    note = known_units if unit else f"assumed; {known_units}"
+    return f"unit = {json.dumps(unit or channel.si_unit)}  # {note}"

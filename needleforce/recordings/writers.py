@@ -1,0 +1,186 @@
+"""The formats that tables are written in: CSV, npz, Parquet and MCAP."""
+
+import csv
+import io
+import zipfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from typing import BinaryIO, NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.bags.message_types import CDR, standard_types
+from needleforce.recordings.bags.written_topics import bag_topics
+from needleforce.recordings.errors import LogError, optional_library
+from needleforce.recordings.table import (
+    START_KEY,
+    TableColumns,
+    TableLabels,
+    flat_columns,
+)
+from needleforce.recordings.time_stamps import to_nanoseconds
+
+Append = Callable[[TableColumns], None]
+"""Writes rows of checked columns, the same in every call."""
+
+Writer = Callable[[BinaryIO, TableLabels, TableColumns], AbstractContextManager[Append]]
+"""Begins a table of these columns, here without rows, gives what writes rows, and
+finishes it."""
+
+MCAP_CHUNK_BYTES = 1 << 16
+"""Of a bag that is written: who follows it sees rows so many at a time."""
+
+
+@contextmanager
+def csv_writer(
+    stream: BinaryIO, labels: TableLabels, empty: TableColumns
+) -> Iterator[Append]:
+    """Write a header and rows that read back bit for bit.
+
+    The start of the clock is a comment.
+    """
+    header = io.StringIO()
+    if labels.start_ns:
+        header.write(f"# {START_KEY} = {labels.start_ns}\n")
+    csv.writer(header, lineterminator="\n").writerow(flat_columns(empty))
+    stream.write(header.getvalue().encode())
+
+    def append(columns: TableColumns) -> None:
+        columns_as_text = map(_csv_texts, flat_columns(columns).values())
+        if lines := [",".join(row) for row in zip(*columns_as_text, strict=True)]:
+            stream.write(("\n".join(lines) + "\n").encode())
+        stream.flush()  # for readers of a file that grows
+
+    yield append
+
+
+def _csv_texts(values: np.ndarray) -> Iterator[str]:
+    """Return numbers as the shortest texts that read back to the same floats."""
+    numbers = values.astype(int) if values.dtype.kind == "b" else values
+    return map(repr, numbers.tolist())
+
+
+@contextmanager
+def npz_writer(
+    stream: BinaryIO, labels: TableLabels, empty: TableColumns
+) -> Iterator[Append]:
+    """Collect rows in memory, and write the archive at the end.
+
+    It cannot be appended to.
+    """
+    chunks: dict[str, list[np.ndarray]] = {name: [] for name in empty}
+
+    def append(columns: TableColumns) -> None:
+        for name, values in columns.items():
+            chunks[name].append(np.array(values))
+
+    yield append
+    arrays = {name: np.concatenate(values) for name, values in chunks.items()}
+    if labels.start_ns:
+        arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
+    # numpy.savez could not write a column called "file".
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values)
+
+
+@contextmanager
+def parquet_writer(
+    stream: BinaryIO, labels: TableLabels, empty: TableColumns
+) -> Iterator[Append]:
+    """Write each chunk as a row group.
+
+    Two-dimensional columns become numbered ones, as in CSV.
+    """
+    arrow = optional_library("pyarrow", "Parquet files")
+    parquet = optional_library("pyarrow.parquet", "Parquet files")
+    metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
+    schema = arrow.table(flat_columns(empty), metadata=metadata).schema
+    writer = parquet.ParquetWriter(stream, schema, write_page_checksum=True)
+
+    def append(columns: TableColumns) -> None:
+        table = arrow.table(flat_columns(columns))
+        if table.num_rows:
+            writer.write_table(table)
+
+    yield append
+    writer.close()  # writes the table of contents, without which the file cannot be read
+
+
+class _McapChannel(NamedTuple):
+    """A topic of a file that is written.
+
+    Attributes:
+        number: By which messages refer to it.
+        kind: The type of its messages.
+    """
+
+    number: int
+    kind: str
+
+
+@contextmanager
+def mcap_writer(
+    stream: BinaryIO, labels: TableLabels, empty: TableColumns
+) -> Iterator[Append]:
+    """Write one MCAP file, compressed, with checksums.
+
+    Each row becomes a message on each topic.
+
+    Raises:
+        LogError: There is no time stamp `t_s`, or one that no message can carry.
+    """
+    types = standard_types()
+    channels: list[_McapChannel] = []
+    library = optional_library("mcap.writer", "MCAP files")
+    bag = library.Writer(stream, chunk_size=MCAP_CHUNK_BYTES, enable_data_crcs=True)
+    bag.start(profile="ros2", library="needleforce")
+    for topic in bag_topics(empty, labels, ()):
+        definition, _ = types.generate_msgdef(topic.kind, ros_version=2)
+        schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
+        number = bag.register_channel(topic.name, CDR, schema)
+        channels.append(_McapChannel(number, topic.kind))
+
+    def append(columns: TableColumns) -> None:
+        stamps_ns = _message_stamps_ns(columns, labels)
+        topics = bag_topics(columns, labels, stamps_ns)
+        rows = (topic.messages for topic in topics)
+        for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
+            for channel, message in zip(channels, messages, strict=True):
+                data = types.serialize_cdr(message, channel.kind)
+                bag.add_message(channel.number, stamp_ns, data, stamp_ns)
+        stream.flush()  # for readers of a file that grows
+
+    yield append
+    bag.finish()  # writes the index
+
+
+def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
+    """Return the time stamps of rows as messages carry them.
+
+    Raises:
+        LogError: There are none, or one is not finite or before zero.
+    """
+    t_s = columns.get("t_s")
+    if t_s is None or t_s.ndim != 1:
+        raise LogError(
+            f"a bag needs time stamps: a column t_s; there is {list(columns)}"
+        )
+    if not np.isfinite(t_s).all():
+        raise LogError("a bag needs a time stamp in every row; one is not finite")
+    stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
+    if min(stamps_ns, default=0) < 0:
+        raise LogError(
+            f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s"
+        )
+    return stamps_ns
+
+
+WRITERS: Mapping[str, Writer] = {
+    ".csv": csv_writer,
+    ".npz": npz_writer,
+    ".parquet": parquet_writer,
+    ".mcap": mcap_writer,
+}
+"""Writers by the suffix of a file."""
