@@ -39,11 +39,11 @@ class FaultCount(NamedTuple):
     """How often one kind of fault occurred.
 
     Attributes:
-        count: Number of occurrences.
+        occurrences: How often it occurred.
         first: Where it occurred first, in words; empty where that says nothing.
     """
 
-    count: int
+    occurrences: int
     first: str
 
 
@@ -59,7 +59,7 @@ class FaultCounts(dict[str, FaultCount]):
             count: How often it occurred.
         """
         known = self.get(fault, FaultCount(0, ""))
-        self[fault] = FaultCount(known.count + count, known.first or where)
+        self[fault] = FaultCount(known.occurrences + count, known.first or where)
 
     def lines(self) -> tuple[str, ...]:
         """Return one line for each kind of fault that occurred."""

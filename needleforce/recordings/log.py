@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.recordings.errors import ColumnError, LogError
 from needleforce.recordings.table import read_only
-from needleforce.recordings.time_stamps import FloatArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,8 +27,8 @@ class Log:
         start_ns: The instant of t_s = 0, see `Table`.
     """
 
-    t_s: FloatArray
-    channels: Mapping[str, FloatArray]
+    t_s: Array
+    channels: Mapping[str, Array]
     warnings: tuple[str, ...] = ()
     start_ns: int = 0
 
@@ -70,7 +70,7 @@ class Log:
         """Return whether there is a channel of this name."""
         return name in self.channels
 
-    def __getitem__(self, name: str) -> FloatArray:
+    def __getitem__(self, name: str) -> Array:
         """Return a channel's values; `ColumnError` if the log has no such channel."""
         if name in self.channels:
             return self.channels[name]

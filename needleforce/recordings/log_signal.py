@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.recordings.channel_request import channel_columns
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
@@ -22,7 +23,6 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
-from needleforce.recordings.time_stamps import FloatArray
 
 
 class PlausibleSize(NamedTuple):
@@ -78,14 +78,14 @@ class Signal:
 
     channel: Channel
     columns: tuple[str, ...]
-    factors: FloatArray
+    factors: Array
     is_sure: bool
     row_count: int = 0
     size: float = 0.0
     any_finite: bool = False
     faults: FaultCounts = field(default_factory=FaultCounts)
 
-    def read(self, table: Table) -> FloatArray:
+    def read(self, table: Table) -> Array:
         """Return the values of a table's rows in SI units, shape (n,) or (n, joints)."""
         columns = [
             column.values
@@ -95,7 +95,7 @@ class Signal:
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
-    def watch(self, values: FloatArray) -> None:
+    def watch(self, values: Array) -> None:
         """Note what is odd in further rows; the step of time is that of the first."""
         is_finite = np.isfinite(values)
         if not is_finite.all():
@@ -111,7 +111,7 @@ class Signal:
             self._update_size(values[is_finite])
         self.row_count += len(values)
 
-    def _update_size(self, values: FloatArray) -> None:
+    def _update_size(self, values: Array) -> None:
         """Update the size by further finite values."""
         if self.channel.key != "t_s":
             self.size = max(self.size, float(np.max(np.abs(values), initial=0.0)))
@@ -215,7 +215,7 @@ def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
 
 
 def require_equal_sizes(
-    values: Mapping[str, FloatArray], signals: Mapping[str, Signal]
+    values: Mapping[str, Array], signals: Mapping[str, Signal]
 ) -> None:
     """Raise `LogError` if channels differ in length, or in the number of joints.
 

@@ -6,6 +6,7 @@ from itertools import chain
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channels import CHANNELS, Channel
 from needleforce.recordings.errors import (
@@ -21,7 +22,6 @@ from needleforce.recordings.log_signal import Signal, find_signal, require_equal
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
-    FloatArray,
     RowClock,
     start_of_clock,
     to_seconds,
@@ -38,9 +38,9 @@ class LogChunk:
         channels: By name, shape (n,) or (n, joints), as in a `Log`.
     """
 
-    t_s: FloatArray
-    dt_s: FloatArray
-    channels: Mapping[str, FloatArray]
+    t_s: Array
+    dt_s: Array
+    channels: Mapping[str, Array]
 
 
 class LogStream:
@@ -102,7 +102,7 @@ class LogStream:
         Raises:
             FormatError: They take more bytes than allowed.
         """
-        chunks: list[dict[str, FloatArray]] = []
+        chunks: list[dict[str, Array]] = []
         size = 0
         for chunk in self:
             values = {"t_s": chunk.t_s, **chunk.channels}
@@ -226,8 +226,8 @@ class LogStream:
             yield LogChunk(t_s=t_s, dt_s=dt_s, channels=values)
 
     def _time_s(
-        self, table: Table, values: Mapping[str, FloatArray], row_count: int
-    ) -> FloatArray:
+        self, table: Table, values: Mapping[str, Array], row_count: int
+    ) -> Array:
         """Return the time stamps of a table's rows in s, shape (n,).
 
         They follow from the mapping's rate, or are those of a column. Whole nanoseconds

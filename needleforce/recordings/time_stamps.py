@@ -10,9 +10,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.arrays import Array
 from needleforce.recordings.errors import FaultCounts, LogError
-
-FloatArray = NDArray[np.float64]
 
 NS_PER_S = 1_000_000_000
 
@@ -45,7 +44,7 @@ def start_of_clock(first_ns: int) -> int:
     return 0 if abs(first_ns) < MAX_EXACT_NS // 2 else first_ns
 
 
-def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> FloatArray:
+def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> Array:
     """Return stamps in seconds since `start_ns`, as the nearest doubles.
 
     `to_nanoseconds` gives the same stamps back.
@@ -69,9 +68,9 @@ def exceed_float64(values: np.ndarray) -> bool:
 def interpolate(
     at_ns: NDArray[np.int64],
     stamps_ns: NDArray[np.int64],
-    values: FloatArray,
+    values: Array,
     limit_ns: float,
-) -> FloatArray:
+) -> Array:
     """Interpolate values linearly; where stamps agree, they stay as they are.
 
     Args:
@@ -128,7 +127,7 @@ class RowClock:
         self._faults.note(_SET_BACK, "", 0)
         self._faults.note(_BACKWARD, "", 0)
 
-    def update(self, t_s: FloatArray) -> FloatArray:
+    def update(self, t_s: Array) -> Array:
         """Return the time since the latest row that advanced, for every row.
 
         Args:

@@ -19,7 +19,7 @@ import numpy as np
 from needleforce.cli.terminal import CommandError
 from needleforce.devices import ArmSample
 from needleforce.recordings.output import check_writable, open_table
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 
 CHUNK = 50  # Samples written at a time
 
@@ -138,7 +138,7 @@ def _write(
     wrong = None
     try:
         with open_table(
-            path, is_live=True, labels=lambda: Labels(joint_names=joint_names)
+            path, is_live=True, labels=lambda: TableLabels(joint_names=joint_names)
         ) as to:
             while parent is not None and parent.is_alive():
                 try:

@@ -36,9 +36,9 @@ from needleforce.cli.shared_options import (
 from needleforce.cli.terminal import CommandError, aligned, write_out
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
-from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.open_recording import suggest_mapping
-from needleforce.recordings.table import Labels
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.mapping_suggestion import suggest_mapping
+from needleforce.recordings.table import TableLabels
 from residual import SensorConfig, SensorWarning, Status
 
 
@@ -113,7 +113,7 @@ def estimate_forces(
     forces = []
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
-    with open_output(output, log, Labels(frame=frame)) as table:
+    with open_output(output, log, TableLabels(frame=frame)) as table:
         for chunk in log:
             rows = replay.run(chunk)
             result.add(rows)

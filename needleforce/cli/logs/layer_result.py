@@ -27,12 +27,12 @@ from needleforce.cli.shared_options import (
 )
 from needleforce.cli.terminal import say, write_out
 from needleforce.plots import Chart, Curve, Panel, palette
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
-from needleforce.recordings.log import LogChunk
-from needleforce.recordings.mapping import ChannelRequest
-from needleforce.recordings.open_recording import suggest_mapping
+from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.output import OpenTable
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 
 REQUIRED = ("depth", "force")
 
@@ -72,7 +72,7 @@ def run(
 
     def estimate(log: LogSession) -> IdentificationResult:
         with open_output(
-            output, log, Labels(prefix="/needleforce/identification")
+            output, log, TableLabels(prefix="/needleforce/identification")
         ) as table:
             return identify_layers(log, log.name, options, table)
 

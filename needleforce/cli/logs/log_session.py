@@ -15,10 +15,11 @@ from needleforce.recordings import (
     LogStream,
     RecordingError,
 )
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
-from needleforce.recordings.log import LogChunk
-from needleforce.recordings.mapping import ChannelRequest, parse_column_spec
+from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.mapping import parse_column_spec
 
 # The mapping, and the log read with it.
 

@@ -12,11 +12,11 @@ from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.shared_options import Output, Over
 from needleforce.cli.terminal import CommandError, say, stop_request, write_out
 from needleforce.recordings import output as output_files
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
-from needleforce.recordings.mapping import ChannelRequest
 from needleforce.recordings.output import OpenTable, open_table
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 
 # From a log to the files that options name.
 
@@ -130,7 +130,7 @@ def check_outputs(source: str, output: Output) -> None:
 
 @contextmanager
 def open_output(
-    output: Output, log: LogSession, labels: Labels
+    output: Output, log: LogSession, labels: TableLabels
 ) -> Iterator[OpenTable | None]:
     """Open the table that the command line names, on the log's clock; None if it
     names none.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
 from needleforce.cli.shared_options import SensorOptions
 from needleforce.cli.terminal import CommandError
-from needleforce.recordings.log import LogChunk
+from needleforce.recordings.log_stream import LogChunk
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate

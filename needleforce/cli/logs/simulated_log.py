@@ -14,7 +14,7 @@ from groundtruth.scenarios import scenario as scenario_named
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
-from needleforce.recordings.table import Labels
+from needleforce.recordings.table import TableLabels
 
 
 def print_scenarios() -> int:
@@ -56,10 +56,10 @@ def write_simulation(
         run = simulate(chosen, plant=plant, seed=seed)
     joint_names = run.robot.joint_names
     if recording is not None:
-        labels = Labels(joint_names=joint_names)
+        labels = TableLabels(joint_names=joint_names)
         write_table(recording, signal_table(run), labels=labels)
     if truth is not None:
-        labels = Labels(joint_names=joint_names, prefix="/truth")
+        labels = TableLabels(joint_names=joint_names, prefix="/truth")
         write_table(truth, truth_table(run), labels=labels)
     write_out(_summary(run, recording))
     return 0

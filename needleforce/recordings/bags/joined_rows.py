@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.recordings.bags.messages import NONE_YET, RawMessage
 from needleforce.recordings.bags.topics import Bag, Topic
 from needleforce.recordings.channel_request import ChannelRequest
@@ -12,7 +13,6 @@ from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
-    FloatArray,
     interpolate,
     start_of_clock,
     to_seconds,
@@ -159,7 +159,7 @@ class JoinedRows:
         at_ns = reference.stamps_ns()[:row_count]
         if self._is_new and at_ns.size:
             self._start_ns = start_of_clock(int(at_ns[0]))
-        columns: dict[str, FloatArray] = {"t_s": to_seconds(at_ns, self._start_ns)}
+        columns: dict[str, Array] = {"t_s": to_seconds(at_ns, self._start_ns)}
         joint_names: dict[str, tuple[str, ...]] = {}
         for topic in self.topics.values():
             named = topic.named & topic.widths.keys()

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.arrays import Array
 from needleforce.recordings.bags.message_types import (
     MessageContent,
     TopicDecoder,
@@ -17,7 +18,7 @@ from needleforce.recordings.bags.message_types import (
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
 from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import Table
-from needleforce.recordings.time_stamps import NS_PER_S, FloatArray
+from needleforce.recordings.time_stamps import NS_PER_S
 
 LEARNED_MESSAGES = 20
 """So many messages of a topic are looked into."""
@@ -185,9 +186,9 @@ class Topic:
         """Return the time stamps of the rows, shape (n,)."""
         return np.array([row.stamp_ns for row in self.rows], dtype=np.int64)
 
-    def values(self) -> dict[str, FloatArray]:
+    def values(self) -> dict[str, Array]:
         """Return the numbers of the rows by column, shape (n, k)."""
-        arrays: dict[str, FloatArray] = {}
+        arrays: dict[str, Array] = {}
         for i, (name, width) in enumerate(self.widths.items()):
             numbers = [row.values[i] for row in self.rows]
             arrays[name] = np.array(numbers, dtype=np.float64).reshape(-1, width)

@@ -17,10 +17,10 @@ from needleforce.recordings import (
     read_log,
     write_table,
 )
-from needleforce.recordings.channels import (
+from needleforce.recordings.channels import find_unit
+from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
-    find_unit,
     parse_column_name,
 )
 from needleforce.recordings.mapping import parse_column_spec
