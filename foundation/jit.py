@@ -23,6 +23,7 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
+imputils: Any = import_module("numba.core.imputils")
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -93,6 +94,36 @@ def compiler_type(hint: Any) -> Any:
         parts = [compiler_type(part) for part in get_args(hint)]
         return None if None in parts else types.Tuple(parts)
     return None
+
+
+def _can_convert(self: Any, typing_context: Any, other: Any) -> Any:
+    """Return how safely a named tuple converts to another, None if it does not.
+
+    The compiler converts plain tuples element by element (an integer to a float, an
+    array to one that is only read) but refuses to do so for tuples with names.
+    """
+    if getattr(other, "instance_class", None) is not self.instance_class:
+        return None
+    conversions = [
+        typing_context.can_convert(own, wanted)
+        for own, wanted in zip(self, other, strict=True)
+    ]
+    return None if None in conversions else max(conversions, default=None)
+
+
+def _cast(context: Any, builder: Any, source: Any, target: Any, value: Any) -> Any:
+    """Emit the conversion of a named tuple, element by element."""
+    elements = [
+        context.cast(builder, builder.extract_value(value, number), own, wanted)
+        for number, (own, wanted) in enumerate(zip(source, target, strict=True))
+    ]
+    return context.make_tuple(builder, target, elements)
+
+
+if COMPILER:
+    types.NamedTuple.can_convert_to = _can_convert
+    types.NamedUniTuple.can_convert_to = _can_convert
+    imputils.lower_cast(types.BaseNamedTuple, types.BaseNamedTuple)(_cast)
 
 
 def cache_folder(module: str, file: str) -> Path:

@@ -37,7 +37,11 @@ def test_named_tuples_are_read_by_name_when_compiled():
         return 0.5 * spring.stiffness * (length - spring.rest_lengths[0]) ** 2
 
     assert energy.signatures
+    read_only = np.ones(1)
+    read_only.setflags(write=False)
     assert energy(Spring(4.0, np.ones(1)), 3.0) == 8.0
+    assert energy(Spring(4, read_only), 3.0) == 8.0
+    assert len(energy.signatures) == 1
 
 
 @pytest.fixture
