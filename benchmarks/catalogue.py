@@ -7,6 +7,9 @@ from traceback import format_exc
 from typing import NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
+from benchmarks.anatomy.study import ANATOMY
+from benchmarks.control.study import CONTROL
+from benchmarks.faults.study import FAULTS
 from benchmarks.insertion.perturbations import MIXED, PERTURBATIONS, PERTURBED
 from benchmarks.insertion.recorded import bovine, liver, panda, ur10e
 from benchmarks.insertion.recorded.bovine import run_bovine_real
@@ -33,8 +36,9 @@ QUICK = (
     "gel-70-constant",
     "stack-sinusoidal",
     "stack-glove-constant",
+    "liver-constant",
+    "abdomen-sinusoidal",
 )
-QUICK += ("liver-constant", "abdomen-sinusoidal")
 PLANTS = (*PLANT_MODELS, NEEDLE)
 _SIMULATED = (
     *(
@@ -70,7 +74,7 @@ _ROBUSTNESS = tuple(
         is_default=False,
         plants=plants,
         possible=plants,
-        perturbs=True,
+        group="robustness",
     )
     for name, title, plants in (
         *(
@@ -88,8 +92,8 @@ _TITLES = {
     "bovine-real": "the ruptures of an insertion into real bovine liver",
 }
 _RECORDED = tuple(
-    Benchmark(id=name, title=_TITLES[name], run=run, needs=folders, seeds=seeds)
-    for name, run, folders, seeds in (
+    Benchmark(id=name, title=_TITLES[name], run=run, needs=folders, recordings=count)
+    for name, run, folders, count in (
         ("panda-real", run_panda_real, (panda.FOLDER,), 1),
         (
             "panda-liver",
@@ -103,13 +107,25 @@ _RECORDED = tuple(
     )
 )
 BENCHMARKS: Mapping[str, Benchmark] = {
-    item.id: item for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED)
+    item.id: item
+    for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED, *CONTROL, *ANATOMY, *FAULTS)
 }
 """By name."""
 
 
+ALL = "all"
+"""Names all benchmarks that belong to no group."""
+STUDIES = ("control", "anatomy")
+"""Groups of which a part may be named, as control-priority."""
+IDS: Mapping[str, Sequence[str]] = {"tissue": TISSUE} | {
+    group: tuple(item.id for item in BENCHMARKS.values() if item.group == group)
+    for group in ("robustness", *STUDIES)
+}
+"""Names of several benchmarks."""
+
+
 def benchmark_named(benchmark_id: str) -> Benchmark:
-    """The benchmark of that name.
+    """Return the benchmark of that name.
 
     Raises:
         UnknownIdError: There is none; the message lists the names.
@@ -117,14 +133,10 @@ def benchmark_named(benchmark_id: str) -> Benchmark:
     try:
         return BENCHMARKS[benchmark_id]
     except KeyError:
+        names = ", ".join((*BENCHMARKS, *IDS, ALL))
         raise UnknownIdError(
-            f"no benchmark {benchmark_id!r}; choose from: {', '.join((*BENCHMARKS, *IDS))}, all"
+            f"no benchmark {benchmark_id!r}; choose from: {names}"
         ) from None
-
-
-ALL = "all"
-IDS = {"tissue": TISSUE, "robustness": tuple(PERTURBED + name for name in ROBUST)}
-"""Names of several benchmarks; `ALL` is for all but those in perturbed worlds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,14 +145,15 @@ class Request:
 
     Attributes:
         ids: Names of benchmarks; none for the quick ones (and, where figures are
-            wanted, for what the published figures need), ``all`` for all, ``tissue``
-            for the scenarios with tissue.
+            wanted, for what the published figures need), ``all`` for all that belong
+            to no group, ``tissue`` for the scenarios with tissue, ``control`` for all
+            parts of a study.
         plants: Plant models of simulations, ``needle`` for none; when empty, every
             benchmark runs on its own: the random stack with the needle alone, so that
             hundreds are affordable; for benchmarks in perturbed worlds, names of
             perturbations.
         seeds: How many seeds are run.
-        first_seed: The first of them.
+        first_seed: The first of them; None for that of the benchmark.
         data: Folder of recordings, if any.
         drawings: Folder for figures, if wanted.
     """
@@ -148,14 +161,17 @@ class Request:
     ids: Sequence[str] = ()
     plants: Sequence[str] = ()
     seeds: int = 1
-    first_seed: int = 0
+    first_seed: int | None = None
     data: Path | None = None
     drawings: Path | None = None
 
 
 class Plan(NamedTuple):
-    """Jobs in order, and names of benchmarks that are left out for want of
-    recordings.
+    """What a run does.
+
+    Attributes:
+        jobs: In order.
+        skipped: Names of benchmarks that are left out for want of recordings.
     """
 
     jobs: tuple[Job, ...]
@@ -179,20 +195,20 @@ def make_plan(request: Request) -> Plan:
     if request.data is not None and not request.data.is_dir():
         raise DataError(f"no folder of recordings at {request.data}")
     jobs: list[Job] = []
-    skipped = []
-    for item in _chosen(request):
-        missing = _missing(item, request)
+    skipped: list[str] = []
+    for benchmark in chosen_benchmarks(request):
+        missing = describe_missing(benchmark, request)
         if not missing:
-            jobs += _jobs(item, request)
-        elif item.id in request.ids:
-            raise DataError(f"{item.id} needs {missing}")
-        elif item.is_recorded:
-            skipped.append(item.id)
+            jobs += make_jobs(benchmark, request)
+        elif benchmark.id in request.ids:
+            raise DataError(f"{benchmark.id} needs {missing}")
+        elif benchmark.is_recorded:
+            skipped.append(benchmark.id)
     return Plan(jobs=tuple(jobs), skipped=tuple(skipped))
 
 
-def _chosen(request: Request) -> list[Benchmark]:
-    """The benchmarks in the catalogue's order, each once."""
+def chosen_benchmarks(request: Request) -> list[Benchmark]:
+    """Return the benchmarks that are asked for, in the catalogue's order."""
     ids = [name for asked in request.ids for name in IDS.get(asked, (asked,))]
     for name in ids:
         if name != ALL:
@@ -205,52 +221,60 @@ def _chosen(request: Request) -> list[Benchmark]:
     return [
         item
         for item in BENCHMARKS.values()
-        if item.id in ids or (ALL in ids and not item.perturbs)
+        if item.id in ids or (ALL in ids and not item.group)
     ]
 
 
-def _missing(item: Benchmark, request: Request) -> str:
-    """What a benchmark lacks, nothing for one that can run."""
-    if not item.is_recorded:
+def describe_missing(benchmark: Benchmark, request: Request) -> str:
+    """Return what a benchmark lacks, nothing for one that can run."""
+    if not benchmark.is_recorded:
         return (
             ""
-            if _plants(item, request)
-            else f"a plant, one of {', '.join(item.possible)}"
+            if chosen_plants(benchmark, request)
+            else f"a plant, one of {', '.join(benchmark.possible)}"
         )
-    data = request.data
-    if data is None:
+    if request.data is None:
         return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
-    absent = [name for name in item.needs if not (data / name).is_dir()]
-    return f"the folder {', '.join(absent)} in {data}" if absent else ""
+    absent = [name for name in benchmark.needs if not (request.data / name).is_dir()]
+    return f"the folder {', '.join(absent)} in {request.data}" if absent else ""
 
 
-def _plants(item: Benchmark, request: Request) -> tuple[str, ...]:
-    """The plants a simulation runs on, each once; none when it needs an arm and none
-    was named.
+def chosen_plants(benchmark: Benchmark, request: Request) -> tuple[str, ...]:
+    """Return the plants a benchmark runs on, each once.
+
+    There are none when it needs an arm and none was named.
     """
-    asked = dict.fromkeys(request.plants or item.plants)
-    return tuple(plant for plant in asked if plant in item.possible)
+    if benchmark.is_recorded:
+        return (RECORDING,)
+    if not benchmark.has_plants:
+        return benchmark.plants
+    asked = dict.fromkeys(request.plants or benchmark.plants)
+    return tuple(plant for plant in asked if plant in benchmark.possible)
 
 
-def _jobs(item: Benchmark, request: Request) -> list[Job]:
-    first = request.first_seed
-    seeds = request.seeds
-    plants = _plants(item, request)
-    if item.is_recorded:
-        first = 0
-        seeds = min(item.seeds, request.seeds)
-        plants = (RECORDING,)
+def make_jobs(benchmark: Benchmark, request: Request) -> list[Job]:
+    """Return a job for every case, plant and seed."""
+    first_seed = request.first_seed
+    count = request.seeds
+    if first_seed is None:
+        first_seed = benchmark.first_seed
+    if benchmark.is_recorded:
+        first_seed = 0
+        count = min(benchmark.recordings, request.seeds)
+    has_data = benchmark.is_recorded or benchmark.uses_data
     return [
         Job(
-            benchmark=item.id,
+            benchmark=benchmark.id,
+            case=case,
             plant=plant,
             seed=seed,
-            data=request.data if item.is_recorded else None,
+            data=request.data if has_data else None,
             # One figure of each kind is enough.
-            drawings=request.drawings if seed == first else None,
+            drawings=request.drawings if seed == first_seed else None,
         )
-        for plant in plants
-        for seed in range(first, first + seeds)
+        for case in benchmark.find_cases()
+        for plant in chosen_plants(benchmark, request)
+        for seed in range(first_seed, first_seed + count)
     ]
 
 
@@ -266,16 +290,17 @@ KNOWN = (
 
 
 def run_job(job: Job, progress: Progress = lambda fraction: None) -> Outcome:
-    """Rows of a job, or the reason why there are none: of an unforeseen error, where
-    it was.
+    """Do a job; return its rows, or the reason why there are none.
+
+    The reason of an unforeseen error is its traceback.
     """
     try:
-        found = benchmark_named(job.benchmark).run(job, progress)
+        result = benchmark_named(job.benchmark).run(job, progress)
+        rows = tuple(
+            item.row(job.scenario, job.plant, job.seed) for item in result.measurements
+        )
     except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     except Exception:  # it must not take hours of others with it
         return Outcome(job=job, failure=format_exc())
-    rows = tuple(
-        item.row(job.benchmark, job.plant, job.seed) for item in found.measurements
-    )
-    return Outcome(job=job, rows=rows, drawings=found.drawings)
+    return Outcome(job=job, rows=rows, drawings=result.drawings)

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from benchmarks.catalogue import Plan
-    from benchmarks.control.study import ControlRow
     from benchmarks.jobs import Outcome
     from benchmarks.results import Row
 
@@ -120,7 +119,8 @@ def list_benchmarks() -> None:
             for item in BENCHMARKS.values()
         ),
         caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, "
-        "'robustness' the worlds in which they are perturbed, 'all' all others",
+        "'robustness' the worlds in which they are perturbed, 'control' and 'anatomy' "
+        "their parts, 'all' all others but the faults",
     )
     console = new_console()
     console.print(table.rich())
@@ -129,20 +129,22 @@ def list_benchmarks() -> None:
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kept:
+class OutputOptions:
     """Where numbers are written.
 
     Attributes:
         json: Write the numbers there, as they come.
         resume: Go on with that file: runs whose numbers it has are not done again.
+        report: Write a page into that folder: the published figures from these runs,
+            and all tables. With no ID named, runs all that the figures need.
     """
 
     json: Path | None = None
-
     resume: bool = False
+    report: Path | None = None
 
 
-_KEPT = Kept()
+_OUTPUT = OutputOptions()
 _WORKERS = Workers()
 
 
@@ -153,30 +155,25 @@ def run(
     seeds: Positive = 1,
     first_seed: Annotated[int | None, Parameter(validator=Number(gte=0))] = None,
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
-    kept: Kept = _KEPT,
-    report: Path | None = None,
+    output: OutputOptions = _OUTPUT,
     workers: Workers = _WORKERS,
     strict: bool = False,
 ) -> int:
     """Run benchmarks, print tables and targets.
 
     Args:
-        ids: Names of the list, tissue, robustness, or all but that; default: a quick
-            set. Or, by themselves, control for the needle in closed loop (20 minutes a
-            seed), or one part of it: control-priority, -constraints, -guidance,
-            -teleoperation, -autonomous, -faults; or anatomy, or one part of it:
-            anatomy-surface, -path, -fullsize.
+        ids: Names of the list; or several at once: tissue, robustness, control
+            (closed loop, 20 minutes a seed), anatomy, or all (but robustness, control,
+            anatomy and faults); default: a quick set.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between
             several; may be given more than once. Default: clean; for drawn scenarios
-            needle. Of robustness, names of perturbations
+            needle; for control clean and fri. Of robustness, names of perturbations
             (benchmarks/insertion/perturbations.toml); default: all.
         seeds: Run so many seeds.
-        first_seed: The first of them; default: 0, for control 1000. Methods are tuned
-            on seeds below 1000.
+        first_seed: The first of them; default: 0, for control and anatomy 1000.
+            Methods are tuned on seeds below 1000.
         data: Folder of real recordings.
-        kept: Where the numbers are written.
-        report: Write a page into that folder: the published figures from these runs,
-            and all tables. With no ID named, runs all that the figures need.
+        output: Where numbers are written.
         workers: Who does the runs.
         strict: Exit with 1 if a target is missed.
     """
@@ -186,40 +183,38 @@ def run(
     from benchmarks.targets import evaluate
     from needleforce.plots import FiguresError, folder_if_filled
 
-    plants = _plant_names(plant)
+    check_output(output, workers)
+    plants = plant_names(plant)
     console = new_console()
-    is_apart = any(name.startswith(("control", "anatomy")) for name in ids)
-    _check_kept(kept, workers, is_drawn=report is not None, is_apart=is_apart)
-    if is_apart:
-        rows = _run_apart(ids, plants, (first_seed, seeds), workers, data, kept.json)
-        return FAILURE if strict and not all(row.is_met for row in rows) else 0
     try:
         # The folder first: better before minutes of work than after.
-        with folder_if_filled(report) as folder:
-            plan = make_plan(Request(ids, plants, seeds, first_seed or 0, data, folder))
-            outcomes, rows = _timed(plan, workers, kept, console)
-            failed = _print_outcomes(console, rows, outcomes, plan.skipped)
+        with folder_if_filled(output.report) as folder:
+            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+            outcomes = run_plan(plan, workers, output, console)
+            rows = [row for outcome in outcomes for row in outcome.rows]
+            print_outcomes(console, rows, outcomes, plan.skipped)
             if folder is not None:
-                drawings = [drawing for item in outcomes for drawing in item.drawings]
+                drawings = [
+                    drawing for outcome in outcomes for drawing in outcome.drawings
+                ]
                 console.print(f"Report: {write_report(folder, rows, drawings)}")
     except FiguresError as error:
         raise BenchmarkError(str(error)) from error
-    missed = strict and not all(found.is_met for found in evaluate(rows))
-    return FAILURE if failed or missed else 0
+    has_failed = any(outcome.failure is not None for outcome in outcomes)
+    has_missed = strict and not all(target.is_met for target in evaluate(rows))
+    return FAILURE if has_failed or has_missed else 0
 
 
-def _check_kept(
-    kept: Kept, workers: Workers, *, is_drawn: bool, is_apart: bool
-) -> None:
-    if kept.resume and (kept.json is None or is_apart):
-        raise BenchmarkError(
-            "--resume goes on with the file of --json; not control or anatomy"
-        )
-    if workers.cluster and is_drawn:
+def check_output(output: OutputOptions, workers: Workers) -> None:
+    """Refuse options that contradict each other, with `BenchmarkError`."""
+    if output.resume and output.json is None:
+        raise BenchmarkError("--resume goes on with the file of --json")
+    if workers.cluster and output.report is not None:
         raise BenchmarkError("--report draws on this machine: use it without --cluster")
 
 
-def _plant_names(plant: Sequence[str]) -> list[str]:
+def plant_names(plant: Sequence[str]) -> list[str]:
+    """Return the names of plants, which may be joined by commas."""
     names = [
         name.strip() for given in plant for name in given.split(",") if name.strip()
     ]
@@ -228,67 +223,39 @@ def _plant_names(plant: Sequence[str]) -> list[str]:
     return names
 
 
-def _run_apart(
-    ids: Sequence[str],
-    plants: Sequence[str],
-    seeds: tuple[int | None, int],
-    workers: Workers,
-    data: Path | None,
-    to: Path | None,
-) -> Sequence["ControlRow"]:
-    """Print the table of the closed loop or the anatomy, and return the rows with
-    targets.
-    """
-    from benchmarks.anatomy.study import run_anatomy, show_anatomy
-    from benchmarks.control.study import control_jobs, run_control, show_control
-
-    if any(name.startswith("anatomy") for name in ids):
-        if workers.cluster:
-            raise BenchmarkError(
-                "anatomy runs in this process: use it without --cluster"
-            )
-        with progress_bar("anatomy") as update:
-            return show_anatomy(run_anatomy(ids, seeds[0], data, update), to)
-    work = control_jobs(ids, plants, *seeds)
-    with progress_bar("control") as update:
-        rows = run_control(work, workers, update)
-    return show_control(rows, to)
-
-
-def _timed(
-    plan: "Plan", workers: Workers, kept: Kept, console: "Console"
-) -> tuple[list["Outcome"], list["Row"]]:
+def run_plan(
+    plan: "Plan", workers: Workers, output: OutputOptions, console: "Console"
+) -> list["Outcome"]:
+    """Do all jobs of a plan beside a bar of progress; print how long it took."""
     from benchmarks.campaign.runs import run_jobs
 
     begin_s = perf_counter()
     with progress_of(len(plan.jobs)) as update:
         outcomes = run_jobs(
-            plan.jobs, workers, update, kept.json, is_resumed=kept.resume
+            plan.jobs, workers, update, output.json, is_resumed=output.resume
         )
     console.print(f"{len(plan.jobs)} runs in {perf_counter() - begin_s:.0f} s")
-    return outcomes, [row for outcome in outcomes for row in outcome.rows]
+    return outcomes
 
 
-def _print_outcomes(
+def print_outcomes(
     console: "Console",
     rows: Sequence["Row"],
     outcomes: Sequence["Outcome"],
     skipped: Sequence[str],
-) -> bool:
-    """Print tables, what failed and what was left out; returns whether anything
-    failed.
-    """
+) -> None:
+    """Print tables, what failed and what was left out."""
     from benchmarks.report.tables import result_tables
 
     for table in result_tables(rows):
         console.print(table.rich())
-    failed = [item for item in outcomes if item.failure is not None]
-    for item in failed:
-        console.print(f"failed: {item.job}: {item.failure}", style="red", markup=False)
+    for outcome in outcomes:
+        if outcome.failure is not None:
+            line = f"failed: {outcome.job}: {outcome.failure}"
+            console.print(line, style="red", markup=False)
     if skipped:
         reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
         console.print(f"{reason}: {', '.join(skipped)}", style="yellow")
-    return bool(failed)
 
 
 @app.command
@@ -332,19 +299,19 @@ def show_results(
 
     Args:
         files: Results from run --json.
-        page: Write all tables there (docs/results.md).
+        page: Write all tables there.
         readme: Write the summary between the marks of that page (README.md).
         limits: Write the worst rows of robustness between the marks of that page
             (docs/limits.md).
     """
-    from benchmarks.report.tables import (
+    from benchmarks.report.summary import (
         fill,
-        new_console,
         results_page,
         summary_block,
         summary_table,
         worst_rows,
     )
+    from benchmarks.report.tables import new_console
     from benchmarks.results import read_merged
 
     rows = read_merged(files)
@@ -425,32 +392,30 @@ def time_updates(
 def inject_faults(
     without_velocity: bool = False, markdown: bool = False, strict: bool = False
 ) -> int:
-    """Break the signals of a running insertion. Takes about 45 s.
+    """Break the signals of a running insertion, and print what is reported.
+
+    Takes about 45 s; `run faults` gives the numbers alone.
 
     Args:
         without_velocity: The arm sends no velocities, they are estimated.
         markdown: Print the table of docs/loop.md.
         strict: Exit with 1 if a fault is not recovered from, or a number is not finite.
     """
-    from benchmarks.faults.study import FaultStudy, fault_table
+    from benchmarks.faults.study import fault_table, measure_faults
     from benchmarks.report.tables import new_console
 
     with progress_bar("faults") as update:
-        study = FaultStudy(
-            lambda fraction: update(0.2 * fraction), with_velocity=not without_velocity
-        )
-        found = []
-        for result in study.results():
-            found.append(result)
-            update(min(0.2 + 0.03 * len(found), 1.0))
+        faults = measure_faults(update, with_velocity=not without_velocity)
     console = new_console()
-    table = fault_table(found)
+    table = fault_table(faults)
     if markdown:
         console.print("\n".join(table.markdown()), soft_wrap=True, markup=False)
     else:
         console.print(table.rich())
-    bad = any(not result.is_finite or math.isinf(result.recovery_s) for result in found)
-    return FAILURE if strict and bad else 0
+    is_bad = any(
+        not fault.is_finite or math.isinf(fault.recovery_s) for fault in faults
+    )
+    return FAILURE if strict and is_bad else 0
 
 
 @app.command(name="stream")

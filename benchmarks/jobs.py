@@ -1,6 +1,6 @@
-"""One thing that can be run by name, a job of it, and what the job finds."""
+"""One thing that can be run by name, a job of it, and the job's result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +12,8 @@ from needleforce.plots import PageFigure
 
 RECORDING = "recording"
 """The plant of a benchmark on real data."""
+NO_PLANT = "none"
+"""The plant of a benchmark in which no arm plays a part."""
 Progress = Callable[[float], None]
 """Takes the fraction done, 0 to 1."""
 
@@ -38,8 +40,9 @@ class Job:
 
     Attributes:
         benchmark: Its name.
+        case: Which of the benchmark's cases; empty where it has only one.
         plant: Plant model of a simulation, ``needle`` for one without an arm,
-            ``recording`` for real data.
+            ``recording`` for real data, ``none`` where no arm plays a part.
         seed: Of everything drawn; of real data, the number of the recording.
         data: Folder of recordings, for benchmarks that need it.
         drawings: Folder for figures; None for none.
@@ -47,9 +50,16 @@ class Job:
 
     benchmark: str
     plant: str
+    case: str = ""
     seed: int = 0
     data: Path | None = None
     drawings: Path | None = None
+
+    @property
+    def scenario(self) -> str:
+        """Benchmark and case, as its rows name them."""
+        case = self.case.replace(", ", "-").replace(" ", "-")
+        return f"{self.benchmark}/{case}" if case else self.benchmark
 
     @property
     def recordings(self) -> Path:
@@ -66,7 +76,7 @@ class Job:
 
     def __str__(self) -> str:
         """One line for people."""
-        return f"{self.benchmark}, {self.plant}, seed {self.seed}"
+        return f"{self.scenario}, {self.plant}, seed {self.seed}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -89,8 +99,13 @@ class Drawing:
     facts: tuple[Fact, ...] = ()
 
 
-class Findings(NamedTuple):
-    """What running a job gives."""
+class JobResult(NamedTuple):
+    """What running a job gives.
+
+    Attributes:
+        measurements: Its numbers.
+        drawings: The figures it has drawn.
+    """
 
     measurements: list[Measurement]
     drawings: tuple[Drawing, ...] = ()
@@ -113,6 +128,11 @@ class Outcome:
     failure: str | None = None
 
 
+def one_case() -> Sequence[str]:
+    """Return the cases of a benchmark that has only one, without a name."""
+    return ("",)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Benchmark:
     """One thing that can be run by name.
@@ -121,29 +141,41 @@ class Benchmark:
         id: Permanent name.
         title: One line for people.
         run: Does a job of it.
+        find_cases: Names of its cases, each a job of its own; it may import what only
+            they need.
         needs: Folders of recordings it reads; none for a simulation.
+        uses_data: Whether it measures more where there is a folder of recordings.
+        recordings: How many recordings it has, one a seed; a simulation takes any
+            seed.
+        first_seed: The first seed where none is named.
+        group: Name under which its kind runs; empty for those that ``all`` names.
         is_default: Whether it runs when nothing is named.
         plants: On which plants a simulation runs when none is named.
         possible: On which plants a simulation can run.
-        perturbs: Whether its plants are names of perturbations.
     """
 
     id: str
     title: str
-    run: Callable[[Job, Progress], Findings]
+    run: Callable[[Job, Progress], JobResult]
+    find_cases: Callable[[], Sequence[str]] = one_case
     needs: tuple[str, ...] = ()
-    seeds: int = (
-        1  # how many recordings it has, one a seed; a simulation takes any seed
-    )
+    uses_data: bool = False
+    recordings: int = 1
+    first_seed: int = 0
+    group: str = ""
     is_default: bool = True
     plants: tuple[str, ...] = ("clean",)
     possible: tuple[str, ...] = tuple(PLANT_MODELS)
-    perturbs: bool = False
 
     @property
     def is_recorded(self) -> bool:
         """Whether it reads real data; it has no plant models then."""
         return bool(self.needs)
+
+    @property
+    def has_plants(self) -> bool:
+        """Whether an arm, or the needle without one, plays a part."""
+        return not self.is_recorded and self.possible != (NO_PLANT,)
 
 
 def progress_part(progress: Progress, start: float, end: float) -> Progress:

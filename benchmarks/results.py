@@ -12,14 +12,15 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from sys import intern
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, SupportsFloat
 
 import msgspec
 
 from benchmarks import ResultsError, UnknownMetricError
 
 Source = Literal["ft", "virtual"]
-"""Which force: read by the F/T sensor, or estimated from joint signals."""
+"""Which force: read by the F/T sensor, or estimated from joint signals. Studies without
+a force name here what was measured, such as a scan or a fault."""
 Method = Literal["published", "published-as-run", "published-best-K", "ours", "guess"]
 """Whose method: as published, or ours. What does not depend on it stands under
 ``ours``; ``guess`` is a rule of thumb that an identification worth having must beat.
@@ -49,8 +50,9 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One measured number.
 
     Attributes:
-        scenario: Name of the benchmark.
-        plant: Plant model of a simulation, ``recording`` for real data.
+        scenario: Name of the benchmark and, where it has several, of the case.
+        plant: Plant model of a simulation, ``recording`` for real data, ``none`` where
+            no arm plays a part.
         seed: Seed of a simulation, number of the recording for real data.
         source: See `Source`.
         method: See `Method`.
@@ -169,11 +171,19 @@ def read_merged(paths: Sequence[str | Path]) -> list[Row]:
 
 UNITS = {
     "_Ns_per_m": "Ns/m",
+    "_mm_per_rad": "mm/rad",
+    "_mm_per_s": "mm/s",
+    "_rad_per_s": "rad/s",
+    "_rad": "rad",
+    "_mJ": "mJ",
+    "_voxel": "voxel",
+    "_GB": "GB",
     "_Nm": "Nm",
     "_N": "N",
     "_mm": "mm",
     "_ms": "ms",
     "_pct": "%",
+    "_s": "s",
 }
 """By the end of a metric's name; a name that ends otherwise is that of a fraction or
 a count."""
@@ -254,18 +264,40 @@ def metric(name: str) -> Metric:
 
 
 class Measurement(NamedTuple):
-    """One measured number, before it is known which job it belongs to; fields as in
-    `Row`.
+    """One measured number, before it is known which job it belongs to.
+
+    Attributes:
+        source: See `Source`.
+        method: See `Method`.
+        metric: A name of `metrics.csv`.
+        value: The number; nan where it could not be determined.
     """
 
-    source: Source
+    source: str
     method: Method
     metric: str
     value: float
 
     def row(self, scenario: str, plant: str, seed: int) -> Row:
-        """The row of a job's results; `UnknownMetricError` if `metrics.csv` lacks
-        the metric.
+        """Return the row of a job's results.
+
+        Raises:
+            UnknownMetricError: `metrics.csv` lacks the metric.
         """
-        unit = metric(self.metric).unit
-        return Row(scenario, plant, seed, *self[:3], value=float(self.value), unit=unit)
+        return Row(
+            scenario=scenario,
+            plant=plant,
+            seed=seed,
+            source=self.source,
+            method=self.method,
+            metric=self.metric,
+            value=float(self.value),
+            unit=metric(self.metric).unit,
+        )
+
+
+def our_measurement(
+    metric: str, value: SupportsFloat, source: str = "virtual"
+) -> Measurement:
+    """Return a number of our method, by default on the virtual sensor's force."""
+    return Measurement(source, "ours", metric, float(value))

@@ -1,8 +1,9 @@
 """Every limit this toolkit has set itself, the published numbers, and how runs are
 judged.
 
-Columns of `targets.csv`: `metric`, `plant` and `source` as in the results; `scenarios`
-are names or groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the
+Columns of `targets.csv`: `metric`, `plant` and `source` as in the results, where the
+source ``any`` stands for all; `scenarios` are names, patterns of names or groups
+(`GROUPS`), none for all; `at_least` and `at_most` are limits in the
 metric's unit; `statistic` of all runs must keep them; `relative_to` says that they hold
 for the ratio to the published method in the same run (``published where reported``: a
 run in which that method has no such number is left out); `what` is one line for people.
@@ -13,6 +14,7 @@ import math
 import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -34,8 +36,12 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }
 """Scenarios that are judged together, by name."""
 
-Statistic = Literal["worst", "mean", "median"]
-"""What of all runs must keep the limits."""
+Statistic = Literal["worst", "mean", "median", "p90"]
+"""What of all runs must keep the limits; ``p90`` is the worst of the best 90 %."""
+ANY = "any"
+"""As the source of a target: every source."""
+BEST_FRACTION = 0.9
+"""Of the runs that ``p90`` judges."""
 
 
 class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,12 +51,16 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         what: One line for people.
         metric: A name of `metrics.csv`.
         plant: The plant model it applies to.
-        scenarios: The benchmarks it applies to; none for all.
-        source: See `Source`.
+        scenarios: Names or patterns of the scenarios it applies to; none for all.
+        source: See `Source`; ``any`` for all.
         method: See `Method`.
         at_least: Lower limit, in the metric's unit.
         at_most: Upper limit.
         statistic: See `Statistic`.
+        of_published: Whether the limits are for the ratio to ``published`` in the same
+            run.
+        where_reported: Whether runs in which ``published`` has no such number are left
+            out.
     """
 
     what: str
@@ -62,12 +72,13 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     at_least: float = -math.inf
     at_most: float = math.inf
     statistic: Statistic = "worst"
-    of_published: bool = (
-        False  # the limits are for the ratio to ``published`` in the same run
-    )
-    where_reported: bool = (
-        False  # runs in which ``published`` has no such number are left out
-    )
+    of_published: bool = False
+    where_reported: bool = False
+
+    def applies_to(self, scenario: str) -> bool:
+        """Whether a scenario is among those it is for."""
+        patterns = self.scenarios
+        return not patterns or any(fnmatchcase(scenario, each) for each in patterns)
 
     def is_met_by(self, value: float) -> bool:
         """Whether a value keeps the limits; one that is not finite does not."""
@@ -171,36 +182,44 @@ class Evaluation(NamedTuple):
         return self.target.is_met_by(self.value)
 
 
+RowsByKind = Mapping[tuple[str, ...], Mapping[RowKey, Row]]
+"""Rows by metric, plant, source and method, and then by key."""
+
+
+def group_by_kind(rows: Iterable[Row]) -> RowsByKind:
+    """Return rows by what a target names: metric, plant, source (or any), method."""
+    by_kind: dict[tuple[str, ...], dict[RowKey, Row]] = {}
+    for row in rows:
+        for source in (row.source, ANY):
+            kind = (row.metric, row.plant, source, row.method)
+            by_kind.setdefault(kind, {})[row.key] = row
+    return by_kind
+
+
 def evaluate(
     rows: Iterable[Row], targets: Sequence[Target] = TARGETS
 ) -> list[Evaluation]:
     """Judge every target that any of the rows belongs to."""
-    by_kind: dict[tuple[str, ...], dict[RowKey, Row]] = {}
-    for row in rows:
-        kind = (row.metric, row.plant, row.source, row.method)
-        by_kind.setdefault(kind, {})[row.key] = row
+    by_kind = group_by_kind(rows)
     judged = ((target, judged_values(target, by_kind)) for target in targets)
-    return [_evaluation(target, values) for target, values in judged if values]
+    return [evaluate_target(target, values) for target, values in judged if values]
 
 
-def judged_values(
-    target: Target, by_kind: Mapping[tuple[str, ...], Mapping[RowKey, Row]]
-) -> dict[RowKey, float]:
-    """What a target looks at, by row: values, or their ratios to the published
-    method's.
+def judged_values(target: Target, by_kind: RowsByKind) -> dict[RowKey, float]:
+    """Return what a target looks at, by row: values, or ratios to the published ones.
 
     A value that is undefined by its metric's definition does not count unless all are.
     """
     values: dict[RowKey, float] = {}
     kind = (target.metric, target.plant, target.source)
-    theirs = by_kind.get((*kind, "published"), {})
+    published_rows = by_kind.get((*kind, "published"), {})
     for key, row in by_kind.get((*kind, target.method), {}).items():
-        if target.scenarios and row.scenario not in target.scenarios:
+        if not target.applies_to(row.scenario):
             continue
         if not target.of_published:
             values[key] = row.value
             continue
-        published = theirs.get(key._replace(method="published"))
+        published = published_rows.get(key._replace(method="published"))
         if published is not None and published.value != 0.0:
             values[key] = row.value / published.value
         elif published is not None or not target.where_reported:
@@ -209,18 +228,29 @@ def judged_values(
     return defined if METRICS[target.metric].may_be_undefined and defined else values
 
 
-def _evaluation(target: Target, values: Mapping[RowKey, float]) -> Evaluation:
-    worst = max(values, key=lambda key: target.excess(values[key]))
-    if not all(map(math.isfinite, values.values())):
-        value = math.nan
-    elif target.statistic == "worst":
-        value = values[worst]
-    else:
-        middle = {"mean": statistics.fmean, "median": statistics.median}[
-            target.statistic
-        ]
-        value = middle(values.values())
-    return Evaluation(target, value, len(values), worst)
+def evaluate_target(target: Target, values: Mapping[RowKey, float]) -> Evaluation:
+    """Judge one target by the values it looks at."""
+    ordered = sorted(values, key=lambda key: target.excess(values[key]))
+    return Evaluation(
+        target=target,
+        value=summarize(target, [values[key] for key in ordered]),
+        runs=len(values),
+        worst=max(values, key=lambda key: target.excess(values[key])),
+    )
+
+
+def summarize(target: Target, values: Sequence[float]) -> float:
+    """Return the statistic of values, the best first; nan if one is not finite."""
+    if not all(map(math.isfinite, values)):
+        return math.nan
+    if target.statistic == "mean":
+        return statistics.fmean(values)
+    if target.statistic == "median":
+        return statistics.median(values)
+    if target.statistic == "p90":
+        # Of ten runs the ninth: rounding must not make it the tenth.
+        return values[math.ceil(BEST_FRACTION * len(values) - 1e-9) - 1]
+    return values[-1]
 
 
 class Change(StrEnum):

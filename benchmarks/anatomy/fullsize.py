@@ -15,16 +15,16 @@ from time import perf_counter
 import numpy as np
 
 from benchmarks import BenchmarkError
-from benchmarks.anatomy.study import CT_FOLDER, Figure
+from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
+from benchmarks.results import Measurement, our_measurement
 from needleforce.anatomy import read_labels
 
 FINER = 4
-MOST_S = 60.0
-MOST_GB = 1.5
+"""Voxels of the judged scan in one of the recorded scan's."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
     """Yield time, memory and what the surfaces are like."""
     del seed  # nothing is drawn
     if data is None:
@@ -44,20 +44,17 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
                 f"reading the full-size volume ended with {child.returncode}"
             )
     seconds, gigabytes, structures, closed, worst, triangles = map(float, lines[-1])
-    yield Figure("full size: voxels", "", 1e-6 * voxels, "million")
-    yield Figure("full size: structures", "", structures, "")
-    yield Figure("full size: reading and all surfaces", "", seconds, "s", MOST_S)
-    yield Figure("full size: peak memory", "", gigabytes, "GB", MOST_GB)
-    yield Figure(
-        "full size: watertight",
-        "",
-        100.0 * closed / structures,
-        "%",
-        100.0,
-        at_least=True,
-    )
-    yield Figure("full size: volume against voxels, worst", "", worst, "%", 0.1)
-    yield Figure("full size: triangles", "", 1e-6 * triangles, "million")
+    values = {
+        "voxels": voxels,
+        "structures": structures,
+        "surfaces_time_s": seconds,
+        "surfaces_memory_GB": gigabytes,
+        "watertight_pct": 100.0 * closed / structures,
+        "voxel_volume_error_max_pct": worst,
+        "triangles": triangles,
+    }
+    for metric, value in values.items():
+        yield our_measurement(metric, value, "CT, finer")
 
 
 def _write_finer(source: Path, path: Path) -> int:

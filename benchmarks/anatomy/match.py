@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.anatomy.study import Figure
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Progress
+from benchmarks.results import Measurement, our_measurement
 from groundtruth import simulate
 from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
@@ -115,8 +115,8 @@ def ruptures_of(seed: int) -> Found:
     return Found(np.cumsum([0.0, *thickness]), events)
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
-    """Yield the figures of every case."""
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+    """Yield the numbers of every case."""
     del data
     found = []
     for k in range(STACKS):
@@ -135,30 +135,10 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
             if offsets
             else float("nan")
         )
-        cover = float(np.mean(inside))
-        least = 95.0 if case.withheld else 97.0
-        hits = 100.0 * float(np.mean(right))
-        yield Figure(
-            f"plan, {case.name}: offset after three ruptures, rms",
-            "",
-            rms_mm,
-            "mm",
-            0.8,
-        )
-        yield Figure(
-            f"plan, {case.name}: right boundary", "", hits, "%", least, at_least=True
-        )
-        yield Figure(
-            f"plan, {case.name}: 95 % interval covers",
-            "",
-            cover,
-            "",
-            0.93,
-            at_least=True,
-        )
-        yield Figure(
-            f"plan, {case.name}: 95 % interval covers, at most", "", cover, "", 0.98
-        )
+        right_pct = 100.0 * np.mean(right)
+        yield our_measurement("plan_offset_rms_mm", rms_mm, case.name)
+        yield our_measurement("plan_boundary_right_pct", right_pct, case.name)
+        yield our_measurement("plan_interval_coverage_95", np.mean(inside), case.name)
 
 
 def _matched(

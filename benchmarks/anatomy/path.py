@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.anatomy.study import Figure
 from benchmarks.jobs import Progress
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.volume import UNLABELLED
@@ -26,6 +26,8 @@ TORSOS = 5
 PATHS = 200
 HALF_M = np.array([0.20, 0.145, 0.19])
 """Half the edges of the scan around the torso."""
+NORMAL_95 = 1.96
+"""Half the width of the 95 % interval of a normal deviate."""
 THICK_VOXELS = 1.5
 """Layers thinner than this may be missed."""
 
@@ -47,8 +49,8 @@ class Measured(NamedTuple):
     seconds: float
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
-    """Yield the figures of every spacing."""
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+    """Yield the numbers of every spacing."""
     del data
     for number, (name, spacing_mm) in enumerate(SPACINGS_MM.items()):
         found: list[Measured] = []
@@ -66,40 +68,18 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
         scores = np.abs([score for one in found for score in one.scores])
         right = float(100.0 * np.mean([one.is_right for one in found]))
         slow_ms = 1e3 * float(np.median([one.seconds for one in found]))
-        yield Figure(
-            f"{name}: depth error, rms",
-            "",
-            float(np.sqrt(np.mean(errors**2))),
-            "voxel",
-            0.15,
-        )
-        yield Figure(
-            f"{name}: sequence right", "", float(right), "%", 99.0, at_least=True
-        )
-        yield Figure(
-            f"{name}: paths with gaps or overlaps",
-            "",
-            sum(m.has_gaps for m in found),
-            "",
-            0.0,
-        )
-        yield Figure(f"{name}: time of a path, median", "", slow_ms, "ms", 5.0)
-        yield Figure(
-            f"{name}: errors within 1.96 stated deviations",
-            "",
-            float(100.0 * np.mean(scores < 1.96)),
-            "%",
-        )
-        yield Figure(
-            f"{name}: errors within 1 stated deviation",
-            "",
-            float(100.0 * np.mean(scores < 1.0)),
-            "%",
-        )
-        found_percent = 100.0 * len(errors) / sum(one.crossings for one in found)
-        yield Figure(
-            f"{name}: true crossings found, of any thickness", "", found_percent, "%"
-        )
+        crossings_pct = 100.0 * len(errors) / sum(one.crossings for one in found)
+        values = {
+            "path_depth_error_rms_voxel": np.sqrt(np.mean(errors**2)),
+            "path_sequence_right_pct": right,
+            "paths_with_gaps": sum(path.has_gaps for path in found),
+            "path_time_median_ms": slow_ms,
+            "path_within_95_interval_pct": 100.0 * np.mean(scores < NORMAL_95),
+            "path_within_one_sigma_pct": 100.0 * np.mean(scores < 1.0),
+            "path_crossings_found_pct": crossings_pct,
+        }
+        for metric, value in values.items():
+            yield our_measurement(metric, value, name)
 
 
 def scan_of(

@@ -15,8 +15,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
-from benchmarks.anatomy.study import CT_FOLDER, Figure
+from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
+from benchmarks.results import Measurement, our_measurement
 from needleforce.anatomy import (
     Grid,
     Labels,
@@ -55,7 +56,7 @@ SKIN_m = np.array([0.16, 0.11, 0.15])
 """Half axes of the torso on which landmarks lie."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
     """Yield the figures; those of organs need the CT."""
     rng = np.random.default_rng([seed, 7])
     yield from _landmarks(rng)
@@ -95,7 +96,7 @@ def pose(rng: np.random.Generator) -> Pose:
     return special_ortho_group.rvs(3, random_state=rng), 0.5 * rng.normal(size=3)
 
 
-def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
+def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
     for name, is_known in (
         ("deviation known", True),
         ("deviation from residuals", False),
@@ -115,10 +116,8 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
             stated.append(found.tre_m(TARGET_m))
         cover = float(np.mean(inside))
         ratio = _rms(error) / _rms(stated)
-        what = f"landmarks, {name}: 95 % region covers"
-        yield Figure(what, "", cover, "", 0.94, at_least=True)
-        yield Figure(f"{what}, at most", "", cover, "", 0.96)
-        yield Figure(f"landmarks, {name}: true over stated error", "", ratio, "")
+        yield our_measurement("landmark_region_coverage_95", cover, name)
+        yield our_measurement("landmark_error_ratio", ratio, name)
 
 
 def _rms(values: list[Any]) -> float:
@@ -141,7 +140,7 @@ FAULTS: dict[str, tuple[str, Callable[[Array, np.random.Generator], Array]]] = {
 }
 
 
-def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
+def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
     for name, (word, spoil) in FAULTS.items():
         hits = 0
         for _ in range(REFUSAL_DRAWS):
@@ -159,11 +158,8 @@ def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
             except RegistrationError as error:
                 hits += bool(word) and word in str(error)
         percent = 100.0 * hits / REFUSAL_DRAWS
-        what = "accepted" if name == "good" else "refused by name"
-        least = 100.0 if name == "good" else 99.0
-        yield Figure(
-            f"landmarks {name}: {what}", "", percent, "%", least, at_least=True
-        )
+        what = "accepted" if name == "good" else "refused"
+        yield our_measurement(f"landmarks_{what}_pct", percent, name)
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
@@ -193,7 +189,7 @@ def rough(points: Array, truth: Pose, rng: np.random.Generator) -> Registration:
     return Registration(turned, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
 
 
-def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
+def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
     import trimesh
 
     ball = trimesh.creation.icosphere(4, 0.06)
@@ -220,19 +216,11 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
             except RegistrationError:
                 refused += 1
         percent = 100.0 * refused / SYMMETRIC_FITS
-        is_good = "corner" in name
-        limit = 0.0 if is_good else 99.0
-        yield Figure(
-            f"touches of a {name}: refused",
-            "",
-            percent,
-            "%",
-            limit,
-            at_least=not is_good,
-        )
+        what = "wrongly_refused" if "corner" in name else "refused"
+        yield our_measurement(f"touches_{what}_pct", percent, name)
 
 
-def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
+def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measurement]:
     mesh, model = truth_and_model(labels, ORGANS[0], rng)
     center = mesh.center_mass
     refused = 0
@@ -255,13 +243,15 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
             continue
         error_m = np.linalg.norm(found.to_robot(center) - truth[0] @ center - truth[1])
         wrong += int(error_m > RIGHT_m)
-    sound = 100.0 * (1.0 - wrong / FAR_STARTS)
-    what = "starts outside the basin"
-    yield Figure(f"{what}: refused, or right", "", sound, "%", 99.0, at_least=True)
-    yield Figure(f"{what}: refused", "", 100.0 * refused / FAR_STARTS, "%")
+    safe_pct = 100.0 * (1.0 - wrong / FAR_STARTS)
+    refused_pct = 100.0 * refused / FAR_STARTS
+    yield our_measurement("far_starts_refused_or_right_pct", safe_pct, ORGANS[0])
+    yield our_measurement("far_starts_refused_pct", refused_pct, ORGANS[0])
 
 
-def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figure]:
+def _organ(
+    labels: Labels, name: str, rng: np.random.Generator
+) -> Iterator[Measurement]:
     errors = []
     inside = []
     refused = 0
@@ -283,16 +273,10 @@ def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figu
             place = truth[0] @ center + truth[1]
             errors.append(1e3 * float(np.linalg.norm(found.to_robot(center) - place)))
             inside.append(found.region_contains(center, place))
-    what = f"touches of a {name}"
-    cover = float(np.mean(inside))
-    yield Figure(f"{what}: error at its centre, 95 %", "", _quantile(errors), "mm", 0.7)
-    yield Figure(f"{what}: 95 % region covers", "", cover, "", 0.92, at_least=True)
-    yield Figure(f"{what}: 95 % region covers, at most", "", cover, "", 0.97)
-    yield Figure(f"{what}: refused", "", 100.0 * refused / (MODELS * FITS), "%", 0.0)
-
-
-def _quantile(values: list[float]) -> float:
-    return float(np.quantile(values, 0.95))
+    refused_pct = 100.0 * refused / (MODELS * FITS)
+    yield our_measurement("organ_error_p95_mm", np.quantile(errors, 0.95), name)
+    yield our_measurement("organ_region_coverage_95", np.mean(inside), name)
+    yield our_measurement("touches_wrongly_refused_pct", refused_pct, name)
 
 
 def truth_and_model(

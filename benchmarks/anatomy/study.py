@@ -1,107 +1,55 @@
-"""The patient's anatomy against analytic shapes and a real CT: one table, misses first.
+"""The patient's anatomy against analytic shapes and a real CT, a benchmark for each part.
 
-A part is a module ``benchmarks.anatomy.<part>`` with ``measure(seed, data, progress)``,
-which yields `Figure`s; ``data`` is the folder of recordings, or None.
+A part is a module of this package with ``measure(seed, data, progress)``, which yields
+numbers; ``data`` is the folder of recordings, or None.
 """
 
-from collections.abc import Iterable, Sequence
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 
-from benchmarks import UnknownIdError
-from benchmarks.control.study import (
-    FIRST_SEED,
-    JUDGED,
-    ControlRow,
-    Figure,
-    write_control,
-)
-from benchmarks.jobs import Progress
-from benchmarks.report.tables import ResultTable, new_console
+from benchmarks.jobs import NO_PLANT, Benchmark, Job, JobResult, Progress
 
-PREFIX = "anatomy"
-PARTS = ("surface", "path", "registration", "match", "abdomen")
-"""What ``anatomy`` alone runs; ``fullsize`` takes a minute and 1.5 GB and is asked
-for by name."""
+GROUP = "anatomy"
+FIRST_SEED = 1000
+"""Methods are tuned on seeds below."""
 CT_FOLDER = "torso_ct_totalsegmentator"
+"""Of the recordings."""
+TITLES = {
+    "surface": "surfaces of ellipsoids and of a CT, places read from every format",
+    "path": "layers along straight paths through analytic torsos",
+    "registration": "landmarks and touches: errors stated and true, what is refused",
+    "match": "the plan against the ruptures of random stacks; half an hour",
+    "abdomen": "how far from the target the tip stops in the demonstration",
+}
+"""Of the parts that ``anatomy`` runs."""
 
 
-def run_anatomy(
-    ids: Iterable[str], first_seed: int | None, data: Path | None, progress: Progress
-) -> list[ControlRow]:
-    """Measure the parts that are asked for: ``anatomy`` for all, ``anatomy-<part>`` for
-    one.
+def run_part(job: Job, progress: Progress) -> JobResult:
+    """Measure a part with one seed."""
+    module = import_module(f"{__package__}.{job.benchmark.removeprefix(f'{GROUP}-')}")
+    return JobResult(list(module.measure(job.seed, job.data, progress)))
 
-    Raises:
-        UnknownIdError: There is no such part.
-    """
-    there = [
-        part for part in (*PARTS, "fullsize") if find_spec(f"benchmarks.anatomy.{part}")
-    ]
-    known = {PREFIX, *(f"{PREFIX}-{part}" for part in there)}
-    wanted = set(ids)
-    if unknown := wanted - known:
-        raise UnknownIdError(
-            f"no part {min(unknown)!r}; choose from: {', '.join(sorted(known))}"
+
+ANATOMY = (
+    *(
+        Benchmark(
+            id=f"{GROUP}-{part}",
+            title=title,
+            run=run_part,
+            uses_data=True,
+            first_seed=FIRST_SEED,
+            group=GROUP,
+            is_default=False,
+            plants=(NO_PLANT,),
+            possible=(NO_PLANT,),
         )
-    whole = {f"{PREFIX}-{part}" for part in PARTS} if PREFIX in wanted else set()
-    asked = [part for part in there if f"{PREFIX}-{part}" in wanted | whole]
-    seed = FIRST_SEED if first_seed is None else first_seed
-    rows = []
-    for number, part in enumerate(asked):
-
-        def update(fraction: float, begun: int = number) -> None:
-            progress((begun + fraction) / len(asked))
-
-        module = import_module(f"benchmarks.anatomy.{part}")
-        for figure in module.measure(seed, data, update):
-            value = float(figure.value)
-            target = figure.target
-            row = (
-                part,
-                figure.what,
-                "",
-                JUDGED,
-                value,
-                figure.unit,
-                target,
-                figure.at_least,
-                1,
-            )
-            rows.append(ControlRow(*row))
-    return rows
-
-
-def anatomy_table(rows: Iterable[ControlRow]) -> ResultTable:
-    """All rows, those that miss their target most at the top."""
-    return ResultTable(
-        title="The patient's anatomy",
-        heads=("part", "what", "", "target", "unit", ""),
-        align="LlrrlL",
-        lines=tuple(
-            (
-                row.part,
-                row.what,
-                f"{row.value:.4g}",
-                ""
-                if row.target is None
-                else f"{'≥' if row.at_least else '≤'} {row.target:g}",
-                row.unit,
-                "" if row.target is None else "met" if row.is_met else "missed",
-            )
-            for row in sorted(rows, key=lambda row: -row.badness)
-        ),
-        caption="Analytic shapes and public data. Not a medical device.",
-    )
-
-
-def show_anatomy(rows: Sequence[ControlRow], to: Path | None) -> Sequence[ControlRow]:
-    """Print the table, write rows to a file if one is named, and return them."""
-    new_console().print(anatomy_table(rows).rich())
-    if to is not None:
-        write_control(to, rows)
-    return rows
-
-
-__all__ = ["CT_FOLDER", "Figure", "run_anatomy", "show_anatomy"]
+        for part, title in TITLES.items()
+    ),
+    Benchmark(
+        id=f"{GROUP}-fullsize",
+        title="time and memory of a CT of 88 million voxels; a minute and 1.5 GB",
+        run=run_part,
+        needs=(CT_FOLDER,),
+        group=f"{GROUP} of full size",
+        is_default=False,
+    ),
+)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.anatomy.study import CT_FOLDER, Figure
+from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import (
     Grid,
@@ -30,8 +31,8 @@ LEAST_VOXELS = 500
 FORMATS = ("DICOM", "label.nii.gz", "label.nrrd", "label.seg.nrrd")
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure]:
-    """Yield the figures of all formats, both spacings and, with data, the CT."""
+def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+    """Yield the numbers of all formats, both spacings and, with data, the CT."""
     rng = np.random.default_rng(seed)
     yield from _centroids(rng)
     progress(0.3)
@@ -43,7 +44,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Figure
     progress(1.0)
 
 
-def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]:
+def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Measurement]:
     truth = []
     voxels = []
     rms = []
@@ -58,23 +59,14 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]
         voxels.append(_volume_error(labels, surface))
         rms.append(distance_rms_m(surface, body) / (1e-3 * spacing_mm))
         closed.append(surface.mesh.is_volume)
-    name = f"ellipsoids, {spacing_mm:g} mm"
-    target = 0.5 if spacing_mm == 1.0 else None
-    yield Figure(f"{name}: volume against truth, worst", "", max(truth), "%", target)
-    yield Figure(f"{name}: volume against voxels, worst", "", max(voxels), "%", 0.1)
-    pooled = float(np.sqrt(np.mean(np.square(rms))))
-    yield Figure(
-        f"{name}: distance from the surface, rms of all", "", pooled, "voxel", 0.1
-    )
-    yield Figure(f"{name}: the same, worst ellipsoid", "", max(rms), "voxel")
-    yield Figure(
-        f"{name}: watertight",
-        "",
-        float(100.0 * np.mean(closed)),
-        "%",
-        100.0,
-        at_least=True,
-    )
+    source = f"ellipsoids, {spacing_mm:g} mm"
+    pooled_voxel = np.sqrt(np.mean(np.square(rms)))
+    closed_pct = 100.0 * np.mean(closed)
+    yield our_measurement("volume_error_max_pct", max(truth), source)
+    yield our_measurement("voxel_volume_error_max_pct", max(voxels), source)
+    yield our_measurement("surface_distance_rms_voxel", pooled_voxel, source)
+    yield our_measurement("surface_distance_max_voxel", max(rms), source)
+    yield our_measurement("watertight_pct", closed_pct, source)
 
 
 def label_ellipsoid(
@@ -105,27 +97,20 @@ def _volume_error(labels: Labels, surface: Surface) -> float:
     return 100.0 * abs(surface.mesh.volume / voxels_m3 - 1.0)
 
 
-def _real_ct(folder: Path) -> Iterator[Figure]:
+def _real_ct(folder: Path) -> Iterator[Measurement]:
     scan = read_volume(folder / "ct.nii.gz")
     labels = read_labels(folder / "labels.nii.gz", folder / "labels.json", scan)
     judged = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
     found = labels.surfaces(judged).values()
     closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in found]))
     worst = max(_volume_error(labels, surface) for surface in found)
-    yield Figure(
-        f"CT, {len(judged)} structures: watertight",
-        "",
-        closed,
-        "%",
-        100.0,
-        at_least=True,
-    )
-    yield Figure("CT: volume against voxels, worst", "", worst, "%", 0.1)
+    yield our_measurement("watertight_pct", closed, "CT")
+    yield our_measurement("voxel_volume_error_max_pct", worst, "CT")
     triangles = sum(len(surface.triangles) for surface in found)
-    yield Figure("CT: triangles", "", triangles, "")
+    yield our_measurement("triangles", triangles, "CT")
 
 
-def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
+def _centroids(rng: np.random.Generator) -> Iterator[Measurement]:
     errors: dict[str, list[float]] = {name: [] for name in FORMATS}
     with TemporaryDirectory() as folder:
         for number, flips in enumerate(np.ndindex(2, 2, 2)):
@@ -138,14 +123,8 @@ def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
                 errors[name].append(
                     1e3 * float(np.abs(labels.centroid_m("part") - truth_m).max())
                 )
-    for name, found in errors.items():
-        yield Figure(
-            f"centroid, {name}, {len(found)} orientations, worst",
-            "",
-            max(found),
-            "mm",
-            1e-5,
-        )
+    for name, errors_mm in errors.items():
+        yield our_measurement("centroid_error_max_mm", max(errors_mm), name)
 
 
 def oblique_image(

@@ -91,7 +91,7 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
     A run that draws, or that has not the number of rows which it gave, is not in it.
     """
     counts = _counts(path) if path.exists() else {}
-    named = {(job.benchmark, job.plant, job.seed): job for job in order}
+    named = {(job.scenario, job.plant, job.seed): job for job in order}
     rows: dict[Job, list] = {}
     for row in read_results(path) if path.exists() else ():
         job = named.get((row.scenario, row.plant, row.seed))

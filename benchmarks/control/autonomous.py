@@ -10,25 +10,20 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from benchmarks.control.loop import STANDOFF_M, Insertion
-from benchmarks.control.study import Figure
+from benchmarks.results import Measurement, Source, our_measurement
 from groundtruth.rig_arm import Servo, SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Wall
 from needleforce.control import InsertionPlan, SafetyLimits
 
 SERVOS: Mapping[str, Servo] = {"S": "stiff", "I": "impedance"}
-TRAVEL_MM = {
-    "virtual": {2.3: 0.15, 5.0: 0.2, 10.0: 0.35, 20.0: 1.0},
-    "F/T": {2.3: 0.12, 5.0: 0.15, 10.0: 0.25, 20.0: 0.75},
-}
-"""Targets of the travel past a rupture, by the speed in mm/s."""
-BONE_N = {5.0: 0.3, 20.0: 4.0}
-"""Targets of the force over the limit."""
+SOURCES: Mapping[str, Source] = {"virtual": "virtual", "F/T": "ft"}
+"""In the results, by the sensor of a case."""
+RUPTURE_SPEEDS_MM_S = (2.3, 5.0, 10.0, 20.0)
+BONE_SPEEDS_MM_S = (5.0, 20.0)
 LIMIT_N = 2.0
 OPEN_N = 20.0
 """Force limit against bone, and one that no tissue here reaches."""
 SIDE_N = 2.0
-SIDE_MS = 60.0
-LOST_MM = 0.5
 LOST = {
     "torques": "tau_Nm",
     "positions": "q_rad",
@@ -49,17 +44,17 @@ CASES = (
     *(
         f"{s} rupture {by} {v:g}"
         for s in SERVOS
-        for by in TRAVEL_MM
-        for v in TRAVEL_MM[by]
+        for by in SOURCES
+        for v in RUPTURE_SPEEDS_MM_S
     ),
-    *(f"{s} bone {v:g}" for s in SERVOS for v in BONE_N),
+    *(f"{s} bone {v:g}" for s in SERVOS for v in BONE_SPEEDS_MM_S),
     *(f"{s} side" for s in SERVOS),
     *(f"{s} lost {what}" for s in SERVOS for what in LOST),
 )
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one run; the layer at whose end it must stop goes round with the
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Numbers of one run; the layer at whose end it must stop goes round with the
     seed.
     """
     servo, kind, *rest = case.split()
@@ -76,7 +71,7 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
 
 def _rupture(
     servo: str, sensor: str, mm_s: float, plant: str, seed: int
-) -> Iterator[Figure]:
+) -> Iterator[Measurement]:
     layer = 1 + seed % LAYERS
     rig = SimulatedArm(
         "stack-glove-constant", plant, seed, servo=SERVOS[servo], standoff_m=STANDOFF_M
@@ -85,35 +80,27 @@ def _rupture(
     run = Insertion(rig, plan, SafetyLimits(axial_N=OPEN_N), with_ft=sensor == "F/T")
     for _ in run:
         pass
-    by = f"{sensor}, {mm_s:g} mm/s"
+    source = SOURCES[sensor]
     truth = rig.tissue_truth()
     ends = [
         rupture
         for rupture in truth.ruptures
         if rupture.onset_s < (run.ended_s or np.inf)
     ]
-    found = len(ends) - layer
-    yield Figure(f"stopped with no rupture, {by}", servo, float(found < 0), "runs", 0.0)
-    yield Figure(
-        f"rupture passed by, {by}",
-        servo,
-        float(found > 0 or not run.ended_s),
-        "runs",
-        0.0,
-    )
-    if found == 0 and run.ended_s:
+    surplus = len(ends) - layer
+    is_passed = surplus > 0 or not run.ended_s
+    yield our_measurement("stopped_without_rupture", surplus < 0, source)
+    yield our_measurement("rupture_passed_by", is_passed, source)
+    if surplus == 0 and run.ended_s:
         start = round(1e3 * ends[-1].onset_s)
         depths_m = rig.depths_m[start:]
         travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-        yield Figure(
-            f"past a rupture, {by}", servo, travel_mm, "mm", TRAVEL_MM[sensor][mm_s]
-        )
-        yield Figure(
-            f"stop after a rupture, {by}", servo, 1e3 * run.ended_s - start, "ms"
-        )
+        stop_ms = 1e3 * run.ended_s - start
+        yield our_measurement("travel_past_rupture_mm", travel_mm, source)
+        yield our_measurement("stop_after_rupture_ms", stop_ms, source)
 
 
-def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
+def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Measurement]:
     wall = Wall(distance_m=STRUCK_M)
     rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
@@ -122,12 +109,10 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     for _ in run:
         deepest_m = max(deepest_m, wall.penetration_m)
     over_N = wall.stiffness_N_per_m * deepest_m - LIMIT_N
-    yield Figure(
-        f"over {LIMIT_N:g} N on bone, {mm_s:g} mm/s", servo, over_N, "N", BONE_N[mm_s]
-    )
+    yield our_measurement("bone_force_excess_N", over_N)
 
 
-def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def _side(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     pushed_s = [np.inf]
     hand = HandOnArm(
         at="hub", force_N=lambda t_s: (SIDE_N if t_s >= pushed_s[0] else 0.0, 0.0, 0.0)
@@ -144,12 +129,10 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         if abs(run.rig.truth.speed_m_s) > AT_REST_M_S:
             moving_s = run.rig.time_s
     stop_ms = 1e3 * (moving_s - pushed_s[0])
-    yield Figure(
-        f"stopped after {SIDE_N:g} N from the side", servo, stop_ms, "ms", SIDE_MS
-    )
+    yield our_measurement("stop_after_side_push_ms", stop_ms)
 
 
-def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
+def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Measurement]:
     run = _in_gel(servo, plant, seed, 20.0)
     start = 0
     for now in run:
@@ -158,7 +141,7 @@ def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
             run.rig.lose(LOST[what], LOST_S)
     depths_m = run.rig.depths_m[start : start + round(1e3 * LOST_S)]
     travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-    yield Figure(f"further with {what} lost, 20 mm/s", servo, travel_mm, "mm", LOST_MM)
+    yield our_measurement("travel_in_loss_mm", travel_mm)
 
 
 def _in_gel(

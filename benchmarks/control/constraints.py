@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.control.published import solve_published
-from benchmarks.control.study import Figure
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
@@ -162,32 +162,29 @@ def _trocar_and_force(seed: int) -> list[Contact]:
     return [Trocar(behind_tip_m=BEHIND_TIP_m), force]
 
 
-def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def rcm(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The circle."""
     error, off = _circle(
         ClosedLoop(
             servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
         )
     )
-    most = {"S": 0.01, "I": 0.05}[servo]
-    yield Figure("RCM on a circle, max", servo, MILLI * error.max(), "mm", most)
-    yield Figure("RCM on a circle, rms", servo, MILLI * _rms(error), "mm")
-    yield Figure("RCM on a circle, tip off it, max", servo, MILLI * off.max(), "mm")
+    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
+    yield our_measurement("rcm_error_rms_mm", MILLI * _rms(error))
+    yield our_measurement("rcm_tip_error_max_mm", MILLI * off.max())
 
 
-def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The circle on an arm with kinematic error."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
     )
     worst = MILLI * _circle(test)[0].max()
-    yield Figure(
-        "RCM, kinematic error, max (90 %)", servo, worst, "mm", 0.2, quantile=0.9
-    )
+    yield our_measurement("rcm_error_max_mm", worst)
 
 
-def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The circle while a hand pushes the elbow: 30 N within 50 ms, for 1 s, every 2
     s.
     """
@@ -201,18 +198,17 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     error, _ = _circle(
         ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts)
     )
-    most = {"S": 0.05, "I": 1.0}[servo]
-    yield Figure("RCM, 30 N on the elbow, max", servo, MILLI * error.max(), "mm", most)
+    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
 
 
-def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The circle by the published recursion."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, solver=solve_published
     )
     worst = MILLI * _circle(test)[0].max()
-    yield Figure("RCM on a circle, published recursion, max", servo, worst, "mm")
+    yield Measurement("virtual", "published", "rcm_error_max_mm", worst)
 
 
 def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
@@ -241,21 +237,20 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     return error, float((rig.truth.tip_m - line_m) @ axis)
 
 
-def fixture(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def fixture(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """100 mm of stack-glove along the fixture, and without it."""
     new = partial(
         ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
     )
     error, travel = _insertion(new())
-    most = {"S": 0.02, "I": 0.05}[servo]
-    yield Figure("fixture, user sideways, max", servo, MILLI * error.max(), "mm", most)
-    yield Figure("fixture, user sideways, rms", servo, MILLI * _rms(error), "mm")
-    yield Figure("fixture, travel of 100 mm", servo, MILLI * travel, "mm")
+    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
+    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
+    yield our_measurement("fixture_travel_mm", MILLI * travel)
     error, _ = _insertion(new(), with_fixture=False)
-    yield Figure("no fixture, user sideways, max", servo, MILLI * error.max(), "mm")
+    yield our_measurement("no_fixture_error_max_mm", MILLI * error.max())
 
 
-def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The same while the hub is pushed: 5 N across, on and off every second."""
     side = across(seed + 3)
 
@@ -270,24 +265,21 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand]
     )
     error, _ = _insertion(test)
-    most = {"S": 0.25, "I": 0.35}[servo]
-    yield Figure(
-        "fixture, 5 N steps at the hub, max", servo, MILLI * error.max(), "mm", most
-    )
-    yield Figure("fixture, 5 N steps at the hub, rms", servo, MILLI * _rms(error), "mm")
+    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
+    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
 
 
-def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The same on an arm with kinematic error."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
     )
     worst = MILLI * _insertion(test)[0].max()
-    yield Figure("fixture, kinematic error, max", servo, worst, "mm")
+    yield our_measurement("fixture_error_max_mm", worst)
 
 
-def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The same by the published recursion: what is left of the travel, too."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
@@ -295,14 +287,8 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     )
     error, travel = _insertion(test)
     worst = MILLI * error.max()
-    yield Figure("fixture, published recursion, max", servo, worst, "mm")
-    yield Figure(
-        "fixture, published recursion, travel of 100 mm",
-        servo,
-        MILLI * travel,
-        "mm",
-        at_least=True,
-    )
+    yield Measurement("virtual", "published", "fixture_error_max_mm", worst)
+    yield Measurement("virtual", "published", "fixture_travel_mm", MILLI * travel)
 
 
 def _turn(test: ClosedLoop) -> float:
@@ -329,31 +315,23 @@ def _turn(test: ClosedLoop) -> float:
     return error.max() / TURN_rad
 
 
-def decoupled(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def decoupled(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The turn about the tip."""
-    found = MILLI * _turn(ClosedLoop(servo=servo, plant=plant, seed=seed))
-    yield Figure(
-        "decoupled turn, tip", servo, found, "mm/rad", {"S": 0.02, "I": 0.1}[servo]
-    )
+    test = ClosedLoop(servo=servo, plant=plant, seed=seed)
+    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
-def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """The same on an arm with kinematic error."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
-    yield Figure(
-        "decoupled turn, kinematic error, tip",
-        servo,
-        MILLI * _turn(test),
-        "mm/rad",
-        1.0,
-    )
+    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
 def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-MEASURES: dict[str, Callable[[str, str, int], Iterator[Figure]]] = {
+MEASURES: dict[str, Callable[[str, str, int], Iterator[Measurement]]] = {
     measure.__name__: measure
     for measure in (
         rcm,
@@ -371,7 +349,7 @@ MEASURES: dict[str, Callable[[str, str, int], Iterator[Figure]]] = {
 CASES = tuple(f"{name} {servo}" for name in MEASURES for servo in SERVOS)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """The figures of one case."""
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """The numbers of one case."""
     name, servo = case.split()
     return MEASURES[name](servo, plant, seed)

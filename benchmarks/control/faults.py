@@ -13,11 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.control.autonomous import LOST_MM, OPEN_N, SERVOS
+from benchmarks.control.autonomous import OPEN_N, SERVOS
 from benchmarks.control.loop import STANDOFF_M, Insertion
-from benchmarks.control.study import Figure
 from benchmarks.faults.injection import SHOULDER
 from benchmarks.faults.study import UNKNOWN_KG
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.control import InsertionPlan, SafetyLimits, Situation, State
 from needleforce.control.insertion_profile import Step
@@ -27,8 +27,6 @@ SPEED_M_S = 5e-3
 DEPTH_M = 25e-3
 STRUCK_M = 15e-3
 WATCHED_S = 1.5
-MOST_MM_S = 12.0
-"""Of the tip at the commanded 5 mm/s, whatever is wrong with the signals."""
 
 Change = Callable[[int, ArmSample, ArmSample], ArmSample]
 """What becomes of sample k of a fault; given as well: the last one before it."""
@@ -123,8 +121,8 @@ class Led(Insertion):
         return super()._step(now, *beside)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one fault."""
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Numbers of one fault."""
     servo, fault = case.split(" ", 1)
     rig = SimulatedArm(
         "gel-70-constant",
@@ -148,15 +146,15 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
     expected = SIGNALS.get(fault, (None, 0.0, ""))[2] or LOSSES.get(fault, (0.0, ""))[1]
     expected = expected or ("either" if fault == OTHERS[2] else "stops")
     is_wrong = expected != "either" and bool(seen.reason) != (expected == "stops")
-    yield Figure(f"{fault}: {expected}, not so", servo, float(is_wrong), "runs", 0.0)
-    yield Figure("fastest with a fault", servo, seen.fastest_mm_s, "mm/s", MOST_MM_S)
+    yield our_measurement("fault_reaction_wrong", is_wrong)
+    yield our_measurement("fault_speed_max_mm_per_s", seen.fastest_mm_s)
     if math.isfinite(seen.struck_s):
         depth_m = rig.depths_m[round(1e3 * seen.struck_s) :]
         course_m = (
             0.0 if expected == "stops" else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
         )
         ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
-        yield Figure(f"{fault}: further than it should", servo, ahead_mm, "mm", LOST_MM)
+        yield our_measurement("fault_travel_excess_mm", ahead_mm)
 
 
 class _Seen(NamedTuple):

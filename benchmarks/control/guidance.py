@@ -16,8 +16,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.control.study import Figure
 from benchmarks.insertion.methods import on_lwr
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
 from needleforce.control import (
@@ -45,9 +45,7 @@ SPEED_m_s = 0.1
 HAND_N_per_m = 500.0
 DEEP_m = 0.04
 SIDE_N = 10.0
-SWING_m = 2e-4
 REST_s = 0.5
-AWAY_m = 0.025
 """From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has
 run away; it may then stand still because the sensor takes nothing in, so its swing
 alone says nothing."""
@@ -132,8 +130,8 @@ class GuidedArm:
                 return
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """The figures of one case."""
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """The numbers of one case."""
     what, servo, *at = case.split()
     run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[
         what
@@ -147,20 +145,18 @@ def _across(seed: int) -> Array:
     return np.array((math.cos(angle), math.sin(angle), 0.0))
 
 
-def _drift(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def _drift(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     arm = GuidedArm(servo, plant, seed)
     # The command that ended the stroke is braked first.
-    found = [
+    fastest_rad_s = max(
         np.abs(arm.control.last_rad_s).max()
         for now_s in arm.run(DRIFT_s)
         if now_s > 0.1
-    ]
-    yield Figure(
-        "fastest command in 60 s without a hand", servo, float(max(found)), "rad/s", 0.0
     )
+    yield our_measurement("idle_command_max_rad_per_s", fastest_rad_s)
 
 
-def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def _force(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     """A slow pull until the tip moves, and one at 100 mm/s, across the needle."""
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed)
@@ -168,7 +164,7 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     arm.hand.force_N = lambda time_s: max(time_s - begin_s, 0.0) * across
     # What was left of the stroke's speed is gone by then.
     yields = (t for t in arm.run(5.0) if t > 0.1 and arm.control.last_rad_s.any())
-    yield Figure("breakaway at the hub", servo, next(yields, math.nan), "N", 1.2)
+    yield our_measurement("breakaway_force_N", next(yields, math.nan))
     for stiffness in (HAND_N_per_m, STIFFEST_N_per_m[servo]):
         arm = GuidedArm(servo, plant, seed)
         arm.hand.stiffness_N_per_m = stiffness
@@ -178,14 +174,13 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         led = np.array([arm.hand.applied_N for now_s in arm.run(1.4) if now_s > 0.6])
         if stiffness == HAND_N_per_m:
             mean_N = float(np.linalg.norm(led, axis=1).mean())
-            yield Figure("force at the hub at 100 mm/s", servo, mean_N, "N", 3.0)
+            yield our_measurement("leading_force_N", mean_N)
         else:
             swing_N = float(np.sqrt(led.var(axis=0).sum()))
-            what = f"swing of the force of a leading hand, {stiffness:.0f} N/m, rms"
-            yield Figure(what, servo, swing_N, "N")
+            yield our_measurement("leading_force_swing_rms_N", swing_N)
 
 
-def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]:
+def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Measurement]:
     worst_m = furthest_m = 0.0
     stiffness = STIFFEST_N_per_m[servo]
     for direction in np.eye(3):
@@ -200,14 +195,11 @@ def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]
         )
         furthest_m = max(furthest_m, float(np.linalg.norm(stretch, axis=1).max()))
         worst_m = max(worst_m, float(np.ptp(stretch[-500:], axis=0).max()))
-    by = f"hand of {stiffness:.0f} N/m, {at}"
-    yield Figure(f"swing in a {by}", servo, 1e3 * worst_m, "mm", 1e3 * SWING_m)
-    yield Figure(
-        f"furthest from a resting {by}", servo, 1e3 * furthest_m, "mm", 1e3 * AWAY_m
-    )
+    yield our_measurement("hand_swing_mm", 1e3 * worst_m)
+    yield our_measurement("hand_distance_max_mm", 1e3 * furthest_m)
 
 
-def _tissue(servo: str, plant: str, seed: int) -> Iterator[Figure]:
+def _tissue(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed, scenario="stack-glove-constant")
     truth = arm.rig.truth
@@ -217,7 +209,4 @@ def _tissue(servo: str, plant: str, seed: int) -> Iterator[Figure]:
         SIDE_N * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across
     )
     worst_m = max(arm.rig.distance_to_axis_m(entry_m) for _ in arm.run(2.0))
-    target = 1.0 if servo == "S" else 1.3
-    yield Figure(
-        "in tissue, 10 N across: axis at the entry", servo, 1e3 * worst_m, "mm", target
-    )
+    yield our_measurement("entry_deviation_max_mm", 1e3 * worst_m)

@@ -19,7 +19,7 @@ from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
 from benchmarks.control.published import solve_published
-from benchmarks.control.study import Figure
+from benchmarks.results import Measurement, Method, our_measurement
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import (
@@ -50,20 +50,19 @@ STACKS = 5_000
 CASCADES = 250
 TICKS = 50_000
 """Of one seed: with 20 seeds 1e5 stacks and 1e6 ticks."""
+POSTURES = ("regular", "singular")
+"""Kinds of drawn postures, in this order; the second is within 0.01 rad of one."""
 SINGULAR_JOINTS = (1, 3, 5)
 """Near zero the LWR is stretched, or two of its axes are one."""
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one case and seed; no plant plays a part, so only ``clean`` has
-    them.
-    """
-    if plant == "clean":
-        rng = np.random.default_rng(seed)
-        robot = load_lwr(payload=NeedleTool())
-        yield from {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}[case](
-            robot, rng
-        )
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Yield the numbers of one case and seed; no plant plays a part."""
+    del plant
+    rng = np.random.default_rng(seed)
+    robot = load_lwr(payload=NeedleTool())
+    measures = {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}
+    return measures[case](robot, rng)
 
 
 class RandomStacks:
@@ -126,10 +125,10 @@ def solved(
     return stack, solve(stack)[0]
 
 
-def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
     """How far lower tasks move what higher ones get."""
-    solver: Solver
-    for solver, target in ((hierarchical, 1e-12), (solve_published, None)):
+    solvers: dict[Method, Solver] = {"ours": hierarchical, "published": solve_published}
+    for method, solver in solvers.items():
         stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
         worst = [0.0, 0.0]
         for index in range(STACKS):
@@ -142,9 +141,8 @@ def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
                     np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max()
                 )
                 worst[is_singular] = max(worst[is_singular], leak)
-        for leak, where in zip(worst, ("regular", "near singular"), strict=True):
-            what = f"leak into higher tasks, {solver.__name__}, {where}"
-            yield Figure(what, "", leak, "m/s, rad/s", target)
+        for posture, leak in zip(POSTURES, worst, strict=True):
+            yield Measurement("virtual", method, f"task_leak_{posture}_rad_per_s", leak)
 
 
 class Rows(PinkTask):
@@ -168,7 +166,7 @@ class Rows(PinkTask):
         return self.jacobian
 
 
-def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
     """How much better than ours each level can be, given what the levels above leave to
     it.
 
@@ -214,18 +212,10 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
             bound[index % 2] = max(
                 bound[index % 2], _most_gain(missing, rows, free, room)
             )
-    for k, where in enumerate(("regular", "near singular")):
-        yield Figure(
-            f"better in a cascade of QPs, {where}", "", worst[k], "rad/s", 1e-5
-        )
-        yield Figure(
-            f"better than ours at most, by duality, {where}",
-            "",
-            bound[k],
-            "rad/s",
-            1e-5,
-        )
-    yield Figure("levels that the cascade's solver left unsolved", "", unsolved, "")
+    for k, posture in enumerate(POSTURES):
+        yield our_measurement(f"cascade_gain_{posture}_rad_per_s", worst[k])
+        yield our_measurement(f"duality_gain_{posture}_rad_per_s", bound[k])
+    yield our_measurement("cascade_levels_unsolved", unsolved)
 
 
 def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array]]:
@@ -274,7 +264,7 @@ def _within(room: Array, way: Array) -> Array:
     return min(float(parts.min(initial=1.0)), 1.0) * way
 
 
-def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
+def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
     """How far commands pass a limit, and how many ticks go without an answer."""
     stacks = RandomStacks(robot, rng)
     control = Controller(robot, stacks.limits)
@@ -301,14 +291,10 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
         before = dq
-    units = ("rad", "rad/s", "rad/s a tick")
-    for what, value, unit in zip(
-        ("position", "speed", "acceleration"), over, units, strict=True
-    ):
-        yield Figure(
-            f"hostile ticks: beyond the limit of {what}", "", float(value), unit, 0.0
-        )
-    yield Figure("hostile ticks without an answer", "", silent, "", 0.0)
+    yield our_measurement("hostile_position_excess_rad", over[0])
+    yield our_measurement("hostile_speed_excess_rad_per_s", over[1])
+    yield our_measurement("hostile_speed_change_excess_rad_per_s", over[2])
+    yield our_measurement("hostile_ticks_without_answer", silent)
 
 
 def _hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.control.study import Figure
+from benchmarks.results import Measurement, our_measurement
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import Servo, SimulatedArm
 from groundtruth.rig_contacts import Wall
@@ -44,8 +44,8 @@ def _sensor(plant: str) -> SensorConfig:
     return DEFAULT if sends_velocity else HAND_DRIVEN
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Figure]:
-    """Figures of one run; hand and scale are drawn from the seed."""
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Numbers of one run; hand and scale are drawn from the seed."""
     servo, kind, delay = case.split()
     rng = np.random.default_rng([seed, int(delay)])
     scale = float(rng.choice(SCALES))
@@ -61,7 +61,7 @@ def _tissue(
     seed: int,
     scale: float,
     rng: np.random.Generator,
-) -> Iterator[Figure]:
+) -> Iterator[Measurement]:
     arm = SimulatedArm(
         "stack-glove-constant",
         plant,
@@ -78,30 +78,22 @@ def _tissue(
         operator=lambda wish: random_operator(wish, rng),
         sensor=_sensor(plant),
     )
-    by = f"{delay_ms} ms"
     felt = ruptures_felt(run)
     alarms = len(run.alarms_s) - sum(np.isfinite(item.delay_s) for item in felt)
-    found = (
+    recall = (
         float(np.mean([np.isfinite(item.delay_s) for item in felt])) if felt else 0.0
     )
-    yield Figure(
-        f"port energy in tissue, {by}",
-        servo,
-        1e3 * run.least_energy_J,
-        "mJ",
-        -0.1,
-        True,
-    )
-    yield Figure(f"master-slave drift, {by}", servo, 1e3 * abs(run.drift_m), "mm", 1.0)
-    membranes = felt[:2] or [None]
-    for name, target in (("shown_drop", 0.85), ("raw_drop", None)):
-        worst = min((getattr(item, name, 0.0) for item in membranes), default=0.0)
-        text = f"contrast at a membrane, {name.partition('_')[0]} force, {by}"
-        yield Figure(text, servo, worst, "", target, True)
+    yield our_measurement("port_energy_min_mJ", 1e3 * run.least_energy_J)
+    yield our_measurement("master_slave_drift_mm", 1e3 * abs(run.drift_m))
+    membranes = felt[:2]
+    shown = min((item.shown_drop for item in membranes), default=0.0)
+    raw = min((item.raw_drop for item in membranes), default=0.0)
+    yield our_measurement("membrane_contrast_shown", shown)
+    yield our_measurement("membrane_contrast_raw", raw)
     error_N = max((abs(item.error_N) for item in felt), default=np.nan)
-    yield Figure(f"shown force before a rupture, error, {by}", servo, error_N, "N", 0.2)
-    yield Figure(f"rupture recall, {by}", servo, found, "", 1.0, True)
-    yield Figure(f"false alarms, {by}", servo, float(alarms), "", 1.0)
+    yield our_measurement("shown_force_error_N", error_N)
+    yield our_measurement("felt_rupture_recall", recall)
+    yield our_measurement("felt_false_alarms", alarms)
 
 
 def _wall(
@@ -111,7 +103,7 @@ def _wall(
     seed: int,
     scale: float,
     rng: np.random.Generator,
-) -> Iterator[Figure]:
+) -> Iterator[Measurement]:
     wall = Wall(distance_m=STANDOFF_M)
     arm = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     run = teleoperate(
@@ -123,6 +115,4 @@ def _wall(
         operator=lambda wish: random_operator(wish, rng),
         sensor=_sensor(plant),
     )
-    least_mJ = 1e3 * run.least_energy_J
-    what = f"port energy against 20 kN/m, raw force, {delay_ms} ms"
-    yield Figure(what, servo, least_mJ, "mJ", -5.0, True)
+    yield our_measurement("port_energy_min_mJ", 1e3 * run.least_energy_J)

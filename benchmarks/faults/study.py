@@ -19,7 +19,10 @@ from benchmarks.faults.injection import (
 )
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import Array, lagging
-from benchmarks.report.tables import NOTHING, ResultTable
+from benchmarks.jobs import Benchmark, Job, JobResult, Progress, progress_part
+from benchmarks.report.frames import NOTHING
+from benchmarks.report.tables import ResultTable
+from benchmarks.results import Measurement, our_measurement
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
@@ -161,10 +164,12 @@ class FaultStudy:
         *,
         with_velocity: bool = True,
         through_layer: bool = True,
+        seed: int = 0,
     ) -> None:
         self._with_velocity = with_velocity
         self._through = through_layer
-        self.run: Run = simulate(SCENARIO, PLANT, 0, progress)
+        self._seed = seed
+        self.run: Run = simulate(SCENARIO, PLANT, seed, progress)
         truth = self.run.truth
         self.at = int(np.argmax(truth.depth_m > DEPTH_M))
         self._tare = tare_index(self.run)
@@ -191,7 +196,7 @@ class FaultStudy:
         yield from self.session_results()
         yield tare_in_contact(self.run, self.at)
         yield wrong_payload(self.run)
-        yield from motion_results(with_velocity=self._with_velocity)
+        yield from motion_results(with_velocity=self._with_velocity, seed=self._seed)
 
     def session_results(self) -> Iterator[FaultResult]:
         """What sensors, wires and clocks do, and what poses and loads do after the
@@ -223,12 +228,12 @@ class FaultStudy:
         return judge(name, stream, found, rupture_note(found, true))
 
 
-def motion_results(*, with_velocity: bool = True) -> list[FaultResult]:
+def motion_results(*, with_velocity: bool = True, seed: int = 0) -> list[FaultResult]:
     """What stop, reversal and second insertion do, against the true force as the
     observer lags.
     """
     scenario, spans = troubled_scenario()
-    run = simulate(scenario, PLANT, 0)
+    run = simulate(scenario, PLANT, seed)
     tare = tare_index(run)
     count = len(run.signals.t_s)
     session = InsertionSession(run.robot, UNSMOOTHED)
@@ -344,3 +349,57 @@ def fault_table(results: Sequence[FaultResult]) -> ResultTable:
             for result in results
         ),
     )
+
+
+def fault_measurements(results: Sequence[FaultResult]) -> list[Measurement]:
+    """Return the numbers of every fault, under its name as the source."""
+    return [
+        our_measurement(metric, value, source=result.name)
+        for result in results
+        for metric, value in (
+            ("fault_force_error_max_N", result.worst_N),
+            ("fault_force_error_max_sigma", result.worst_sigma),
+            ("fault_recovery_ms", 1e3 * result.recovery_s),
+            ("fault_outputs_not_finite", not result.is_finite),
+        )
+    ]
+
+
+WITHOUT_VELOCITY = "without velocity"
+FAULT_COUNT = 30
+"""About so many faults there are, for the progress."""
+
+
+def measure_faults(
+    progress: Progress, *, with_velocity: bool, seed: int = 0
+) -> list[FaultResult]:
+    """Break the signals of a running insertion in every way."""
+    study = FaultStudy(
+        progress_part(progress, 0.0, 0.2), with_velocity=with_velocity, seed=seed
+    )
+    results: list[FaultResult] = []
+    for result in study.results():
+        results.append(result)
+        progress(min(0.2 + 0.8 * len(results) / FAULT_COUNT, 1.0))
+    return results
+
+
+def run_faults(job: Job, progress: Progress) -> JobResult:
+    """Break the signals, with velocities from the arm or without."""
+    with_velocity = job.case != WITHOUT_VELOCITY
+    results = measure_faults(progress, with_velocity=with_velocity, seed=job.seed)
+    return JobResult(fault_measurements(results))
+
+
+FAULTS = (
+    Benchmark(
+        id="faults",
+        title="faults of signals in a running insertion: errors and recovery",
+        run=run_faults,
+        find_cases=lambda: ("", WITHOUT_VELOCITY),
+        group="faults",
+        is_default=False,
+        plants=(PLANT,),
+        possible=(PLANT,),
+    ),
+)

@@ -33,7 +33,7 @@ from benchmarks.insertion.simulated import (
     read_sensors,
     simulated_metrics,
 )
-from benchmarks.jobs import Findings, Job, Progress, progress_part
+from benchmarks.jobs import Job, JobResult, Progress, progress_part
 from benchmarks.results import Measurement
 from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
 from groundtruth.arm_motion import scenario_motion, scenario_path
@@ -96,7 +96,7 @@ def perturbed_needle(
     return signal, _at_samples(insertion_truth(run), kept)
 
 
-def run_robustness(job: Job, progress: Progress) -> Findings:
+def run_robustness(job: Job, progress: Progress) -> JobResult:
     """``robustness-...``: the world of the plant's name, our method and the
     published one.
     """
@@ -107,7 +107,7 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
         signal, truth = perturbed_needle(name, scenario, job.seed)
         as_run = identify_as_run(signal, truth, truth.speed_m_s)
         found = [identify(signal, truth, "ours"), as_run]
-        return Findings(list(_events(found, truth)))
+        return JobResult(list(_events(found, truth)))
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(
         world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5)
@@ -115,7 +115,7 @@ def run_robustness(job: Job, progress: Progress) -> Findings:
     methods = METHODS if name in GROUPS["plants"] else ("ours",)
     case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
     found = [item for source in identify_sources(case) for item in source]
-    return Findings([*simulated_metrics(case), *_events(found, insertion_truth(run))])
+    return JobResult([*simulated_metrics(case), *_events(found, insertion_truth(run))])
 
 
 def _events(found: list[Identified], truth: InsertionTruth) -> Iterator[Measurement]:

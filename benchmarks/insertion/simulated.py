@@ -26,7 +26,7 @@ from benchmarks.insertion.signals import (
     NeedleSignal,
     insertion_truth,
 )
-from benchmarks.jobs import Findings, Job, Progress, progress_part
+from benchmarks.jobs import Job, JobResult, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
 from benchmarks.results import Measurement, Method
@@ -38,7 +38,7 @@ NEEDLE = "needle"
 """The plant of a simulation without an arm."""
 
 
-def run_simulated(job: Job, progress: Progress) -> Findings:
+def run_simulated(job: Job, progress: Progress) -> JobResult:
     """Simulate, read every sensor, identify, measure, draw."""
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
@@ -57,7 +57,7 @@ def run_simulated(job: Job, progress: Progress) -> Findings:
         )
         measured += found.measurements
         drawings += found.drawings
-    return Findings(measured, drawings)
+    return JobResult(measured, drawings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,16 +183,16 @@ def _measured(
     truth: InsertionTruth,
     scenario: Scenario,
     ft: ForceReading | None = None,
-) -> Findings:
+) -> JobResult:
     """Numbers and figures of the online identification on every source."""
     items = [item for found in sources for item in found]
     measured = [
         value for item in items for value in measure_identification(item, truth)
     ]
     if job.drawings is None:
-        return Findings(measured)
+        return JobResult(measured)
     commanded = scenario.motion.speed_m_s(truth.t_s)
-    return Findings(
+    return JobResult(
         measured, draw_identification(job, job.drawings, truth, commanded, sources, ft)
     )
 
@@ -204,7 +204,7 @@ worse sensor."""
 
 def run_needle(
     job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
-) -> Findings:
+) -> JobResult:
     """Identification alone, at half a second a run: insert, identify by both methods,
     measure.
 
@@ -212,7 +212,7 @@ def run_needle(
     level may be drawn as well.
     """
     if not chosen.layers:
-        return Findings([])
+        return JobResult([])
     noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
     run = insert_needle(chosen, seed=job.seed, noise=noise)
     progress(0.2)

@@ -11,21 +11,15 @@ import numpy as np
 
 from benchmarks.insertion.signals import Array
 from benchmarks.jobs import Drawing, Job
+from benchmarks.report.frames import CUMULATIVE, NOTHING, Frame, frame_of, select
 from benchmarks.report.published_figures import (
     FRICTION_FIGURE,
     PUBLISHED_FIGURES,
     TABLE_ONE,
     PublishedFigure,
 )
-from benchmarks.report.tables import (
-    CUMULATIVE,
-    NOTHING,
-    Frame,
-    ResultTable,
-    frame_of,
-    result_tables,
-    select,
-)
+from benchmarks.report.summary import results_page
+from benchmarks.report.tables import ResultTable, result_tables
 from benchmarks.results import Row, to_json
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import (
@@ -333,12 +327,16 @@ LEAD = (
 def write_report(
     folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]
 ) -> Path:
-    """Write ``index.html`` with everything inside, and ``results.json`` beside it.
+    """Write ``index.html`` with everything inside; beside it numbers and tables.
+
+    The numbers are ``results.json``, the tables ``results.md``.
 
     Raises:
         FiguresError: A file cannot be written.
     """
     write_file(folder / "results.json", to_json(rows))
+    command = "python -m benchmarks results results.json --page results.md"
+    write_file(folder / "results.md", results_page(rows, command).encode())
     gels = gel_friction(rows)
     everything = [
         *drawings,

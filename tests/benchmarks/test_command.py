@@ -9,7 +9,7 @@ from benchmarks import DataError, catalogue
 from benchmarks.campaign.runs import run_jobs
 from benchmarks.campaign.workers import Workers
 from benchmarks.cli import main
-from benchmarks.jobs import Benchmark, Findings, Job
+from benchmarks.jobs import Benchmark, Job, JobResult
 from benchmarks.results import Measurement, read_results, write_results
 from tests.benchmarks.benchmark_cases import make_row
 
@@ -25,7 +25,7 @@ def pretend(job, progress):
     rmse = HARD_RMSE_N[job.benchmark]
     found = ("ours", "wrench_rmse_N", rmse), ("published", "wrench_rmse_N", 10.0 * rmse)
     found += (("ours", "residual_rms_Nm", 1e-9),)
-    return Findings([Measurement("virtual", *each) for each in found])
+    return JobResult([Measurement("virtual", *each) for each in found])
 
 
 @pytest.fixture(autouse=True)

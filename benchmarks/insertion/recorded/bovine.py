@@ -15,7 +15,7 @@ from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.metrics import nearest_pairs
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
 from benchmarks.insertion.signals import Array
-from benchmarks.jobs import Findings, Job, Progress
+from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement
 from identification import PublishedConfig, replay
 
@@ -76,7 +76,7 @@ NEAR_mm = 1.5
 """An alarm farther than this from every annotated rupture is false."""
 
 
-def run_bovine_real(job: Job, progress: Progress) -> Findings:
+def run_bovine_real(job: Job, progress: Progress) -> JobResult:
     """``bovine-real``: the four ruptures of the insertion, by both methods.
 
     The curve falls in more places than the annotated ones (docs/limits.md). An alarm
@@ -106,7 +106,7 @@ def run_bovine_real(job: Job, progress: Progress) -> Findings:
         found += [
             Measurement("ft", method, name, value) for name, value in values.items()
         ]
-    return Findings(found)
+    return JobResult(found)
 
 
 def depth_metrics(

@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.signals import Array
-from benchmarks.jobs import Findings, Job, Progress
+from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement, Method
 from identification import replay
 
@@ -342,7 +342,7 @@ GUESSED_FRICTION = 0.7
 """The rule of thumb: this fraction of the insertion force is friction."""
 
 
-def run_liver_real(job: Job, progress: Progress) -> Findings:
+def run_liver_real(job: Job, progress: Progress) -> JobResult:
     """``liver-real``: friction estimated during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
@@ -377,4 +377,4 @@ def run_liver_real(job: Job, progress: Progress) -> Findings:
             *(rupture_values(each) if method != "guess" else ()),
         ]
         found += [Measurement("ft", method, name, value) for name, value in values]
-    return Findings(found)
+    return JobResult(found)

@@ -34,7 +34,7 @@ from benchmarks.insertion.recorded.liver import (
     rupture_values,
 )
 from benchmarks.insertion.signals import Array, ForceTruth, JointSignals, tool_jacobians
-from benchmarks.jobs import Findings, Job, Progress, progress_part
+from benchmarks.jobs import Job, JobResult, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.results import Measurement, Method, Source
 from residual import SigmoidFriction
@@ -122,7 +122,7 @@ SETTLING_LAGS = 5.0
 """After these the observer has forgotten its start to 1 %."""
 
 
-def run_panda_real(job: Job, progress: Progress) -> Findings:
+def run_panda_real(job: Job, progress: Progress) -> JobResult:
     """``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
@@ -133,7 +133,7 @@ def run_panda_real(job: Job, progress: Progress) -> Findings:
     values = {
         f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)
     }
-    return Findings([Measurement("virtual", "ours", *item) for item in values.items()])
+    return JobResult([Measurement("virtual", "ours", *item) for item in values.items()])
 
 
 OF_MANY = "_p90_pct"
@@ -178,7 +178,7 @@ NOT_JUDGED = "wrench_lag_ms"
 """The force changes less than this arm's noise: its lag would be a guess."""
 
 
-def run_panda_liver(job: Job, progress: Progress) -> Findings:
+def run_panda_liver(job: Job, progress: Progress) -> JobResult:
     """``panda-liver``: a real tissue force on a real arm, by both methods.
 
     The recorded Panda has touched nothing, the recorded needle had no robot. Both are
@@ -211,7 +211,7 @@ def run_panda_liver(job: Job, progress: Progress) -> Findings:
             item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED
         ]
     found += identification_values(insertion, truth, forces_N)
-    return Findings(found, drawings)
+    return JobResult(found, drawings)
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:

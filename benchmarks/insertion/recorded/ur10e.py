@@ -16,7 +16,7 @@ from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
 from benchmarks.insertion.recorded.liver import read_arrays, read_table
 from benchmarks.insertion.signals import Array, JointSignals, tool_jacobians
-from benchmarks.jobs import Findings, Job, Progress
+from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
@@ -104,7 +104,7 @@ LEAST_SINGULAR_VALUE = 0.1
 noise."""
 
 
-def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
+def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
     """``ur10e-payload``: the weight of a known payload from motor currents.
 
     Torque is torque constant times current, and the constants read 12 to 16 % low. The
@@ -132,7 +132,7 @@ def run_ur10e_payload(job: Job, progress: Progress) -> Findings:
     values["torque_scale"] = scale
     values["weight_error_pct"] = 100.0 * (scale * second / PAYLOAD_kg - 1.0)
     progress(1.0)
-    return Findings([Measurement("virtual", "ours", *item) for item in values.items()])
+    return JobResult([Measurement("virtual", "ours", *item) for item in values.items()])
 
 
 def _residual(arm: Ur10e, signals: JointSignals) -> Array:

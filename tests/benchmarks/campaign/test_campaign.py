@@ -17,7 +17,7 @@ from benchmarks.campaign import runs, workers
 from benchmarks.campaign.intervals import interval
 from benchmarks.campaign.workers import Workers, answers
 from benchmarks.cli import main
-from benchmarks.jobs import Benchmark, Findings
+from benchmarks.jobs import Benchmark, JobResult
 from benchmarks.results import Measurement, read_results
 from tests.benchmarks.campaign.campaign_jobs import ANSWERS, fatal, quick_job, squares
 
@@ -103,7 +103,7 @@ def jobs_done(monkeypatch):
             raise KeyboardInterrupt
         if job.seed == 4:
             raise ZeroDivisionError
-        return Findings(
+        return JobResult(
             [Measurement("virtual", "ours", "wrench_rmse_N", job.seed / 3.0)]
         )
 
@@ -162,7 +162,7 @@ def test_a_run_with_some_of_its_rows_is_done_again(
 
     def pretend(job, progress):
         done.append(job.seed)
-        return Findings(
+        return JobResult(
             [Measurement("virtual", "ours", name, job.seed) for name in names]
         )
 

@@ -15,7 +15,9 @@ from benchmarks.insertion.perturbations import (
 )
 from benchmarks.insertion.robustness import SCENARIOS, perturbed_needle, run_robustness
 from benchmarks.jobs import Job
-from benchmarks.report.tables import TABLES, fill, result_tables, worst_rows
+from benchmarks.report.frames import frame_of
+from benchmarks.report.summary import fill, worst_rows
+from benchmarks.report.tables import TABLES, build_table, result_tables
 from groundtruth import scenario
 from tests.benchmarks.benchmark_cases import gel_slice, make_row, silent
 
@@ -96,7 +98,7 @@ def test_the_worst_comes_first_and_other_tables_leave_these_runs_out():
         for plant, recall in (("none", 1.0), ("heartbeat", 0.5))
         for metric, value in (("rupture_recall", recall), ("false_alarms", 2.0))
     ]
-    table = TABLES["robustness"](rows)
+    table = build_table(TABLES["robustness"], frame_of(rows))
     assert [line[:3] for line in table.lines] == [
         ("heartbeat", "ft", "4"),
         ("none", "ft", "4"),

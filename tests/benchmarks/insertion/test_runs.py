@@ -15,8 +15,9 @@ from benchmarks.insertion.methods import ForceReading, force_lag_s, wrench_metri
 from benchmarks.insertion.signals import ForceTruth
 from benchmarks.insertion.simulated import read_sensors, run_needle, simulated_metrics
 from benchmarks.jobs import Job
+from benchmarks.report.frames import frame_of
 from benchmarks.report.published_figures import NEEDED
-from benchmarks.report.tables import TABLES
+from benchmarks.report.tables import TABLES, build_table
 from groundtruth import SCENARIOS, simulate
 from tests.benchmarks.benchmark_cases import gel_slice, silent
 
@@ -49,8 +50,8 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
     assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
     rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
     for name in ("friction", "ruptures", "table I"):
-        assert len(TABLES[name](rows).lines) == 3
-        assert TABLES[name]([]).lines == ()
+        assert len(build_table(TABLES[name], frame_of(rows)).lines) == 3
+        assert build_table(TABLES[name], frame_of([])).lines == ()
     # Without tissue there is nothing to identify.
     assert (
         run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements
@@ -138,7 +139,7 @@ def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
 
 def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
     assert names(plan("all", data=data)) == [
-        n for n, b in BENCHMARKS.items() if not b.perturbs
+        n for n, b in BENCHMARKS.items() if not b.group
     ]
     assert plan("all", data=data).skipped == ()
     tissue = [name for name, item in SCENARIOS.items() if item.layers]

@@ -1,0 +1,184 @@
+"""The summary of runs, and the pages that results are written into."""
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+from benchmarks import ResultsError
+from benchmarks.insertion.perturbations import PERTURBATIONS
+from benchmarks.report.frames import (
+    NOTHING,
+    Format,
+    Frame,
+    frame_of,
+    select,
+    summarize,
+)
+from benchmarks.report.tables import (
+    TABLES,
+    ResultTable,
+    build_table,
+    met_mark,
+    result_tables,
+)
+from benchmarks.results import Row, metric
+from benchmarks.targets import GROUPS, HEADLINES, Headline, evaluate
+
+WORST_ROWS = 8
+"""Of the robustness table, shown in docs/limits.md."""
+BEGIN = "<!-- results:begin -->"
+END = "<!-- results:end -->"
+SUMMED_METHODS = ("published", "published-best-K", "ours")
+
+
+def worst_rows(rows: Sequence[Row]) -> str:
+    """Return the worst lines of the robustness table, for docs/limits.md.
+
+    Raises:
+        ResultsError: There are none.
+    """
+    table = build_table(TABLES["robustness"], frame_of(rows))
+    if not table.lines:
+        raise ResultsError("no runs of robustness among the results")
+    names = {name: item.what for name, item in PERTURBATIONS.items()}
+    lines = [
+        (names.get(plant, plant), *cells) for plant, *cells in table.lines[:WORST_ROWS]
+    ]
+    worst = replace(table, lines=tuple(lines))
+    return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
+
+
+class SummaryLine(NamedTuple):
+    """A line of the summary, and where it stands.
+
+    Attributes:
+        is_met: Whether no target of it is missed.
+        is_better: Whether ours is better than the published method.
+        cells: Its texts.
+    """
+
+    is_met: bool
+    is_better: bool
+    cells: tuple[str, ...]
+
+
+def summary_table(rows: Sequence[Row]) -> ResultTable:
+    """Return the `HEADLINES` these rows have something for, the bad ones first.
+
+    Bad is a line with a missed target, then one in which ours is no better than
+    published.
+    """
+    frame = frame_of(rows)
+    targets_met: dict[tuple[str, ...], bool] = {}
+    for evaluation in evaluate(rows):
+        target = evaluation.target
+        key = (target.metric, target.source, target.plant)
+        targets_met[key] = targets_met.get(key, True) and evaluation.is_met
+    lines = []
+    for headline in HEADLINES:
+        runs = select_headline(frame, headline)
+        if not runs.empty:
+            key = (headline.metric, headline.source, headline.plant)
+            lines.append(summarize_headline(headline, runs, targets_met.get(key)))
+    lines.sort(key=lambda line: (line.is_met, line.is_better))
+    return ResultTable(
+        title="Results",
+        heads=(
+            "what",
+            "runs of",
+            "published method",
+            "as run, best K",
+            "ours",
+            "worst of ours",
+            "runs",
+            "targets",
+        ),
+        align="LLrrrrrL",
+        lines=tuple(line.cells for line in lines),
+        caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
+        "real tissue. Several runs: median, of fractions mean [95 % bootstrap interval over seeds; "
+        "of fewer than five, over runs]. As run, best K: the published method with commanded "
+        "speed, its threshold and gain chosen for each run.",
+    )
+
+
+def select_headline(frame: Frame, headline: Headline) -> Frame:
+    """Return the rows that a headline sums up."""
+    rows = select(
+        frame, metric=headline.metric, source=headline.source, plant=headline.plant
+    )
+    scenarios = GROUPS.get(headline.scenarios, (headline.scenarios,))
+    return rows[rows["scenario"].isin(scenarios)]
+
+
+def summarize_headline(
+    headline: Headline, runs: Frame, is_met: bool | None
+) -> SummaryLine:
+    """Return all methods side by side, and the worst run of ours."""
+    best = metric(headline.metric).best
+    shown = Format(headline.form, is_fraction=best == 1.0, has_interval=True)
+    cells = []
+    errors = []
+    worst = ""
+    for method in SUMMED_METHODS:
+        of_method = select(runs, method=method)
+        middle, _, worst = summarize(of_method, shown).partition(" (")
+        cells.append(middle)
+        # Of no number at all nothing can be worse.
+        error = abs(float(of_method["value"].median()) - best)
+        errors.append(error if math.isfinite(error) else math.inf)
+    return SummaryLine(
+        is_met=is_met is not False,
+        is_better=errors[-1] < min(errors[:-1]),
+        cells=(
+            headline.what,
+            f"{headline.scenarios}, {headline.plant}",
+            *cells,
+            worst.rstrip(")"),
+            str((runs["method"] == "ours").sum()),
+            NOTHING if is_met is None else met_mark(is_met),
+        ),
+    )
+
+
+def results_page(rows: Sequence[Row], command: str) -> str:
+    """Return all tables of runs as a page, with the command line that writes it."""
+    parts = [
+        "# Results",
+        "",
+        "Every number of the benchmark, the worst first. Simulated insertions have a ground truth; "
+        "`recording` is real data. A dash: there is no such number. Written by",
+        "",
+        f"```sh\n{command}\n```",
+        "",
+    ]
+    # What is missed must not stand at the bottom of a long page.
+    for table in sorted(
+        result_tables(rows), key=lambda table: table.title != "Targets"
+    ):
+        parts += [f"## {table.title}", ""]
+        parts += [table.caption, ""] if table.caption else []
+        parts += [*table.markdown(), ""]
+    return "\n".join(parts)
+
+
+def summary_block(rows: Sequence[Row], command: str) -> str:
+    """Return the README's table, with the command that prints it."""
+    table = summary_table(rows)
+    lines = [*table.markdown(), "", table.caption, "", f"```sh\n{command}\n```"]
+    return "\n".join(lines) + "\n"
+
+
+def fill(text: str, block: str) -> str:
+    """Return the page with the block between its marks.
+
+    Raises:
+        ResultsError: The page does not have each mark once, in order.
+    """
+    filled = f"{BEGIN}\n{block}{END}"
+    text, count = re.subn(f"{BEGIN}\n.*?{END}", lambda _: filled, text, flags=re.DOTALL)
+    if count != 1:
+        raise ResultsError(f"expected one {BEGIN} and, after it, one {END} in the page")
+    return text

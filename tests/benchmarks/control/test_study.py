@@ -1,0 +1,102 @@
+"""The closed loop as a study: its parts, its table, its file, its targets."""
+
+import math
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from benchmarks import UnknownIdError, catalogue, targets
+from benchmarks.catalogue import Request, make_plan
+from benchmarks.cli import main
+from benchmarks.control.study import CONTROL, TITLES
+from benchmarks.report.frames import frame_of
+from benchmarks.report.tables import TABLES, build_table
+from benchmarks.results import Measurement, our_measurement, read_results
+from benchmarks.targets import Target, evaluate
+
+
+def measure(case, plant, seed):
+    """Numbers that grow with the seed; one case fails."""
+    if case == "broken S":
+        raise ValueError("no arm")
+    factor = 10.0 if plant == "fri" else 1.0
+    yield our_measurement("rcm_error_max_mm", factor * (seed - 999))
+    yield our_measurement("membrane_contrast_shown", 0.9 + 0.01 * (seed - 1000))
+    yield our_measurement("leading_force_N", math.nan if seed == 1001 else 1.0)
+    yield Measurement("virtual", "published", "rcm_error_max_mm", 7.0)
+
+
+GOALS = tuple(
+    Target(what=metric, metric=metric, plant="clean", **limits)
+    for metric, limits in (
+        ("rcm_error_max_mm", {"at_most": 2.0}),
+        ("membrane_contrast_shown", {"at_least": 0.85}),
+        ("leading_force_N", {"at_most": 1.0}),
+    )
+)
+
+
+@pytest.fixture
+def part(monkeypatch):
+    """A part of the study that takes no time."""
+    module = SimpleNamespace(CASES=("usual S", "broken S"), measure=measure)
+    monkeypatch.setitem(sys.modules, "benchmarks.control.priority", module)
+    monkeypatch.setattr(targets, "TARGETS", GOALS)
+    monkeypatch.setattr("benchmarks.report.tables.evaluate", judge)
+    priority = CONTROL[0]
+    monkeypatch.setattr(catalogue, "BENCHMARKS", {priority.id: priority})
+
+
+def judge(rows):
+    return evaluate(rows, GOALS)
+
+
+def run(path, *arguments):
+    options = ["--workers", "1", "--seeds", "3", "--json", str(path)]
+    return main(["run", "control-priority", *options, *arguments])
+
+
+def test_a_study_writes_rows_like_any_other_benchmark(part, tmp_path, capsys):
+    path = tmp_path / "control.json"
+    assert run(path) == 1  # a case fails
+    assert "ValueError: no arm" in capsys.readouterr().out
+    rows = read_results(path)
+    assert {row.scenario for row in rows} == {"control-priority/usual-S"}
+    assert [row.seed for row in rows[::4]] == [1000, 1001, 1002]
+    assert main(["compare", str(path), str(path)]) == 1  # a number is not finite
+
+
+def test_a_study_goes_on_after_an_interruption(part, tmp_path):
+    path = tmp_path / "control.json"
+    run(path)
+    written = path.read_bytes()
+    run(path, "--resume")
+    assert path.read_bytes() == written
+
+
+def test_the_table_shows_misses_first_and_the_limits(part, tmp_path):
+    path = tmp_path / "control.json"
+    run(path)
+    lines = build_table(TABLES["control"], frame_of(read_results(path))).lines
+    texts = {(line[2], line[3]): line for line in lines}
+    error = texts["ours", "distance of the true axis from the remote centre, max"]
+    assert error[4:] == ("2 (3)", "–", "≤ 2 mm missed", "mm")
+    force = texts["ours", "force at the hub at 100 mm/s"]
+    assert force[4:7] == ("not finite", "–", "≤ 1 N missed")
+    marks = ["missed" in line[6] for line in lines]
+    assert marks == sorted(marks, reverse=True)
+
+
+def test_control_names_all_parts_on_both_plants():
+    plan = make_plan(Request(ids=("control",)))
+    assert {job.benchmark for job in plan.jobs} == {
+        f"control-{part}" for part in TITLES
+    }
+    plants = {job.plant for job in plan.jobs if job.benchmark == "control-guidance"}
+    assert plants == {"clean", "fri"}
+    assert {job.seed for job in plan.jobs} == {1000}
+    scenarios = [(job.scenario, job.plant) for job in plan.jobs]
+    assert len(set(scenarios)) == len(scenarios)
+    with pytest.raises(UnknownIdError, match="control-constraints"):
+        make_plan(Request(ids=("control-magic",)))
