@@ -1,7 +1,8 @@
 """One insertion: force and identification against ground truth.
 
 Reading order: `signals` (what estimators get, and the ground truth), `methods`
-(estimators on a signal, errors of a force), `metrics` and `bounds` (how good they are,
+(estimators on a signal, errors of a force), `matching`, `layer_friction`, `offline`,
+`metrics` and `bounds` (how good they are,
 how good they could be), put together in `simulated`, `robustness` (in the worlds of
 `perturbations`) and `recorded`.
 """

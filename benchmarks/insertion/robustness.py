@@ -12,8 +12,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.insertion.as_run import identify_as_run
 from benchmarks.insertion.methods import METHODS, Identified, identify
-from benchmarks.insertion.metrics import event_metrics, identify_as_run
+from benchmarks.insertion.metrics import event_metrics
 from benchmarks.insertion.perturbations import (
     FT_ONLY,
     GROUPS,

@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from benchmarks.insertion.as_run import identify_as_run
 from benchmarks.insertion.methods import (
     IDENTIFIERS,
     METHODS,
@@ -18,46 +20,79 @@ from benchmarks.insertion.methods import (
     run_session,
     wrench_metrics,
 )
-from benchmarks.insertion.metrics import identify_as_run, measure_identification
+from benchmarks.insertion.metrics import IdentifiedRun
 from benchmarks.insertion.signals import (
     ForceTruth,
-    InsertionTruth,
     JointSignals,
     NeedleSignal,
     insertion_truth,
 )
-from benchmarks.jobs import Job, JobResult, Progress, progress_part
+from benchmarks.jobs import Drawing, Job, JobResult, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
+from benchmarks.report.published_figures import ENHANCED_FIGURES
 from benchmarks.results import Measurement, Method
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
+from identification import PUBLISHED_KV
 
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
 
 
 def run_simulated(job: Job, progress: Progress) -> JobResult:
-    """Simulate, read every sensor, identify, measure, draw."""
+    """Simulate, read every sensor and identify; then measure; then draw."""
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
         return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
     case = read_sensors(run, progress_part(progress, 0.5, 0.85))
-    drawings = (
-        force_figures(job, job.drawings, case.truth, case.readings)
-        if job.drawings
-        else ()
+    identified = identify_case(case) if chosen.layers else None
+
+    measurements = simulated_metrics(case)
+    if identified is not None:
+        measurements += identified.measure()
+
+    drawings = ()
+    if job.drawings is not None:
+        drawings = force_figures(job, job.drawings, case.truth, case.readings)
+        if identified is not None:
+            drawings += draw_identified(job, job.drawings, identified, measurements)
+    return JobResult(measurements, drawings)
+
+
+def identify_case(case: "SimulatedCase") -> IdentifiedRun:
+    """Identify on both forces of a simulated arm."""
+    truth = insertion_truth(case.run)
+    return IdentifiedRun(
+        truth=truth,
+        commanded_m_s=case.run.scenario.motion.speed_m_s(truth.t_s),
+        sources=identify_sources(case),
+        ft=case.ft,
     )
-    measured = simulated_metrics(case)
-    if chosen.layers:
-        found = _measured(
-            job, identify_sources(case), insertion_truth(run), chosen, case.ft
-        )
-        measured += found.measurements
-        drawings += found.drawings
-    return JobResult(measured, drawings)
+
+
+def draw_identified(
+    job: Job,
+    folder: Path,
+    identified: IdentifiedRun,
+    measurements: Sequence[Measurement],
+) -> tuple[Drawing, ...]:
+    """Draw the figures of the identification, beside the numbers of the run."""
+    has_figure = (job.benchmark, "ft") in ENHANCED_FIGURES
+    kelvin_voigt = identify_kelvin_voigt(identified) if has_figure else None
+    return draw_identification(job, folder, identified, measurements, kelvin_voigt)
+
+
+def identify_kelvin_voigt(identified: IdentifiedRun) -> Identified:
+    """Run the published method with its simpler model on the F/T sensor's force."""
+    return identify_as_run(
+        identified.sources[0][0].signal,
+        identified.truth,
+        identified.commanded_m_s,
+        config=PUBLISHED_KV,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -177,26 +212,6 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     return [on_ft, on_virtual]
 
 
-def _measured(
-    job: Job,
-    sources: Sequence[Sequence[Identified]],
-    truth: InsertionTruth,
-    scenario: Scenario,
-    ft: ForceReading | None = None,
-) -> JobResult:
-    """Numbers and figures of the online identification on every source."""
-    items = [item for found in sources for item in found]
-    measured = [
-        value for item in items for value in measure_identification(item, truth)
-    ]
-    if job.drawings is None:
-        return JobResult(measured)
-    commanded = scenario.motion.speed_m_s(truth.t_s)
-    return JobResult(
-        measured, draw_identification(job, job.drawings, truth, commanded, sources, ft)
-    )
-
-
 NOISE_FACTOR = (0.5, 2.0)
 """Range of the noise of drawn runs, of white noise and drift each: a better and a
 worse sensor."""
@@ -220,9 +235,18 @@ def run_needle(
     zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
     signal = NeedleSignal("ft", run.t_s, run.depth_m - zero, run.speed_m_s, run.force_N)
     truth = insertion_truth(run)
-    found = [identify(signal, truth, method) for method in IDENTIFIERS]
-    found.append(identify_as_run(signal, truth, run.speed_m_s))
-    return _measured(job, [found], truth, chosen)
+    identified = [identify(signal, truth, method) for method in IDENTIFIERS]
+    identified.append(identify_as_run(signal, truth, run.speed_m_s))
+    made = IdentifiedRun(
+        truth=truth,
+        commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
+        sources=[identified],
+    )
+    measurements = made.measure()
+    drawings = ()
+    if job.drawings is not None:
+        drawings = draw_identified(job, job.drawings, made, measurements)
+    return JobResult(measurements, drawings)
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:

@@ -5,16 +5,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.insertion.methods import (
-    ForceReading,
     Identified,
     cumulative_friction_Ns_per_m,
 )
-from benchmarks.insertion.metrics import (
-    enhanced_metrics,
-    identify_as_run,
-    offline_metrics,
-)
-from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal
+from benchmarks.insertion.metrics import IdentifiedRun
+from benchmarks.insertion.signals import InsertionTruth
 from benchmarks.jobs import Drawing, Fact, Job
 from benchmarks.report.force_plots import RunFigures
 from benchmarks.report.identification_plots import (
@@ -30,71 +25,88 @@ from benchmarks.report.published_figures import (
     OFFLINE_PANELS,
     PublishedFigure,
 )
+from benchmarks.results import Measurement
 from benchmarks.targets import GELS
-from identification import PUBLISHED_KV, PublishedConfig
+from identification import PublishedConfig
+
+
+class RunNumbers:
+    """Numbers of a run by source, method and metric."""
+
+    def __init__(self, measurements: Sequence[Measurement]) -> None:
+        self._values = {
+            (item.source, item.method, item.metric): item.value for item in measurements
+        }
+
+    def of(self, item: Identified, metric: str) -> float:
+        """Return a number of one method on one source; nan where there is none."""
+        return self._values.get((item.source, item.method, metric), math.nan)
 
 
 def draw_identification(
     job: Job,
     folder: Path,
-    truth: InsertionTruth,
-    commanded_m_s: Array,
-    found: Sequence[Sequence[Identified]],
-    ft: ForceReading | None = None,
+    identified: IdentifiedRun,
+    measurements: Sequence[Measurement],
+    kelvin_voigt: Identified | None = None,
 ) -> tuple[Drawing, ...]:
-    """Every figure of the identification in a run.
+    """Draw every figure of the identification in a run.
 
-    `found` holds what every method made of each source, the F/T sensor's first; `ft` is
-    that sensor's force, if another source is among them.
+    Args:
+        job: The run.
+        folder: Where the figures are saved.
+        identified: What every method made of each source.
+        measurements: The numbers of the run.
+        kelvin_voigt: The published method with its simpler model on the F/T sensor's
+            force, for scenarios of which that is published.
     """
     figures = RunFigures(job, folder)
-    on_ft = {item.method: item for item in found[0]}["ours"]
-    _add_offline(figures, on_ft.signal, truth)
+    numbers = RunNumbers(measurements)
+    on_ft = {item.method: item for item in identified.sources[0]}["ours"]
+    add_offline(figures, on_ft, identified.truth, numbers)
     # Without a published counterpart: the whole chain; of gels, for Table I, the F/T
     # sensor.
-    usual = "ft" if job.benchmark in GELS or len(found) == 1 else "virtual"
-    for identified in found:
-        by_method = {item.method: item for item in identified}
-        tuned = by_method["published-as-run"]
-        source = identified[0].source
+    is_ft_usual = job.benchmark in GELS or len(identified.sources) == 1
+    usual = "ft" if is_ft_usual else "virtual"
+    for items in identified.sources:
+        source = items[0].source
         figure = ENHANCED_FIGURES.get((job.benchmark, source))
         if figure is None and source != usual:
             continue
+        by_method = {item.method: item for item in items}
         is_ft = source == "ft"
-        number = figure.number if figure else ""
-        kelvin_voigt = None
-        if figure and is_ft:
-            kelvin_voigt = identify_as_run(
-                tuned.signal, truth, commanded_m_s, config=PUBLISHED_KV
-            )
         compared = Compared(
             ours=by_method["ours"],
-            tuned=tuned,
+            tuned=by_method["published-as-run"],
             published=by_method["published"],
-            kelvin_voigt=kelvin_voigt,
-            ft=None if is_ft else ft,
+            kelvin_voigt=kelvin_voigt if figure and is_ft else None,
+            ft=None if is_ft else identified.ft,
             on_ft=None if is_ft else on_ft,
         )
-        _add_enhanced(figures, figure, truth, compared)
+        add_enhanced(figures, figure, identified.truth, compared, numbers)
         if figure:
-            _add_parameters(figures, number, truth, compared)
+            add_parameters(figures, figure.number, identified.truth, compared)
     return tuple(figures.saved)
 
 
-def _add_offline(
-    figures: RunFigures, signal: NeedleSignal, truth: InsertionTruth
+def add_offline(
+    figures: RunFigures, on_ft: Identified, truth: InsertionTruth, numbers: RunNumbers
 ) -> None:
-    """Both models on the F/T sensor's force, where that scenario is published so."""
+    """Draw both models on the F/T sensor's force, where that is published."""
     scenario = figures.job.benchmark
     if scenario not in OFFLINE_PANELS:
         return
-    found = offline_metrics(signal, truth)
     panel = OFFLINE_PANELS[scenario]
-    kv, ml = (f"{found[f'offline_rmse_{model}_N']:.3f}" for model in ("kv", "ml"))
-    here = (("Kelvin-Voigt, here", kv), ("multi-layer, here", ml))
+    here = tuple(
+        (f"{model}, here", f"{numbers.of(on_ft, metric):.3f}")
+        for model, metric in (
+            ("Kelvin-Voigt", "offline_rmse_kv_N"),
+            ("multi-layer", "offline_rmse_ml_N"),
+        )
+    )
     what = f"`{scenario}`: RMSE of the insertion [N]"
     figures.add(
-        offline_chart("both models, fitted offline", signal, truth),
+        offline_chart("both models, fitted offline", on_ft.signal, truth),
         "offline",
         panel=panel,
         alt="Force of the F/T sensor, and as reconstructed by the Kelvin-Voigt and the multi-layer "
@@ -108,13 +120,14 @@ def _add_offline(
     )
 
 
-def _add_enhanced(
+def add_enhanced(
     figures: RunFigures,
     figure: PublishedFigure | None,
     truth: InsertionTruth,
     compared: Compared,
+    numbers: RunNumbers,
 ) -> None:
-    """The forces by each method."""
+    """Draw the forces by each method."""
     source = compared.ours.source
     tuned = compared.tuned
     ft = compared.ft
@@ -142,13 +155,14 @@ def _add_enhanced(
         panel=(number, "b" if number else ""),
         alt=f"{alt}our method",
         caption="The same by our method: measured speed, one setting for every recording.",
-        facts=_facts(figure, truth, compared) if figure else (),
+        facts=enhanced_facts(figure, truth, compared, numbers) if figure else (),
     )
 
 
-def _add_parameters(
+def add_parameters(
     figures: RunFigures, number: str, truth: InsertionTruth, compared: Compared
 ) -> None:
+    """Draw stiffness, friction and cumulative friction as they are identified."""
     source = compared.ours.source
     figures.add(
         parameter_chart(f"identified parameters, {SENSORS[source]}", truth, compared),
@@ -163,9 +177,13 @@ def _add_parameters(
     )
 
 
-def _facts(
-    figure: PublishedFigure, truth: InsertionTruth, compared: Compared
+def enhanced_facts(
+    figure: PublishedFigure,
+    truth: InsertionTruth,
+    compared: Compared,
+    numbers: RunNumbers,
 ) -> tuple[Fact, ...]:
+    """Return the numbers that stand below a published figure."""
     heads = (
         "published, tuned, here",
         "published, one setting, here",
@@ -173,10 +191,9 @@ def _facts(
     )
     items = (compared.tuned, compared.published, compared.ours)
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
-    ruptures = [_ruptures(item, truth) for item in items]
+    ruptures = [describe_ruptures(item, truth) for item in items]
     sums = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
-    forces = [enhanced_metrics(item, truth) for item in items]
-    left = [f"{each.get('remaining_force_pct', math.nan):.1f}" for each in forces]
+    remaining = [f"{numbers.of(item, 'remaining_force_pct'):.1f}" for item in items]
     lines = (
         (f"ruptures detected (true: {len(truth.ruptures)})", figure.ruptures, ruptures),
         (
@@ -187,7 +204,7 @@ def _facts(
         (
             "remaining force after the last rupture [% of the axial force]",
             figure.remaining,
-            left,
+            remaining,
         ),
     )
     return tuple(
@@ -196,7 +213,7 @@ def _facts(
     )
 
 
-def _ruptures(item: Identified, truth: InsertionTruth) -> str:
+def describe_ruptures(item: Identified, truth: InsertionTruth) -> str:
     """Those of the insertion; in the withdrawal there are none to find."""
     inside = [
         alarm.alarm_s for alarm in item.alarms if alarm.alarm_s <= truth.insertion_end_s

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.insertion.methods import ForceReading, Identified
-from benchmarks.insertion.metrics import layer_spans, offline_fit, quiet_speed_m_s
+from benchmarks.insertion.offline import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal
 from identification.config import Model
 from identification.published.offline import regression_matrix

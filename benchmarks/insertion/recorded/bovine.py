@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import DataError
+from benchmarks.insertion.matching import nearest_pairs
 from benchmarks.insertion.methods import IDENTIFIERS
-from benchmarks.insertion.metrics import nearest_pairs
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
 from benchmarks.insertion.signals import Array
 from benchmarks.jobs import Job, JobResult, Progress

@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion.bounds import friction_bounds
+from benchmarks.insertion.layer_friction import (
+    LayerFriction,
+    friction_metrics,
+    layer_frictions,
+)
+from benchmarks.insertion.matching import EARLY_s, LATE_s, is_visible, match
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
-    EARLY_s,
-    LATE_s,
-    LayerFriction,
     bound_metrics,
     enhanced_metrics,
-    friction_metrics,
-    is_visible,
-    layer_frictions,
-    match,
-    offline_metrics,
     rupture_metrics,
 )
+from benchmarks.insertion.offline import offline_metrics
 from benchmarks.insertion.signals import (
     InsertionTruth,
     NeedleSignal,

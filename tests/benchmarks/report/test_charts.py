@@ -6,9 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.insertion.as_run import SIGMA1_N, identify_as_run
 from benchmarks.insertion.methods import ForceReading, identify
-from benchmarks.insertion.metrics import SIGMA1_N, identify_as_run
+from benchmarks.insertion.metrics import IdentifiedRun
 from benchmarks.insertion.signals import ForceTruth, NeedleSignal, insertion_truth
+from benchmarks.insertion.simulated import identify_kelvin_voigt
 from benchmarks.jobs import Job
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
@@ -108,8 +110,12 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
 
 def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):
     job = Job(benchmark="gel-70-constant", plant="needle")
-    found = [run.identified]
-    drawings = draw_identification(job, tmp_path, run.truth, run.commanded_m_s, found)
+    identified = IdentifiedRun(
+        truth=run.truth, commanded_m_s=run.commanded_m_s, sources=[run.identified]
+    )
+    kelvin_voigt = identify_kelvin_voigt(identified)
+    numbers = identified.measure()
+    drawings = draw_identification(job, tmp_path, identified, numbers, kelvin_voigt)
     panels = [(item.figure, item.panel) for item in drawings]
     assert panels == [("2", "a"), ("8", "a"), ("8", "b"), ("8", "c")]
     facts = [fact for item in drawings if item.figure == "8" for fact in item.facts]

@@ -1,0 +1,103 @@
+"""Friction of each layer as identified, against the truth."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.insertion.matching import EARLY_s, LATE_s, is_visible
+from benchmarks.insertion.methods import Alarm
+from groundtruth import Rupture
+from identification import LayerEstimate
+
+
+class LayerFriction(NamedTuple):
+    """Friction of one layer at its rupture.
+
+    Attributes:
+        true_N: On the shaft.
+        estimated_N: estimated; 0 when its rupture was missed.
+        std_N: Stated standard deviation; nan when none is stated.
+    """
+
+    true_N: float
+    estimated_N: float
+    std_N: float
+
+    @property
+    def error(self) -> float:
+        """Relative error."""
+        return abs(self.estimated_N - self.true_N) / self.true_N
+
+
+def layer_frictions(
+    ruptures: Sequence[Rupture], alarms: Sequence[Alarm], *, online: bool = False
+) -> list[LayerFriction]:
+    """Pair every layer with what was identified of it, at the end or, `online`, in the
+    next layer.
+
+    A layer ends at its rupture. What is identified by alarms since the layer before it
+    (a surface membrane's, a false one's) counts for it: that much friction was taken
+    off the force. A layer that ends softly counts together with the one after it, since
+    the force does not separate them; one whose rupture was missed counts as estimated
+    at zero.
+    """
+    found: list[LayerFriction] = []
+    true_N = 0.0
+    begin_s = -math.inf
+    for k, rupture in enumerate(ruptures):
+        true_N += rupture.layer_friction_N
+        if rupture.layer == 0 or not is_visible(rupture):
+            continue
+        following = (
+            ruptures[k + 1].onset_s - EARLY_s if k + 1 < len(ruptures) else math.inf
+        )
+        until_s = max(min(rupture.onset_s + LATE_s, following), rupture.end_s)
+        mine = [alarm for alarm in alarms if begin_s < alarm.alarm_s <= until_s]
+        was_seen = any(alarm.alarm_s >= rupture.onset_s - EARLY_s for alarm in mine)
+        known = [alarm.online if online else alarm.layer for alarm in mine]
+        found.append(_layer_friction(true_N, known if was_seen else []))
+        if was_seen:
+            begin_s = until_s
+        true_N = 0.0
+    return found
+
+
+def _layer_friction(
+    true_N: float, found: Sequence[LayerEstimate | None]
+) -> LayerFriction:
+    layers = [layer for layer in found if layer is not None]
+    known = [
+        layer.friction_std_N for layer in layers if layer.friction_std_N is not None
+    ]
+    is_stated = bool(layers) and len(known) == len(layers)
+    std_N = math.hypot(*known) if is_stated else math.nan
+    return LayerFriction(true_N, sum(layer.friction_N for layer in layers), std_N)
+
+
+def friction_metrics(
+    frictions: Sequence[LayerFriction], when: str = ""
+) -> dict[str, float]:
+    """Worst and mean relative error, and whether the stated standard deviations are
+    right.
+
+    `when` is part of the names: ``_online`` for what was known in the layer after. The
+    coverage is the fraction of layers within twice the stated standard deviation;
+    layers that were not identified state none and do not count there.
+    """
+    if not frictions:
+        return {}
+    errors = [100.0 * layer.error for layer in frictions]
+    values = {
+        f"friction_error{when}_worst_pct": max(errors),
+        f"friction_error{when}_mean_pct": float(np.mean(errors)),
+    }
+    stated = [layer for layer in frictions if not math.isnan(layer.std_N)]
+    if stated:
+        inside = [
+            abs(layer.estimated_N - layer.true_N) <= 2.0 * layer.std_N
+            for layer in stated
+        ]
+        values[f"friction_coverage{when}_2sigma"] = float(np.mean(inside))
+    return values
