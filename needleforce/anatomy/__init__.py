@@ -1,5 +1,4 @@
-"""The patient: labelled volumes, surfaces, layers along a needle, registration, plan
-and ruptures.
+"""The patient: volumes, surfaces, layers along a needle, registration, plan.
 
     labels = read_labels("abdomen.seg.nrrd")
     surfaces = labels.surfaces()                       # name to closed surface
@@ -9,7 +8,9 @@ and ruptures.
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `reading`, `surface`, `registration`, `plan_match`, `errors`.
+Reading order: `volume`, `structures`, `labels`, `path_layers`, `surface`, `reading`,
+`file_checks`, `dicom_series`, `registration`, `landmarks`, `surface_fit`, `plan_match`,
+`rupture_model`.
 """
 
 from needleforce.anatomy.errors import (
@@ -18,11 +19,16 @@ from needleforce.anatomy.errors import (
     RegistrationError,
     VolumeError,
 )
+from needleforce.anatomy.labels import Labels
+from needleforce.anatomy.landmarks import fit_landmarks
+from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.reading import read_labels, read_volume
-from needleforce.anatomy.registration import Registration, fit_landmarks, fit_surface
+from needleforce.anatomy.registration import Registration
+from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface
-from needleforce.anatomy.volume import Grid, Labels, Layer, Structure, Volume
+from needleforce.anatomy.surface_fit import fit_surface
+from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
     "AnatomyError",

@@ -1,41 +1,71 @@
-"""Scans and segmentations from files, and what is refused of them.
+"""Scans and segmentations from files.
 
-SimpleITK reads every format, in LPS millimetres, and takes much as it comes: it fills
-what is missing of a file with zeros, and where a file does not say how it lies it
-invents that.
+SimpleITK reads every format, in LPS millimetres. What it would take in spite of damage
+or doubt is refused, see `file_checks` and `dicom_series`.
 """
 
-import gzip
 import json
 import locale
-import os
 import re
-import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.anatomy.errors import Array, VolumeError
-from needleforce.anatomy.volume import (
-    Grid,
-    Labels,
-    Structure,
-    Volume,
-    require_agreement,
-)
+from needleforce.anatomy.dicom_series import read_series
+from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
+from needleforce.anatomy.labels import Labels, require_agreement
+from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.volume import Grid, Volume
 
-SIZES_M = (0.005, 5.0)
-"""Least and most diagonal of a volume: beyond them its unit is not the millimetre."""
-NIFTI_SPACING = {348: ("f4", 80), 540: ("f8", 104)}
-"""By the first number in a NIfTI file: type and place of its spacing."""
-NRRD_SPACES = (
-    "left-posterior-superior right-anterior-superior left-anterior-superior lps ras las"
-)
+MIN_DIAGONAL_m = 0.005
+"""Of a volume; below it its unit is not the millimetre."""
+
+MAX_DIAGONAL_m = 5.0
+"""Of a volume; above it its unit is not the millimetre."""
+
+M_PER_MM = 1e-3
+
+MAX_UINT8_LABELS = 256
+"""So many values, 0 included, fit into a byte."""
+
+Names = Mapping[Any, str] | Path | str | None
+"""Names of labels: by value, or a JSON file with them."""
+
+
+class _Image(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        arrays: One (i, j, k) per component.
+        grid: Where their voxels lie.
+        header: Fields of the file's header.
+    """
+
+    arrays: list[NDArray[Any]]
+    grid: Grid
+    header: dict[str, str]
+
+
+class _Segment(NamedTuple):
+    """A segment as 3D Slicer describes it in a file's header.
+
+    Attributes:
+        name: Of the structure.
+        volume: Index of the component in which it lies.
+        value: Of its voxels.
+        colour: Red, green, blue from 0 to 1; empty where none is stated.
+    """
+
+    name: str
+    volume: int
+    value: int
+    colour: tuple[float, ...]
 
 
 def read_volume(path: Path | str) -> Volume:
@@ -46,19 +76,18 @@ def read_volume(path: Path | str) -> Volume:
             or without a word on how it lies; of DICOM: no series or several, slices
             that are missing, doubled, of different sizes or sheared.
     """
-    arrays, grid, _ = _read(Path(path))
-    if len(arrays) != 1:
+    image = _read_image(Path(path))
+    if len(image.arrays) != 1:
         raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    return Volume(arrays[0], grid)
+    return Volume(image.arrays[0], image.grid)
 
 
 def read_labels(
-    path: Path | str,
-    names: Mapping[Any, str] | Path | str | None = None,
-    scan: Volume | None = None,
+    path: Path | str, names: Names = None, scan: Volume | None = None
 ) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD with one label
-    per voxel.
+    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD.
+
+    NIfTI and other NRRD files have one label per voxel.
 
     Args:
         path: The file, or a folder with a DICOM series.
@@ -71,37 +100,17 @@ def read_labels(
         VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or
             labels that lie elsewhere than the scan.
     """
-    arrays, grid, header = _read(Path(path))
-    beside = Path(path).with_name("labels.json")
-    names = beside if names is None and beside.exists() else names
-    volumes = []
-    for values in arrays:
-        whole = (
-            values
-            if np.issubdtype(values.dtype, np.integer)
-            else values.astype(np.int32)
-        )
-        if (
-            whole.min() < 0
-            or whole.max() > np.iinfo(np.uint16).max
-            or np.any(whole != values)
-        ):
-            raise VolumeError(
-                f"{path} holds {values.min():g} to {values.max():g}: expected labels"
-            )
-        volumes.append(
-            whole.astype(np.uint8 if whole.max() < 256 else np.uint16, copy=False)
-        )
+    image = _read_image(Path(path))
+    names_file = Path(path).with_name("labels.json")
+    if names is None and names_file.exists():
+        names = names_file
+    volumes = [_as_labels(values, path) for values in image.arrays]
     try:
-        segments = _segments(header, len(volumes)) or _plain_structures(volumes, names)
-        labels = Labels.of(volumes, grid, segments)
-        loose = sum(map(np.count_nonzero, volumes)) - sum(
-            one.voxels for one in labels.structures
-        )
-        if loose:
-            raise VolumeError(
-                f"{loose} voxels have labels of no segment: its header is damaged"
-            )
+        structures = _read_segments(image.header, len(volumes))
+        if not structures:
+            structures = _name_labels(volumes, names)
+        labels = Labels.of(volumes, image.grid, structures)
+        _require_all_named(labels)
     except VolumeError as error:
         raise VolumeError(f"{path}: {error}") from None
     if scan is not None:
@@ -109,16 +118,36 @@ def read_labels(
     return labels
 
 
-def _plain_structures(
-    volumes: Sequence[NDArray[Any]], names: Mapping[Any, str] | Path | str | None
-) -> list[Structure]:
-    try:
-        read = (
-            json.loads(Path(names).read_bytes())
-            if isinstance(names, Path | str)
-            else names
+def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
+    """Return the values of a file as labels, in as few bytes as they need."""
+    is_whole = np.issubdtype(values.dtype, np.integer)
+    labels = values if is_whole else values.astype(np.int32)
+    max_label = labels.max()
+    is_in_range = labels.min() >= 0 and max_label <= np.iinfo(np.uint16).max
+    if not is_in_range or np.any(labels != values):
+        raise VolumeError(
+            f"{path} holds {values.min():g} to {values.max():g}: expected labels"
         )
-        given = msgspec.convert(read or {}, dict[int, str], strict=False)
+    kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
+    return labels.astype(kind, copy=False)
+
+
+def _require_all_named(labels: Labels) -> None:
+    """Refuse labels of which some belong to no structure."""
+    labelled = sum(map(np.count_nonzero, labels.volumes))
+    loose = labelled - sum(item.voxels for item in labels.structures)
+    if loose:
+        raise VolumeError(
+            f"{loose} voxels have labels of no segment: its header is damaged"
+        )
+
+
+def _name_labels(volumes: Sequence[NDArray[Any]], names: Names) -> list[Structure]:
+    """Return a structure for every label up to the highest one."""
+    try:
+        is_file = isinstance(names, Path | str)
+        stated = json.loads(Path(names).read_bytes()) if is_file else names
+        name_by_value = msgspec.convert(stated or {}, dict[int, str], strict=False)
     except (OSError, ValueError, msgspec.ValidationError) as error:
         raise VolumeError(f"cannot read names from {names}: {error}") from error
     if len(volumes) > 1:
@@ -126,217 +155,132 @@ def _plain_structures(
             "several labels per voxel and no segments: expected a .seg.nrrd file"
         )
     values = range(1, int(volumes[0].max()) + 1)
-    return [Structure.named(given.get(k, f"label_{k}"), k) for k in values]
+    return [
+        Structure.named(name_by_value.get(value, f"label_{value}"), value)
+        for value in values
+    ]
 
 
-def _segments(header: Mapping[str, str], layers: int) -> list[Structure]:
-    """Return the segments that 3D Slicer described in the file's header, none in
-    other files.
+def _read_segments(header: Mapping[str, str], volumes: int) -> list[Structure]:
+    """Return the segments that a header describes; none in files of other kinds.
+
+    Args:
+        header: Of the file.
+        volumes: How many components the file has.
     """
-    found: dict[tuple[int, int], Structure] = {}
+    structures: dict[tuple[int, int], Structure] = {}
     count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
-    for k in range(count):
-        fields = {
-            key.removeprefix(f"Segment{k}_"): text for key, text in header.items()
-        }
-        if "ID" not in fields:
+    for number in range(count):
+        segment = _read_segment(header, number, count, volumes)
+        if not 0 <= segment.volume < volumes:
             raise VolumeError(
-                f"Segment{k}_ID is not in its header: expected {count} segments from 0 on"
+                f"segment {segment.name} lies in layer {segment.volume}; the file has "
+                f"{volumes}"
             )
-        name = fields.get("Name", fields["ID"])
-        try:
-            # Slicer up to 4.10 says neither: each component is a segment.
-            place, label = (k, 1) if layers == count else (0, k + 1)
-            volume = int(fields.get("Layer", place))
-            value = int(fields.get("LabelValue", label))
-            colour = tuple(float(part) for part in fields.get("Color", "").split())
-            if len(colour) not in (0, 3) or not all(
-                0.0 <= part <= 1.0 for part in colour
-            ):
-                raise ValueError(f"colour {colour}: expected three from 0 to 1")
-        except ValueError as error:
+        place = (segment.volume, segment.value)
+        if place in structures:
             raise VolumeError(
-                f"segment {name}: {error}; expected numbers in its header"
-            ) from error
-        if not 0 <= volume < layers:
-            raise VolumeError(
-                f"segment {name} lies in layer {volume}; the file has {layers}"
+                f"segment {segment.name} has the label {segment.value} of another: give "
+                "it its own"
             )
-        if (volume, value) in found:
-            raise VolumeError(
-                f"segment {name} has the label {value} of another: give it its own"
-            )
-        made = Structure.named(name, value, volume)
-        found[volume, value] = replace(made, colour=colour or made.colour)
-    return list(found.values())
+        structure = Structure.named(segment.name, segment.value, segment.volume)
+        structures[place] = replace(
+            structure, colour=segment.colour or structure.colour
+        )
+    return list(structures.values())
 
 
-def _read(path: Path) -> tuple[list[NDArray[Any]], Grid, dict[str, str]]:
-    """Return one array (i, j, k) per component, their grid, and the file's header."""
+def _read_segment(
+    header: Mapping[str, str], number: int, count: int, volumes: int
+) -> _Segment:
+    """Return one segment of a header."""
+    prefix = f"Segment{number}_"
+    fields = {key.removeprefix(prefix): text for key, text in header.items()}
+    if "ID" not in fields:
+        raise VolumeError(
+            f"{prefix}ID is not in its header: expected {count} segments from 0 on"
+        )
+    name = fields.get("Name", fields["ID"])
+    # Slicer up to 4.10 states neither layer nor label: each component is a segment.
+    is_component = volumes == count
+    try:
+        return _Segment(
+            name=name,
+            volume=int(fields.get("Layer", number if is_component else 0)),
+            value=int(fields.get("LabelValue", 1 if is_component else number + 1)),
+            colour=_read_colour(fields.get("Color", "")),
+        )
+    except ValueError as error:
+        raise VolumeError(
+            f"segment {name}: {error}; expected numbers in its header"
+        ) from error
+
+
+def _read_colour(text: str) -> tuple[float, ...]:
+    """Return the numbers of a colour, none of an empty text."""
+    colour = tuple(float(number) for number in text.split())
+    is_in_range = all(0.0 <= number <= 1.0 for number in colour)
+    if len(colour) not in (0, 3) or not is_in_range:
+        raise ValueError(f"colour {colour}: expected three from 0 to 1")
+    return colour
+
+
+def _read_image(path: Path) -> _Image:
+    """Read a file or a folder, and refuse what is not whole or does not say where it is."""
+    image = _open_image(path)
+    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
+        raise VolumeError(
+            f"{path} has {image.GetSize()} voxels: expected three dimensions"
+        )
+    spacing_mm = np.array(image.GetSpacing())
+    axes_mm = np.array(image.GetDirection()).reshape(3, 3) * spacing_mm
+    origin_m = M_PER_MM * np.array(image.GetOrigin())
+    grid = Grid(image.GetSize(), origin_m, M_PER_MM * axes_mm)
+    diagonal_m = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
+    if not MIN_DIAGONAL_m < diagonal_m < MAX_DIAGONAL_m:
+        raise VolumeError(
+            f"{path} measures {diagonal_m:.3g} m: expected a file in millimetres"
+        )
+    header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
+    if header.get("nifti_type") == "1":
+        require_whole_nifti(path, header, spacing_mm)
+    elif path.suffix in (".nrrd", ".nhdr"):
+        require_placed_nrrd(path)
+    elif not path.is_dir():
+        raise VolumeError(
+            f"{path}: whether a file of this kind says how it lies, and is whole, is not "
+            "known; export it as .nii, .nii.gz or .nrrd, or give the folder of a DICOM "
+            "series"
+        )
+    return _Image(_components(image), grid, header)
+
+
+def _open_image(path: Path) -> Any:
+    """Return the image of SimpleITK in a file or folder."""
     import SimpleITK
 
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
     language = locale.setlocale(locale.LC_CTYPE)
     try:
-        image = _read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
+        return read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
     except RuntimeError as error:
-        why = (
-            "no such file" if not path.exists() else str(error).strip().splitlines()[-1]
-        )
+        reason = "no such file"
+        if path.exists():
+            reason = str(error).strip().splitlines()[-1]
         raise VolumeError(
-            f"cannot read {path}: {why}; expected DICOM, .nii, .nii.gz, .nrrd or .seg.nrrd"
+            f"cannot read {path}: {reason}; expected DICOM, .nii, .nii.gz, .nrrd or "
+            ".seg.nrrd"
         ) from error
     finally:  # the DICOM library sets C, and Python's text files would be ASCII
         locale.setlocale(locale.LC_CTYPE, language)
-    if image.GetDimension() != 3 or min(image.GetSize()) < 2:
-        raise VolumeError(
-            f"{path} has {image.GetSize()} voxels: expected three dimensions"
-        )
-    axes = np.array(image.GetDirection()).reshape(3, 3) * np.array(image.GetSpacing())
-    grid = Grid(image.GetSize(), 1e-3 * np.array(image.GetOrigin()), 1e-3 * axes)
-    diagonal = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
-    if not SIZES_M[0] < diagonal < SIZES_M[1]:
-        raise VolumeError(
-            f"{path} measures {diagonal:.3g} m: expected a file in millimetres"
-        )
-    values = SimpleITK.GetArrayFromImage(
-        image
-    ).T  # it gives (k, j, i), or (k, j, i, component)
-    header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
-    if header.get("nifti_type") == "1":
-        _require_sound_nifti(path, header, np.array(image.GetSpacing()))
-    elif path.suffix in (".nrrd", ".nhdr"):
-        _require_placed_nrrd(path)
-    elif not path.is_dir():
-        raise VolumeError(
-            f"{path}: whether a file of this kind says how it lies, and is whole, is not known; "
-            "export it as .nii, .nii.gz or .nrrd, or give the folder of a DICOM series"
-        )
-    return [values] if values.ndim == 3 else list(values), grid, header
 
 
-def _require_sound_nifti(
-    path: Path, header: Mapping[str, str], spacing_mm: Array
-) -> None:
-    """Refuse a file that is cut short or damaged, or does not say how it lies, or says
-    two things.
+def _components(image: Any) -> list[NDArray[Any]]:
+    """Return the numbers of an image, one array (i, j, k) per component.
 
-    SimpleITK fills what is missing with zeros, and takes spacing and directions from
-    two places.
+    SimpleITK gives (k, j, i), or (k, j, i, component).
     """
-    sizes = [int(header[f"dim[{k}]"]) for k in range(1, int(header["dim[0]"]) + 1)]
-    needed = float(header["vox_offset"]) + np.prod(sizes) * int(header["bitpix"]) / 8
-    try:
-        with path.open("rb") as plain:
-            file = (
-                gzip.GzipFile(fileobj=plain)
-                if plain.peek(2)[:2] == b"\x1f\x8b"
-                else plain
-            )
-            start = file.read(128)
-            found = file.seek(0, os.SEEK_END)
-        if found < needed:
-            raise EOFError(f"{found} bytes of {needed:.0f}")
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise VolumeError(
-            f"{path} ends early or is damaged: {error}; copy it again"
-        ) from error
-    has_matrix = header["sform_code"] != "0"
-    if not has_matrix and header["qform_code"] == "0":
-        raise VolumeError(
-            f"{path} does not say how it lies (neither qform nor sform): left and right are "
-            "unknown; export it again"
-        )
-    order = "<" if start[0] else ">"
-    kind, place = NIFTI_SPACING[int(np.frombuffer(start, f"{order}i4", 1)[0])]
-    stated = np.frombuffer(start, order + kind, 3, place)
-    rows = [
-        [float(part) for part in header[f"srow_{axis}"].split()[:3]] for axis in "xyz"
-    ]
-    lengths = np.linalg.norm(rows, axis=0) if has_matrix else spacing_mm
-    if not np.allclose([stated, lengths], spacing_mm, rtol=0.01, atol=0.0):
-        raise VolumeError(
-            f"{path}: its header states a spacing of {stated.tolist()} mm (pixdim), and its matrix "
-            f"(sform) one of {np.round(lengths, 4).tolist()}: expected the same; export it again"
-        )
-
-
-def _require_placed_nrrd(path: Path) -> None:
-    """Refuse a file that does not say in millimetres of the patient how it lies."""
-    with path.open("rb") as file:
-        start = re.split(
-            r"\r?\n\r?\n", file.read(1 << 22).decode("latin-1"), maxsplit=1
-        )[0]
-    fields = {
-        key.lower(): text
-        for key, text in re.findall(r"(?m)^([^:\n]+): (.*?)\r?$", start)
-    }
-    space = fields.get("space", "none")
-    units = fields.get("space units", "")
-    if space.lower() not in NRRD_SPACES.split():
-        why = f"its space is {space!r}: expected left-posterior-superior, or RAS or LAS"
-    elif "space directions" not in fields:
-        why = "it has no `space directions`: spacing and orientation are unknown"
-    elif set(units.replace('"', " ").split()) - {"mm", "millimeter", "millimetre"}:
-        why = f"its space units are {units}: expected mm"
-    else:
-        return
-    raise VolumeError(f"{path}: {why}; export it again")
-
-
-def _read_series(folder: Path) -> Any:
-    """Read a DICOM series after a look at where its slices lie."""
     import SimpleITK
 
-    reader = SimpleITK.ImageSeriesReader()
-    if len(series := reader.GetGDCMSeriesIDs(str(folder))) != 1:
-        raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one; put each into its own folder"
-        )
-    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    headers = np.array([_slice_header(name) for name in files])
-    if np.ptp(headers[:, 3:], axis=0).any():
-        raise VolumeError(
-            f"{folder}: slices differ in size, spacing or orientation: mixed series"
-        )
-    axes = headers[0, 3:9].reshape(2, 3)
-    steps = (
-        np.diff(headers[:, :3], axis=0)
-        @ np.vstack((axes, np.cross(axes[0], axes[1]))).T
-    )
-    apart = np.abs(steps[:, 2])
-    usual = float(np.median(apart)) if len(apart) else 0.0
-    if usual < 1e-3:
-        raise VolumeError(
-            f"{folder}: one slice, or all at the same place: expected one scan"
-        )
-    worst = int(np.abs(apart - usual).argmax())
-    if abs(apart[worst] - usual) > 0.01 * usual:
-        raise VolumeError(
-            f"{folder}: slices are {usual:.3f} mm apart, but {apart[worst]:.3f} mm after "
-            f"{Path(files[worst]).name}: a slice is missing or doubled"
-        )
-    aside = np.abs(steps[:, :2]).max(), np.abs(np.cumsum(steps[:, :2], axis=0)).max()
-    if aside[0] > 0.01 * usual or aside[1] > 0.5 * headers[0, 9:11].min():
-        raise VolumeError(
-            f"{folder}: slices are sheared (gantry tilt): resample the scan"
-        )
-    reader.SetFileNames(files)
-    return reader.Execute()
-
-
-def _slice_header(name: str) -> list[float]:
-    """Position, orientation, spacing and size of a DICOM slice, 13 numbers."""
-    import SimpleITK
-
-    reader = SimpleITK.ImageFileReader()
-    found = []
-    reader.SetFileName(name)
-    reader.ReadImageInformation()
-    for tag in ("0020|0032", "0020|0037", "0028|0030", "0028|0010", "0028|0011"):
-        if not reader.HasMetaDataKey(tag):
-            raise VolumeError(
-                f"{name} has no DICOM tag {tag}: expected slices of one scan"
-            )
-        found += [float(part) for part in reader.GetMetaData(tag).split("\\")]
-    return found
+    values = SimpleITK.GetArrayFromImage(image).T
+    return [values] if values.ndim == 3 else list(values)

@@ -1,21 +1,27 @@
-"""Moving the needle: tasks in strict priority, guidance, teleoperation, autonomy, the
-manager.
+"""Moving the needle: tasks in priority, guidance, teleoperation, autonomy, the manager.
 
     control = Controller(robot, Limits(robot))
     for sample in arm:
-        command = control.update(sample, [RemoteCentre(trocar_m),
-        TipVelocity(wish_m_s)]) arm.send(command.dq_rad_s)
+        stack = [RemoteCentre(trocar_m), TipVelocity(wish_m_s)]
+        arm.send(control.update(sample, stack).dq_rad_s)
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `controller` (one tick), `manager`,
-`passivity`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `controller` (one
+tick), `priority_solver`, `state_machine`, `monitors`, `manager`, `event_log`,
+`rupture_counter`, `insertion_profile`, `guidance`, `passivity`, `teleoperation_sides`,
+`teleoperation`.
 """
 
-from needleforce.control.controller import Controller as Controller, Limits as Limits
+from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (
     ControlError as ControlError,
     SettingError as SettingError,
+)
+from needleforce.control.event_log import (
+    read_events as read_events,
+    replay as replay,
+    write_mcap as write_mcap,
 )
 from needleforce.control.guidance import Guidance as Guidance
 from needleforce.control.insertion_profile import (
@@ -23,15 +29,10 @@ from needleforce.control.insertion_profile import (
     InsertionProfile as InsertionProfile,
     depth_of as depth_of,
 )
-from needleforce.control.manager import (
-    Manager as Manager,
-    Situation as Situation,
-    State as State,
-    read_events as read_events,
-    replay as replay,
-    write_mcap as write_mcap,
-)
+from needleforce.control.joint_limits import Limits as Limits
+from needleforce.control.manager import Manager as Manager, Situation as Situation
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
+from needleforce.control.state_machine import State as State
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     DecoupledMotion as DecoupledMotion,

@@ -1,5 +1,4 @@
-"""Manual guidance: the arm yields to a hand anywhere on it, felt through the joint
-residual.
+"""Manual guidance: the arm yields to a hand anywhere on it, felt by its joint residual.
 
     T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -z h, z h)
 
@@ -11,7 +10,7 @@ within h again.
 
 A stiff hand makes a loop with the arm that swings unless the damping is high, the more
 so the later the torques come; and a hand that leads wants it low. So the damping grows
-while what is felt swings (compare Landi et al., IROS 2017), and fades:
+while what is felt swings (compare Landi et al., IROS 2017), and decays:
 
     d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
@@ -26,53 +25,114 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from needleforce.control.errors import SettingError
-from needleforce.control.ports import Array
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MOST_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
 LAG_s = 0.02
-LEAST = 1.6e-3
-SIGMAS = 4.0
-"""T, f and s. Without a hand r keeps within 0.2 h in 40 s where torques are clean,
-0.4 h on FRI."""
-# z while a hand is felt, times in which it falls, returns
-LEFT = 0.15
-OPEN_s = 0.05
-CLOSE_s = 0.5
-LWR_DAMPING_Nms = (
-    3.2,
-    3.2,
-    1.1,
-    1.1,
-    0.4,
-    0.24,
-    0.1,
-)  # D per rad: 10 to 25 Ns/m at the hub
-STEADY_s = 0.12
-STEADY = 0.9
-"""Time of the means, and q_0: a hand that begins to lead stays above it, if not by
-much."""
-RISE_per_s = 30.0
-FADE_per_s = 4.0
-FIRST = 3.0
-MOST = 50.0
-"""a, b, c when a hand is first felt, and c_max. With c = 1 at first a hand of 5000 N/m
-swings an arm by 30 mm where torques come late; with c_max = 20 the arm runs away from
-it."""
+"""T: shorter lets the noise of the torques through, longer makes the arm feel soft."""
+
+DEAD_ZONE_FRACTION = 1.6e-3
+"""f. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
+
+DEAD_ZONE_SIGMAS = 4.0
+"""s: noise alone passes it once in 16,000 samples of a joint."""
+
+FELT_ZONE = 0.15
+"""z while a hand is felt: the whole dead zone would take 3 N at the hub of a moving arm."""
+
+ZONE_OPENS_s = 0.05
+"""Time constant with which z falls: a hand that begins to push is not held up."""
+
+ZONE_CLOSES_s = 0.5
+"""Time constant with which z returns: a hand that turns round does not meet it again."""
+
+LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
+"""D of an LWR per rad, 10 to 25 Ns/m at the hub."""
+
+MEAN_s = 0.12
+"""Time constant of the means m and p: a hand that leads keeps its direction longer."""
+
+STEADY_RATIO = 0.9
+"""q_0. A hand that begins to lead stays above it, if not by much."""
+
+DAMPING_RISE_per_s = 30.0
+"""a: the damping grows by e in 33 ms where the motion only swings, before it is large."""
+
+DAMPING_DECAY_per_s = 4.0
+"""b: the damping decays in 0.25 s, once the hand leads."""
+
+FIRST_DAMPING_FACTOR = 3.0
+"""c when a hand is first felt: with 1 a hand of 5000 N/m swings an arm by 30 mm where
+torques come late."""
+
+MAX_DAMPING_FACTOR = 50.0
+"""c_max: with 20 the arm runs away from a hand of 5000 N/m where torques come late."""
+
 HOLD_s = 0.02
-"""The last residual stands in for rejected ones for so long, and fades after that: a
+"""The last residual stands in for rejected ones for so long, and decays after that: a
 hand that lets go looks like a spike, and an arm that stopped at once for it would make
 the next one."""
-GROWTH_s = 20.0
+
+SIGMA_GROWTH_s = 20.0
 """Time over which sigma may grow by e: torques drift slowly since the tare, hands
 come at once."""
+
 REST_rad_s = 1e-6
-LONGEST_s = 0.1
-"""What counts as rest, and the most time that a step stands for: a longer one is a
-pause."""
+"""A slower motion that no torque drives counts as rest."""
+
+MAX_GUIDED_STEP_s = 0.1
+"""The most time that a step stands for: a longer one is a pause."""
+
+MIN_POWER_W = 1e-12
+"""Keeps q finite where nothing moves."""
+
+
+class _SwingDamping:
+    """The factor c by which the damping grows while the motion swings, see the module.
+
+    Args:
+        damping_Nms: D of every joint, shape (n,).
+
+    Attributes:
+        factor: c.
+    """
+
+    def __init__(self, damping_Nms: Array) -> None:
+        self._damping_Nms = damping_Nms
+        self.factor = FIRST_DAMPING_FACTOR
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin the means anew."""
+        self._mean_rad_s = np.zeros_like(self._damping_Nms)
+        self._mean_power_W = 0.0
+        self._weight = 0.0  # of the samples in the means: 1 once they are full
+
+    def rest(self) -> None:
+        """End a motion: the next one is another one."""
+        self._forget()
+        self.factor = max(self.factor, FIRST_DAMPING_FACTOR)
+
+    def update(self, velocity_rad_s: Array, dt_s: float) -> None:
+        """Adapt the factor to a velocity w of the joints, shape (n,)."""
+        damping_Nms = self._damping_Nms
+        decay = math.exp(-dt_s / MEAN_s)
+        power_W = float(velocity_rad_s**2 @ damping_Nms)
+        self._weight = decay * self._weight + 1.0 - decay
+        self._mean_rad_s = decay * self._mean_rad_s + (1.0 - decay) * velocity_rad_s
+        self._mean_power_W = decay * self._mean_power_W + (1.0 - decay) * power_W
+        steady_ratio = float(self._mean_rad_s**2 @ damping_Nms) / max(
+            self._mean_power_W * self._weight, MIN_POWER_W
+        )
+        rate_per_s = DAMPING_RISE_per_s * max(
+            1.0 - steady_ratio / STEADY_RATIO, 0.0
+        ) - DAMPING_DECAY_per_s * math.log(self.factor)
+        grown = max(self.factor * math.exp(dt_s * rate_per_s), 1.0)
+        self.factor = min(grown, MAX_DAMPING_FACTOR)
 
 
 class Guidance:
@@ -93,32 +153,37 @@ class Guidance:
     def __init__(
         self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None
     ) -> None:
-        given = damping_Nms_per_rad
-        if given is None and robot.joint_names[0].startswith("lwr"):
-            given = LWR_DAMPING_Nms
-        self._damping = np.array(given, dtype=np.float64)
-        is_positive = np.isfinite(self._damping).all() and (self._damping > 0.0).all()
-        if self._damping.shape != (robot.nv,) or not is_positive:
-            what = f"a positive number for each of {robot.nv} joints"
-            raise SettingError(f"damping is {given!r}, expected {what}")
-        self._least_Nm = LEAST * known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+        damping = damping_Nms_per_rad
+        if damping is None and robot.joint_names[0].startswith("lwr"):
+            damping = LWR_DAMPING_Nms
+        self._damping_Nms = np.array(damping, dtype=np.float64)
+        is_positive = bool(
+            np.isfinite(self._damping_Nms).all() and (self._damping_Nms > 0.0).all()
+        )
+        if self._damping_Nms.shape != (robot.nv,) or not is_positive:
+            raise SettingError(
+                f"damping is {damping!r}, expected a positive number for each of "
+                f"{robot.nv} joints"
+            )
+        torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+        self._min_zone_Nm = DEAD_ZONE_FRACTION * torque_limit_Nm
         self.reset()
 
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
-        self._wish = self._beyond_Nm = self._mean = np.zeros_like(self._damping)
-        self._power_W = 0.0
-        self._seen = 0.0
-        self._heavy = FIRST
-        self._zone = 1.0
-        self._sigma_Nm = np.full(self._damping.shape, np.inf)
+        self._velocity_rad_s = np.zeros_like(self._damping_Nms)  # w
+        self._beyond_Nm = np.zeros_like(self._damping_Nms)  # dz(r)
+        self._swing = _SwingDamping(self._damping_Nms)
+        self._zone = 1.0  # z
+        self._sigma_Nm = np.full(self._damping_Nms.shape, np.inf)
         self._rejected_s = 0.0
 
     def update(
         self, residual_Nm: Array, sigma_Nm: Array, dt_s: float, *, is_valid: bool = True
     ) -> JointVelocity:
-        """The task of the coming cycle. A number that is not finite counts as a
-        rejected sample.
+        """Return the task of the coming cycle.
+
+        A residual that is not finite counts as rejected.
 
         Args:
             residual_Nm: Torque of the environment on the joints,
@@ -128,52 +193,50 @@ class Guidance:
             is_valid: Whether the residual is of this cycle, `Status.OK`.
         """
         if not 0.0 < as_float(dt_s) < math.inf:
-            return JointVelocity(self._wish / self._heavy)
-        dt_s = min(dt_s, LONGEST_s)
-        # A hand is no contact at the tip: the sensor takes it for an error of its own
-        # and widens sigma as the residual grows. What counts is sigma without a hand.
+            return self._task()
+        dt_s = min(dt_s, MAX_GUIDED_STEP_s)
         if is_valid:
-            self._sigma_Nm = np.fmin(
-                math.exp(dt_s / GROWTH_s) * self._sigma_Nm, sigma_Nm
-            )
-        zone = self._least_Nm + SIGMAS * self._sigma_Nm
-        is_felt = bool(
-            (np.abs(residual_Nm) > zone).any()
-        )  # not by a number that is not finite
-        goal, time_s = (LEFT, OPEN_s) if is_felt else (1.0, CLOSE_s)
-        self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
-        zone *= self._zone
-        beyond = residual_Nm - np.clip(residual_Nm, -zone, zone)
-        kept = math.exp(-dt_s / LAG_s)
-        if is_valid and np.abs(beyond).max() < MOST_PLAUSIBLE:
-            self._beyond_Nm = beyond
+            self._update_sigma(sigma_Nm, dt_s)
+        zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
+        decay = math.exp(-dt_s / LAG_s)
+        beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
+        if is_valid and np.abs(beyond_Nm).max() < MOST_PLAUSIBLE:
+            self._beyond_Nm = beyond_Nm
             self._rejected_s = 0.0
         else:
             self._rejected_s += dt_s
-            self._beyond_Nm = self._beyond_Nm * (
-                kept if self._rejected_s > HOLD_s else 1.0
-            )
-        wish = self._beyond_Nm / self._damping
-        self._wish = wish + kept * (self._wish - wish)
-        if not self._beyond_Nm.any() and np.abs(self._wish).max() < REST_rad_s:
-            self._wish = np.zeros_like(self._wish)
-        if self._wish.any():
-            old = math.exp(-dt_s / STEADY_s)
-            self._seen = old * self._seen + 1.0 - old
-            self._mean = old * self._mean + (1.0 - old) * self._wish
-            self._power_W = old * self._power_W + (1.0 - old) * float(
-                self._wish**2 @ self._damping
-            )
-            steady = float(self._mean**2 @ self._damping) / max(
-                self._power_W * self._seen, 1e-12
-            )
-            rate = RISE_per_s * max(1.0 - steady / STEADY, 0.0) - FADE_per_s * math.log(
-                self._heavy
-            )
-            self._heavy = min(max(self._heavy * math.exp(dt_s * rate), 1.0), MOST)
-        else:  # nothing is felt, so the next motion is another one
-            self._mean = np.zeros_like(self._wish)
-            self._power_W = 0.0
-            self._seen = 0.0
-            self._heavy = max(self._heavy, FIRST)
-        return JointVelocity(self._wish / self._heavy)
+            if self._rejected_s > HOLD_s:
+                self._beyond_Nm = self._beyond_Nm * decay
+        driven_rad_s = self._beyond_Nm / self._damping_Nms
+        velocity_rad_s = driven_rad_s + decay * (self._velocity_rad_s - driven_rad_s)
+        if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < REST_rad_s:
+            velocity_rad_s = np.zeros_like(velocity_rad_s)
+        self._velocity_rad_s = velocity_rad_s
+        if velocity_rad_s.any():
+            self._swing.update(velocity_rad_s, dt_s)
+        else:
+            self._swing.rest()
+        return self._task()
+
+    def _update_sigma(self, sigma_Nm: Array, dt_s: float) -> None:
+        """Follow the deviation of the residual without a hand.
+
+        A hand is no contact at the tip: the sensor takes it for an error of its own and
+        widens sigma as the residual grows. So sigma may grow slowly only.
+        """
+        grown_Nm = math.exp(dt_s / SIGMA_GROWTH_s) * self._sigma_Nm
+        self._sigma_Nm = np.fmin(grown_Nm, sigma_Nm)
+
+    def _update_dead_zone(self, residual_Nm: Array, dt_s: float) -> Array:
+        """Open the dead zone where a hand is felt, else close it; return z h, (n,)."""
+        zone_Nm = self._min_zone_Nm + DEAD_ZONE_SIGMAS * self._sigma_Nm
+        # A number that is not finite is no hand: it compares as not larger.
+        is_felt = bool((np.abs(residual_Nm) > zone_Nm).any())
+        goal = FELT_ZONE if is_felt else 1.0
+        time_s = ZONE_OPENS_s if is_felt else ZONE_CLOSES_s
+        self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
+        return zone_Nm * self._zone
+
+    def _task(self) -> JointVelocity:
+        """Return v = w / c as a task."""
+        return JointVelocity(self._velocity_rad_s / self._swing.factor)

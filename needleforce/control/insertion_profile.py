@@ -7,6 +7,7 @@ limits of the arm allow.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from numbers import Integral
 from typing import NamedTuple
@@ -14,50 +15,54 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.estimate import Estimate, RuptureState
-from needleforce.control.errors import SettingError, require_positive
+from foundation.arrays import Array
+from identification.estimate import Estimate
+from needleforce.control.errors import SettingError
 from needleforce.control.manager import Situation
-from needleforce.control.ports import Array
+from needleforce.control.rupture_counter import RuptureCounter
+from needleforce.control.setting_checks import require_positive
+from needleforce.control.state_machine import State
 
-_TRACK_PER_S = 10.0  # Gain with which a stroke keeps to its course
-_BACK_m_s2 = 0.3  # With which a command taken back comes to rest; a quicker one tugs at the tissue
-_HOLD_PER_S = 5.0  # Gain with which a stopped tip is held; a soft arm follows in 0.1 s
-_NEAR_M = 2e-5  # So near to its end a motion has arrived
-# Time constants: of the force, and of the memory of its last peak
-_SMOOTH_S = 3e-3
-_PEAK_S = 0.1
-_BLOCK_S = 0.2
-_RUPTURE_S = 0.3
-_PAST_S = 5.0
-_FIRST_S = 1.0
-"""Ordinary is the largest fall of the last seconds, without those newer than a block
-and of counted ruptures. A heartbeat is, once the needle has been in tissue for a
-second."""
-_LARGE = 0.03
-_FIRST_LARGE = 0.15
-_LARGE_N = 0.08
-_BEYOND = 2.0
-_LEAST_N = 0.03
-_LASTS_S = 1.5e-3
-"""A fall by so much of the force, more in that second, in newtons, and so many times
-the ordinary one is a rupture, if it lasts longer than a jerk of the arm; and the least
-fall of an alarm."""
-_MOST_RISE_N_per_s = (
-    15.0  # A force that rises more quickly is a jerk of the arm, no push of tissue
-)
-_GAP_S = 2.5e-3
-_GAP_STEPS = 2.5
-_FADE_S = 0.05
-"""A step so long, and so many usual ones, is a gap: an arm stops and starts, the
-force is off."""
-_APART_M = 3e-3  # Two ruptures less far apart are one
-_SETTLED_S = 0.1  # So long after its last change a command is steady: late forces fall until then
+TRACKING_GAIN_PER_s = 10.0
+"""Gain with which a stroke keeps to its course."""
+
+RETURN_m_s2 = 0.3
+"""Deceleration with which a command that goes back to the tip comes to rest; a quicker
+one tugs at the tissue."""
+
+HOLDING_GAIN_PER_s = 5.0
+"""Gain with which a stopped tip is held; a soft arm follows in 0.1 s."""
+
+ARRIVED_m = 2e-5
+"""Distance from its end at which a motion has arrived: far below the error of a plan."""
+
+MIN_GAP_s = 2.5e-3
+"""A shorter step between samples is no gap: a cycle of 1 kHz or one that was late."""
+
+GAP_STEPS = 2.5
+"""A step of so many usual ones is a gap: an arm stops and starts in it, and the force is
+off."""
+
+FADING_s = 0.05
+"""Time after a gap for which the force is off."""
+
+USUAL_STEP_WEIGHT = 0.02
+"""Weight of a new step in the mean of the steps, over some 50 samples."""
+
+SETTLED_s = 0.1
+"""So long after its last change a command is steady: late forces fall until then."""
+
+TIME_ROUNDING_s = 1e-6
+"""Two times that are nearer to each other are the same."""
+
+MAX_STROKE_SPEED = 3.75
+"""Largest speed of a stroke, times its time over its length: twice the fastest of the
+quintic course."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InsertionPlan:
-    """What to do, along the needle, inwards positive; `SettingError` for numbers
-    that cannot be.
+    """What to do, along the needle, inwards positive.
 
     Attributes:
         speed_m_s: Of insertion and withdrawal.
@@ -68,6 +73,9 @@ class InsertionPlan:
         stroke_s: Time of the approach, and of the stroke each way.
         dwell_s: Time at the end of the insertion.
         acceleration_m_s2: Of starts and of planned ends.
+
+    Raises:
+        SettingError: A number that cannot be.
     """
 
     speed_m_s: float
@@ -91,106 +99,30 @@ class InsertionPlan:
 def depth_of(
     target_m: ArrayLike, tip_m: ArrayLike, axis: Array, *, tolerance_m: float = 1e-3
 ) -> float:
-    """Depth [m] of a planned target, base frame, shape (3,), from the place of the tip
-    at the tare.
+    """Return the depth [m] of a planned target from the place of the tip at the tare.
 
-    `SettingError` where it lies behind the tip, or off the needle's line by more than a
-    tolerance.
+    Args:
+        target_m: The target, base frame, shape (3,).
+        tip_m: The tip at the tare, base frame, shape (3,).
+        axis: Direction of the needle, base frame, shape (3,).
+        tolerance_m: Largest distance of the target from the needle's line.
+
+    Raises:
+        SettingError: The target lies behind the tip, or off the needle's line.
     """
     if not np.linalg.norm(axis) > 0.0:
         raise SettingError(f"axis is {axis!r}, expected a direction of three numbers")
-    way = np.subtract(target_m, tip_m)
+    to_target_m = np.subtract(target_m, tip_m)
     axis = axis / np.linalg.norm(axis)
-    depth_m = float(axis @ way)
-    miss_m = float(np.linalg.norm(way - depth_m * axis))
+    depth_m = float(axis @ to_target_m)
+    miss_m = float(np.linalg.norm(to_target_m - depth_m * axis))
     if not (depth_m > 0.0 and miss_m <= tolerance_m):
         raise SettingError(
-            f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm beside the "
-            f"needle's line, expected ahead and within {1e3 * tolerance_m:g} mm: align the needle"
+            f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm "
+            "beside the needle's line, expected ahead and within "
+            f"{1e3 * tolerance_m:g} mm: align the needle"
         )
     return depth_m
-
-
-class RuptureCount:
-    """Ruptures, counted by a program that knows how the needle is commanded.
-
-    By itself the identification must wait whether a fall of the force is a needle that
-    brakes. At a steady command it is none, but a beating heart, a jerky arm and slow
-    noise make the force fall, too, again and again. So one counts that is large, or
-    likely a rupture, and several times the largest of the last seconds; with an alarm
-    any larger one: a tip at a membrane has left nothing.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._last_m = -math.inf
-        self._force_N = self._peak_N = self._inside_s = self._block_s = (
-            self._fallen_s
-        ) = 0.0
-        self._newest_N = self._newer_N = self._ordinary_N = (
-            0.0  # largest falls, by their age
-        )
-
-    def update(
-        self,
-        found: Estimate,
-        axial_N: float,
-        depth_m: float,
-        dt_s: float,
-        *,
-        is_steady: bool,
-    ) -> bool:
-        """Whether one more layer has been left; steady is the speed that is
-        commanded.
-        """
-        if not math.isfinite(axial_N):
-            return False
-        self._inside_s = max(
-            self._inside_s + (dt_s if found.in_contact else -dt_s), 0.0
-        )
-        self._force_N -= math.expm1(-dt_s / _SMOOTH_S) * (axial_N - self._force_N)
-        self._peak_N += dt_s / _PEAK_S * (self._force_N - self._peak_N)
-        if (
-            self._block_s < 0.0 or not is_steady
-        ):  # what falls then is that rupture, or the start
-            self._peak_N = self._force_N
-        rise_N = min(max(self._force_N - self._peak_N, 0.0), _MOST_RISE_N_per_s * dt_s)
-        self._peak_N = self._peak_N + rise_N
-        alarm = found.rupture
-        self._block_s += dt_s
-        seen_N = self._peak_N - self._force_N
-        self._newest_N = max(
-            self._newest_N, seen_N if found.in_contact else min(seen_N, _LARGE_N)
-        )
-        self._ordinary_N *= math.exp(-dt_s / _PAST_S)
-        if self._block_s > _BLOCK_S:
-            self._ordinary_N = max(self._ordinary_N, self._newer_N)
-            self._block_s, self._newest_N, self._newer_N = 0.0, 0.0, self._newest_N
-        fall_N = (
-            max(self._peak_N, alarm.force_N if alarm else -math.inf) - self._force_N
-        )
-        is_known = self._inside_s > _FIRST_S
-        is_large = fall_N > max(
-            (_LARGE if is_known else _FIRST_LARGE) * self._peak_N, _LARGE_N
-        )
-        is_likely = is_known and found.rupture_state is RuptureState.EXPECTED
-        is_likely |= is_large and self._inside_s > _RUPTURE_S + _BLOCK_S
-        is_likely &= is_steady and fall_N > max(_BEYOND * self._ordinary_N, _LEAST_N)
-        self._fallen_s = self._fallen_s + dt_s if is_likely else 0.0
-        is_alarm = alarm is not None and fall_N > max(self._ordinary_N, _LEAST_N)
-        is_rupture = found.in_contact and (is_alarm or self._fallen_s > _LASTS_S)
-        if (
-            not is_rupture
-            or (alarm.depth_m if alarm else depth_m) < self._last_m + _APART_M
-        ):
-            return False
-        self.count = self.count + 1
-        self._last_m = depth_m
-        self._block_s = -_RUPTURE_S
-        self._newest_N = 0.0
-        self._newer_N = 0.0
-        self._inside_s = 0.0
-        return True
 
 
 class Step(NamedTuple):
@@ -198,7 +130,7 @@ class Step(NamedTuple):
 
     Attributes:
         speed_m_s: Along the needle, inwards.
-        event: To request of the manager.
+        event: To request of the manager; empty for none.
     """
 
     speed_m_s: float
@@ -208,144 +140,185 @@ class Step(NamedTuple):
 class InsertionProfile:
     """Runs a plan once; call `update` after every `Manager.update`.
 
-    What is refused, released or stopped before the insertion ends the plan. What is
-    commanded lies ahead of the tip of a soft arm, which would follow when the force
-    falls. So a rupture takes the command back to where the tip is; then the tip is held
-    there.
+    A request that is refused, or a release or stop before the insertion, ends the plan.
+    The command is ahead of the tip of a soft arm, which would follow when the force
+    falls. So after a rupture the command goes back to where the tip is; then the tip is
+    held there.
+
+    Args:
+        plan: What to do.
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
-        self._ruptures = RuptureCount()
+        self._ruptures = RuptureCounter()
         self._plan = plan
+        # Events that remain to be requested at idle.
         self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]
-        self._from_m = self._last_s = self._asked_m = self._steady_s = self._step_s = (
-            0.0
-        )
-        self._held_m: float | None = None  # where an insertion has ended
+        self._time_s = 0.0
+        self._usual_step_s = 0.0
+        self._steady_s = 0.0  # time since the last change of the command
+        self._start_m = 0.0  # depth at the begin of the motion
+        self._commanded_m = 0.0
+        self._end_m: float | None = None  # depth at which an insertion has ended
+        self._is_at_tip = False  # whether the command is back at the tip
         # of the last call
         self._last = Step(0.0)
         self._state = ""
-        self._is_slack = False
 
     def update(
         self,
-        now: Situation,
+        situation: Situation,
         identification: Estimate | None = None,
         axial_N: float | None = None,
     ) -> Step:
-        """Speed and event that follow from what is known now.
+        """Return speed and event for the coming cycle.
 
         Args:
-            now: From the manager.
+            situation: From the manager.
             identification: Of another force sensor; by default that of the session.
             axial_N: Axial force of that sensor.
         """
-        dt_s = now.time_s - self._last_s
-        self._last_s = now.time_s
-        found = identification or now.estimate.identification
-        force_N = now.estimate.wrench.axial_unsmoothed if axial_N is None else axial_N
-        is_going = (
-            now.is_moving and now.state.value != "dwell"
-        )  # which goes on from an insertion
-        if is_going and now.state_s < dt_s + 1e-6:  # entered since the last call
-            self._from_m = self._asked_m = now.estimate.depth_m
-        before = self._state
-        state = now.state.value
-        # Strike out what has begun; a program that does not go on as planned ends.
+        estimate = situation.estimate
+        dt_s = situation.time_s - self._time_s
+        self._time_s = situation.time_s
+        # A dwell goes on from an insertion.
+        has_motion = situation.is_moving and situation.state != State.DWELL
+        if has_motion and situation.state_s < dt_s + TIME_ROUNDING_s:
+            self._start_m = estimate.depth_m
+            self._commanded_m = estimate.depth_m
+        self._update_program(situation.state)
+        self._last = self._next_step(
+            situation,
+            dt_s,
+            identification or estimate.identification,
+            estimate.wrench.axial_unsmoothed if axial_N is None else axial_N,
+        )
+        self._commanded_m += dt_s * self._last.speed_m_s
+        return self._last
+
+    def _update_program(self, state: State) -> None:
+        """Strike out what has begun; end a program that does not go on as planned."""
+        last_state = self._state
+        self._state = state.value
         has_begun = bool(self._program) and state.startswith(self._program[0])
-        is_arrival = state == "idle" and self._last.event == "arrived"
-        is_refused = before == "idle" and self._last.event != "" and not has_begun
-        is_left = state != before and before in ("approach", "tare") and not is_arrival
-        if is_refused or is_left or state in ("stopped", "faulted"):
+        is_arrival = state == State.IDLE and self._last.event == "arrived"
+        is_refused = last_state == "idle" and self._last.event != "" and not has_begun
+        is_broken_off = (
+            state != last_state
+            and last_state in ("approach", "tare")
+            and not is_arrival
+        )
+        if is_refused or is_broken_off or state in (State.STOPPED, State.FAULTED):
             self._program = []
         elif has_begun:
             self._program = self._program[1:]
-        self._last = self._step(now, dt_s, found, force_N)
-        self._state = state
-        self._asked_m += dt_s * self._last.speed_m_s
-        return self._last
 
-    def _step(
-        self, now: Situation, dt_s: float, found: Estimate, axial_N: float
+    def _next_step(
+        self,
+        situation: Situation,
+        dt_s: float,
+        identification: Estimate,
+        axial_N: float,
     ) -> Step:
+        """Return what to do in the present state."""
         plan = self._plan
-        depth_m = now.estimate.depth_m
-        match now.state.value:
-            case "idle" if self._program:
+        depth_m = situation.estimate.depth_m
+        match situation.state:
+            case State.IDLE if self._program:
                 return Step(0.0, self._program[0])
-            case "approach":
-                return self._stroke(now, (plan.approach_m,))
-            case "tare":
-                return self._stroke(now, (-plan.tare_stroke_m, plan.tare_stroke_m))
-            case "insertion":
-                return self._insert(found, axial_N, depth_m, dt_s)
-            case "dwell":
-                is_over = now.state_s >= plan.dwell_s
-                return Step(0.0, "arrived") if is_over else Step(self._hold(depth_m))
-            case "withdraw":
-                return self._travel(-max(depth_m, 0.0), dt_s)
+            case State.APPROACH:
+                return self._stroke(situation, [plan.approach_m])
+            case State.TARE:
+                return self._stroke(
+                    situation, [-plan.tare_stroke_m, plan.tare_stroke_m]
+                )
+            case State.INSERTION:
+                return self._insert(identification, axial_N, depth_m, dt_s)
+            case State.DWELL:
+                if situation.state_s >= plan.dwell_s:
+                    return Step(0.0, "arrived")
+                return Step(self._hold_tip(depth_m))
+            case State.WITHDRAW:
+                return self._move_by(-max(depth_m, 0.0), dt_s)
             case _:
-                self._held_m = None
+                self._end_m = None
         return Step(0.0)
 
     def _insert(
-        self, found: Estimate, axial_N: float, depth_m: float, dt_s: float
+        self, identification: Estimate, axial_N: float, depth_m: float, dt_s: float
     ) -> Step:
-        self._held_m = depth_m
-        self._is_slack = False
-        self._steady_s = (self._steady_s + dt_s) * (
-            self._last.speed_m_s == self._plan.speed_m_s
+        """Insert to the planned depth, or until the planned layer ruptures."""
+        self._end_m = depth_m
+        self._is_at_tip = False
+        self._update_steady_time(dt_s)
+        has_ruptured = self._ruptures.update(
+            identification,
+            axial_N,
+            depth_m,
+            dt_s,
+            is_steady=self._steady_s > SETTLED_s,
         )
-        if dt_s > max(_GAP_S, _GAP_STEPS * self._step_s):
-            self._steady_s = min(self._steady_s, _SETTLED_S - _FADE_S)
-        self._step_s += 0.02 * (dt_s - self._step_s)
-        is_steady = self._steady_s > _SETTLED_S
-        is_left = self._ruptures.update(
-            found, axial_N, depth_m, dt_s, is_steady=is_steady
-        )
-        if is_left and self._ruptures.count == self._plan.layer:
-            return Step(self._hold(depth_m), "rupture")
-        step = self._travel(self._plan.depth_m - depth_m, dt_s)
-        self._is_slack = bool(step.event)  # a planned end is reached at rest
+        if has_ruptured and self._ruptures.count == self._plan.layer:
+            return Step(self._hold_tip(depth_m), "rupture")
+        step = self._move_by(self._plan.depth_m - depth_m, dt_s)
+        self._is_at_tip = bool(step.event)  # a planned end is reached at rest
         return step
 
-    def _hold(self, depth_m: float) -> float:
-        """Speed after an insertion: first back, if it has not come to rest by
-        itself.
+    def _update_steady_time(self, dt_s: float) -> None:
+        """Count the time at the planned speed; after a gap the force settles anew."""
+        is_planned_speed = self._last.speed_m_s == self._plan.speed_m_s
+        self._steady_s = (self._steady_s + dt_s) * is_planned_speed
+        if dt_s > max(MIN_GAP_s, GAP_STEPS * self._usual_step_s):
+            self._steady_s = min(self._steady_s, SETTLED_s - FADING_s)
+        self._usual_step_s += USUAL_STEP_WEIGHT * (dt_s - self._usual_step_s)
+
+    def _hold_tip(self, depth_m: float) -> float:
+        """Return the speed after an insertion.
+
+        The command first goes back to the tip, if it has not come to rest by itself;
+        then it holds the tip where the insertion ended.
         """
-        if self._held_m is None:
+        if self._end_m is None:
             return 0.0
-        ahead_m = self._asked_m - depth_m
-        self._is_slack = self._is_slack or ahead_m < _NEAR_M
-        if self._is_slack:
-            most = self._plan.speed_m_s
-            return min(max(_HOLD_PER_S * (self._held_m - depth_m), -most), most)
-        return -math.sqrt(2.0 * _BACK_m_s2 * ahead_m)
+        ahead_m = self._commanded_m - depth_m
+        self._is_at_tip = self._is_at_tip or ahead_m < ARRIVED_m
+        if self._is_at_tip:
+            return _clip(
+                HOLDING_GAIN_PER_s * (self._end_m - depth_m), self._plan.speed_m_s
+            )
+        return -math.sqrt(2.0 * RETURN_m_s2 * ahead_m)
 
-    def _travel(self, left_m: float, dt_s: float) -> Step:
-        """Speed on a way that is left, to its end and no further."""
-        if abs(left_m) < _NEAR_M:
+    def _move_by(self, distance_m: float, dt_s: float) -> Step:
+        """Move by a distance that remains, to its end and no further."""
+        if abs(distance_m) < ARRIVED_m:
             return Step(0.0, "arrived")
-        most = self._plan.acceleration_m_s2
-        way_m = abs(left_m)
-        wish = min(
-            self._plan.speed_m_s, math.sqrt(2.0 * most * way_m), _TRACK_PER_S * way_m
+        acceleration_m_s2 = self._plan.acceleration_m_s2
+        remaining_m = abs(distance_m)
+        wanted_m_s = min(
+            self._plan.speed_m_s,
+            math.sqrt(2.0 * acceleration_m_s2 * remaining_m),
+            TRACKING_GAIN_PER_s * remaining_m,
         )
-        wish = math.copysign(wish, left_m)
-        low = self._last.speed_m_s - most * dt_s
-        high = self._last.speed_m_s + most * dt_s
-        return Step(min(max(wish, low), high))
+        wanted_m_s = math.copysign(wanted_m_s, distance_m)
+        lowest_m_s = self._last.speed_m_s - acceleration_m_s2 * dt_s
+        highest_m_s = self._last.speed_m_s + acceleration_m_s2 * dt_s
+        return Step(min(max(wanted_m_s, lowest_m_s), highest_m_s))
 
-    def _stroke(self, now: Situation, legs_m: tuple[float, ...]) -> Step:
-        """Speed on quintic strokes from rest to rest, one after another."""
-        seconds = self._plan.stroke_s
-        index = int(now.state_s / seconds)
+    def _stroke(self, situation: Situation, legs_m: Sequence[float]) -> Step:
+        """Move along quintic strokes from rest to rest, one after another."""
+        leg_s = self._plan.stroke_s
+        index = int(situation.state_s / leg_s)
         if index >= len(legs_m):
             return Step(0.0, "arrived")
-        s = now.state_s / seconds - index
+        s = situation.state_s / leg_s - index
         length_m = legs_m[index]
-        way_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
-        rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / seconds
-        off_m = self._from_m + way_m - now.estimate.depth_m
-        most = 3.75 * abs(length_m) / seconds  # twice the fastest of the course
-        return Step(min(max(rate_m_s + _TRACK_PER_S * off_m, -most), most))
+        course_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
+        rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / leg_s
+        error_m = self._start_m + course_m - situation.estimate.depth_m
+        max_m_s = MAX_STROKE_SPEED * abs(length_m) / leg_s
+        return Step(_clip(rate_m_s + TRACKING_GAIN_PER_s * error_m, max_m_s))
+
+
+def _clip(speed_m_s: float, max_m_s: float) -> float:
+    """Return a speed that is at most so large, either way."""
+    return min(max(speed_m_s, -max_m_s), max_m_s)

@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleforce.control.errors import SettingError, require_positive
-from needleforce.control.ports import ArmSample, Array
-from needleforce.control.tasks import vector
-from residual.checks.input import as_float
+from foundation.arrays import Array
+from needleforce.control.errors import SettingError
+from needleforce.control.ports import ArmSample
+from needleforce.control.setting_checks import as_vector, require_positive
+from needleforce.control.state_machine import State
 from residual.estimate import SensorWarning, Status
+from residual.checks.input import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate
@@ -23,37 +25,36 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SafetyLimits:
-    """What a motion must not exceed; `SettingError` for a limit that is no positive
-    number.
+    """What a motion must not exceed.
 
     Attributes:
         axial_N: Force against the motion along the needle.
         lateral_N: Force across the needle.
+        lateral_s: Time for which that force may act; a force twice that limit, half as
+            long.
+        free_N: Change of the axial force in free air, where it may not be tared yet.
         lost_s: Time of bad samples beyond that of valid ones.
         late_s: Longest time without a sample.
         refused_s: Time of refused commands.
+        device_s: Longest time without news of the haptic device in teleoperation.
+        tracking_rad: Motion of a joint within a second that was not commanded.
+        reaction_s: Time from a decision to the arm at rest, over which forces are
+            predicted.
+
+    Raises:
+        SettingError: A limit is no positive number.
     """
 
     axial_N: float
     lateral_N: float = 0.5
-    lateral_s: float = (
-        0.04  # for which it may act; a force twice that limit, half as long
-    )
-    free_N: float = (
-        15.0  # change of the axial force in free air, where it may not be tared yet
-    )
+    lateral_s: float = 0.04
+    free_N: float = 15.0
     lost_s: float = 0.006
     late_s: float = 0.03
     refused_s: float = 0.005
-    device_s: float = (
-        0.05  # longest time without news of the haptic device in teleoperation
-    )
-    tracking_rad: float = (
-        0.05  # motion of a joint within a second that was not commanded
-    )
-    reaction_s: float = (
-        0.015  # from a decision to the arm at rest: forces are predicted over it
-    )
+    device_s: float = 0.05
+    tracking_rad: float = 0.05
+    reaction_s: float = 0.015
 
     def __post_init__(self) -> None:
         require_positive(asdict(self))
@@ -64,50 +65,180 @@ class Beside(NamedTuple):
 
     Attributes:
         accepted: Whether the arm took the last command.
-        command_rad_s: That command, shape (n,).
+        command_rad_s: That command, shape (n,); None while the arm is not commanded.
+        axial_N: Axial force of an F/T sensor, its bias and the needle's weight removed;
+            None for that of the session.
         has_device: Whether the haptic device has sent something new.
     """
 
     accepted: bool = True
     command_rad_s: Array | None = None
-    axial_N: float | None = (
-        None  # of an F/T sensor, its bias and the needle's weight removed
-    )
+    axial_N: float | None = None
     has_device: bool = False
 
 
 NOTHING = Beside()
+"""Nothing came beside a sample."""
 
-_BROKEN = SensorWarning.FROZEN | SensorWarning.VELOCITY
-_UNUSABLE = (
+_FAULTS = SensorWarning.FROZEN | SensorWarning.VELOCITY
+"""Warnings of signals that are broken."""
+
+_FORCE_UNUSABLE = (
     SensorWarning.JOINT_LIMIT
     | SensorWarning.NEAR_SINGULAR
     | SensorWarning.MODEL_MISMATCH
     | SensorWarning.TARE_EXPIRED
 )
-_IN_AIR = ("guidance", "approach", "tare")
-_AT_TISSUE = ("teleop", "insertion", "dwell", "withdraw")
-_DRIVEN = (
-    "teleop",
-    "insertion",
-)  # Without the force a needle can be held, and must come out
-_RATE_S = 0.01  # Time constant of the force's rate: shorter than the lag of the virtual sensor
-_TRACKING_S = 1.0
-_FOLLOWS_S = 0.03
-_LEAST_PATH_RAD = 2e-3
-"""Memory of commanded and made motion, time by which an arm may follow, least motion
-compared."""
-_CLEAR_S = 0.1  # A fault must be gone for so long before a reset
-_GAP_S = 5e-3
+"""Warnings of a force that is not to be relied upon."""
+
+_IN_AIR = (State.GUIDANCE, State.APPROACH, State.TARE)
+_AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
+
+_ADVANCING = (State.TELEOP, State.INSERTION)
+"""States that need a usable force; without it a needle can be held, and must come out."""
+
+_RATE_LAG_s = 0.01
+"""Time constant of the force's rate: shorter than the lag of the virtual sensor."""
+
+_TRACKING_s = 1.0
+"""Memory of commanded and measured motion: a joint that drifts shows within it."""
+
+_FOLLOWING_LAG_s = 0.03
+"""Time by which an arm may lag behind its commands."""
+
+_MIN_PATH_rad = 2e-3
+"""Least motion that is compared: noise and backlash stay below."""
+
+_MAX_LAG_FRACTION = 0.5
+"""Fraction of the commanded path by which an arm may be behind it."""
+
+_MIN_NORM_rad = 1e-9
+"""Keeps the direction of the commanded motion finite where there is none."""
+
+_CLEAR_s = 0.1
+"""A fault must be gone for so long before a reset."""
+
+_MIN_GAP_s = 5e-3
+"""A shorter step between samples is no gap: an arm keeps its motion over it."""
+
 _GAP_STEPS = 3.0
-_FADE_LAGS = 3.0
-"""A step so long, and so many usual ones, is a gap: an arm that nobody commanded has
-stopped and started in it, and what torques nobody saw did to the force fades within so
-many of its lags."""
+"""A step of so many usual ones is a gap: an arm that nobody commanded has stopped and
+started in it."""
+
+_FADING_LAGS = 3.0
+"""What torques that nobody saw did to the force decays within so many of its lags."""
+
+
+class _CommandTracking:
+    """Compares commanded and measured motion of the joints over the last second.
+
+    Args:
+        max_rad: See `SafetyLimits.tracking_rad`.
+    """
+
+    def __init__(self, max_rad: float) -> None:
+        self._max_rad = max_rad
+        self._position_rad: Array | None = None
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the motion so far."""
+        self._path_rad = 0.0
+        self._measured_rad = np.zeros(1)
+        self._commanded_rad = np.zeros(1)
+
+    def pause(self) -> None:
+        """Stop comparing: the arm is not commanded and may go where others lead it."""
+        self._position_rad = None
+        self.restart()
+
+    def check(self, position_rad: Array, command_rad_s: Array, step_s: float) -> str:
+        """Return what is wrong after one cycle; empty if the arm follows."""
+        decay = math.exp(-step_s / _TRACKING_s)
+        if self._position_rad is None:
+            self._measured_rad = decay * self._measured_rad
+        else:
+            moved_rad = position_rad - self._position_rad
+            self._measured_rad = decay * (self._measured_rad + moved_rad)
+        self._position_rad = position_rad
+        self._commanded_rad = decay * (self._commanded_rad + step_s * command_rad_s)
+        speed_rad_s = math.sqrt(float(command_rad_s.dot(command_rad_s)))
+        self._path_rad = decay * (self._path_rad + step_s * speed_rad_s)
+        lag_rad = _FOLLOWING_LAG_s * speed_rad_s
+        deviation_rad = self._commanded_rad - self._measured_rad
+        commanded_rad = math.sqrt(float(self._commanded_rad.dot(self._commanded_rad)))
+        behind_rad = float(deviation_rad.dot(self._commanded_rad)) / max(
+            commanded_rad, _MIN_NORM_rad
+        )
+        max_behind_rad = _MAX_LAG_FRACTION * self._path_rad + _MIN_PATH_rad + lag_rad
+        if behind_rad > max_behind_rad:
+            return "the arm does not follow its commands"
+        largest_rad = float(np.abs(deviation_rad).max())
+        if largest_rad > self._max_rad + lag_rad:
+            return f"a joint has moved by {largest_rad:.2g} rad that were not commanded"
+        return ""
+
+
+class _SideForce:
+    """Watches a force across the needle that lasts, and is not what a gap has left.
+
+    Args:
+        limits: Force and time.
+    """
+
+    def __init__(self, limits: SafetyLimits) -> None:
+        self._limits = limits
+        self._lateral_N = 0.0
+        self._last_step_s = math.inf
+        self.enter(State.IDLE)
+
+    def enter(self, state: State) -> None:
+        """Begin a state with the force as it is.
+
+        A needle that was stopped by a side force must still come out.
+        """
+        self._state = state
+        self._impulse_Ns = 0.0
+        self._fading_s = 0.0  # time for which a gap still shows in the force
+        self._max_N = self._limits.lateral_N + (
+            self._lateral_N if state == State.WITHDRAW else 0.0
+        )
+
+    def measure(self, lateral_N: float) -> None:
+        """Take the force of a sample."""
+        self._lateral_N = lateral_N
+
+    def check(self, step_s: float, lag_s: float) -> str:
+        """Return what is wrong after one cycle; empty if nothing is.
+
+        Args:
+            step_s: Time of the cycle.
+            lag_s: Of the session's force.
+        """
+        if step_s > max(_MIN_GAP_s, _GAP_STEPS * self._last_step_s):
+            self._fading_s = _FADING_LAGS * lag_s
+        else:
+            self._fading_s = max(self._fading_s - step_s, 0.0)
+        self._last_step_s = step_s
+        is_above = (
+            self._state in _AT_TISSUE
+            and self._lateral_N > self._max_N
+            and self._fading_s == 0.0
+        )
+        self._impulse_Ns = (
+            self._impulse_Ns + step_s * self._lateral_N if is_above else 0.0
+        )
+        if self._impulse_Ns > self._limits.lateral_s * self._max_N:
+            return f"side force {self._lateral_N:.2f} N"
+        return ""
 
 
 class Monitors:
     """Watch every sample of a session, command and device; see `update`.
+
+    Args:
+        session: Force sensor and identification.
+        limits: What a motion must not exceed.
 
     Attributes:
         has_device: Whether the haptic device has sent something of late.
@@ -118,29 +249,25 @@ class Monitors:
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
         self._session = session
         self._limits = limits
+        self._tracking = _CommandTracking(limits.tracking_rad)
+        self._side_force = _SideForce(limits)
         self._bad_s = 0.0
-        self._device_s = math.inf
+        self._device_silent_s = math.inf
         self._clear_s = math.inf
-        self._step_s = math.inf
-        self._position: Array | None = None
-        self._lateral_N = 0.0  # of the session, across the needle
         self.has_device = False
         self.is_healthy = True
         self.missed_s = 0.0
-        self.enter("idle")
+        self.enter(State.IDLE)
 
-    def enter(self, state: str) -> None:
-        """A new state begins: commands and forces are compared with what they are
-        now.
-        """
+    def enter(self, state: State) -> None:
+        """Begin a state: commands and forces are compared with what they are now."""
         self._state = state
-        self._refused_s = self._path_rad = self._rate_N_per_s = 0.0
-        self._made_rad = self._asked_rad = np.zeros(1)
+        self._refused_s = 0.0
         self._axial_N: float | None = None  # a tare makes the force jump
+        self._axial_rate_N_per_s = 0.0
         self._entry_axial_N: float | None = None
-        self._side_Ns = 0.0
-        self._fading_s = 0.0
-        self._entry_lateral_N = self._lateral_N
+        self._tracking.restart()
+        self._side_force.enter(state)
 
     def update(
         self,
@@ -149,153 +276,139 @@ class Monitors:
         beside: Beside,
         step_s: float,
     ) -> tuple[str, str]:
-        """The gravest event in one cycle, ``fault`` or ``limit``, and its reason; empty
-        if none.
+        """Return the gravest event in one cycle and its reason; empty if there is none.
 
-        The step [s] is that of the sample, or the one before where the clock was set.
+        Args:
+            estimate: Of the session.
+            sample: Of the arm.
+            beside: What came beside it.
+            step_s: Time of the sample, or the one before where the clock was set.
+
+        Returns:
+            ``fault`` or ``limit``, and why.
         """
-        since_s = as_float(getattr(sample, "dt_s", None))
-        lag_s = self._session.lag_s
-        self._lateral_N = estimate.wrench.lateral
-        self._device_s = 0.0 if beside.has_device else self._device_s + step_s
-        self.has_device = self._device_s <= self._limits.device_s
+        self._side_force.measure(estimate.wrench.lateral)
+        self._device_silent_s = (
+            0.0 if beside.has_device else self._device_silent_s + step_s
+        )
+        self.has_device = self._device_silent_s <= self._limits.device_s
         axial_N = (
             estimate.wrench.axial
             if beside.axial_N is None
             else as_float(beside.axial_N)
         )
-        fault = f"no sample for {1e3 * since_s:.0f} ms"
-        is_late = since_s > self._limits.late_s + self.missed_s
-        self.missed_s = max(self.missed_s - max(since_s, step_s), 0.0)
-        if not is_late:
-            fault = self._signals(estimate, axial_N, step_s)
-            fault = fault or self._commands(estimate, sample, beside, step_s)
+        fault = (
+            self._check_lateness(as_float(getattr(sample, "dt_s", None)), step_s)
+            or self._check_signals(estimate, axial_N, step_s)
+            or self._check_command(estimate, sample, beside, step_s)
+        )
         self._clear_s = 0.0 if fault else self._clear_s + step_s
-        self.is_healthy = self._clear_s >= _CLEAR_S
+        self.is_healthy = self._clear_s >= _CLEAR_s
         if fault:
             return "fault", fault
+        lag_s = self._session.lag_s
         ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
         if not math.isfinite(axial_N):
             axial_N = self._axial_N or 0.0
-        rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
-        self._axial_N = axial_N
-        self._rate_N_per_s -= math.expm1(-step_s / _RATE_S) * (
-            rise_N / step_s - self._rate_N_per_s
-        )
-        ahead_N = axial_N + ahead_s * self._rate_N_per_s
-        side = self._side_force(step_s, lag_s)
-        stop = self._forces(estimate, axial_N, ahead_N) or side
-        if self._state == "teleop" and not self.has_device:
-            stop = (
-                f"the haptic device has been silent for {1e3 * self._device_s:.0f} ms"
-            )
+        ahead_N = self._predict_axial_N(axial_N, ahead_s, step_s)
+        side_force = self._side_force.check(step_s, lag_s)
+        stop = self._check_axial(estimate, axial_N, ahead_N) or side_force
+        if self._state == State.TELEOP and not self.has_device:
+            silent_ms = 1e3 * self._device_silent_s
+            stop = f"the haptic device has been silent for {silent_ms:.0f} ms"
         return ("limit", stop) if stop else ("", "")
 
-    def _signals(
+    def _check_lateness(self, dt_s: float, step_s: float) -> str:
+        """Return what is wrong with the time since the last sample."""
+        is_late = dt_s > self._limits.late_s + self.missed_s
+        self.missed_s = max(self.missed_s - max(dt_s, step_s), 0.0)
+        return f"no sample for {1e3 * dt_s:.0f} ms" if is_late else ""
+
+    def _check_signals(
         self, estimate: "SessionEstimate", axial_N: float, step_s: float
     ) -> str:
-        is_bad = estimate.status is Status.REJECTED
+        """Return what is wrong with the signals of arm and force sensor."""
+        is_rejected = estimate.status is Status.REJECTED
         has_force = math.isfinite(axial_N)
-        self._bad_s = max(
-            self._bad_s + (-step_s if has_force and not is_bad else step_s), 0.0
-        )
+        bad_step_s = -step_s if has_force and not is_rejected else step_s
+        self._bad_s = max(self._bad_s + bad_step_s, 0.0)
         if self._bad_s > self._limits.lost_s:
-            why = (
+            reason = (
                 estimate.wrench.message
                 if has_force
                 else f"axial force of the sensor {axial_N}"
             )
-            return f"bad samples for {1e3 * self._bad_s:.0f} ms: {why}"
-        return (
-            estimate.wrench.message
-            if estimate.warnings & _BROKEN and not is_bad
-            else ""
-        )
+            return f"bad samples for {1e3 * self._bad_s:.0f} ms: {reason}"
+        is_broken = bool(estimate.warnings & _FAULTS) and not is_rejected
+        return estimate.wrench.message if is_broken else ""
 
-    def _commands(
+    def _check_command(
         self,
         estimate: "SessionEstimate",
         sample: ArmSample,
         beside: Beside,
         step_s: float,
     ) -> str:
-        command = beside.command_rad_s
+        """Return what is wrong with the last command and what the arm made of it."""
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"
-        if command is None:  # the arm may go where others lead it
-            self._position = None
-            self._path_rad = 0.0
-            self._made_rad = self._asked_rad = np.zeros(1)
+        command = beside.command_rad_s
+        if command is None:
+            self._tracking.pause()
         if command is None or estimate.status is Status.REJECTED:
             return ""
-        position = np.array(sample.q_rad, dtype=np.float64)
-        kept = math.exp(-step_s / _TRACKING_S)
+        position_rad = np.array(sample.q_rad, dtype=np.float64)
         try:
-            command = vector(command, len(position), "command")
+            command = as_vector(command, len(position_rad), "command")
         except SettingError:
-            return f"the command is {command!r:.80}, expected {len(position)} finite numbers"
-        moved = 0.0 if self._position is None else position - self._position
-        self._position = position
-        self._made_rad = kept * (self._made_rad + moved)
-        self._asked_rad = asked = kept * (self._asked_rad + step_s * command)
-        speed_rad_s = math.sqrt(float(command.dot(command)))
-        self._path_rad = kept * (self._path_rad + step_s * speed_rad_s)
-        off = asked - self._made_rad
-        late_rad = _FOLLOWS_S * speed_rad_s
-        behind_rad = float(off.dot(asked)) / max(
-            math.sqrt(float(asked.dot(asked))), 1e-9
-        )
-        if behind_rad > 0.5 * self._path_rad + _LEAST_PATH_RAD + late_rad:
-            return "the arm does not follow its commands"
-        if (
-            most_rad := float(np.abs(off).max())
-        ) > self._limits.tracking_rad + late_rad:
-            return f"a joint has moved by {most_rad:.2g} rad that were not commanded"
-        return ""
+            expected = f"expected {len(position_rad)} finite numbers"
+            return f"the command is {command!r:.80}, {expected}"
+        return self._tracking.check(position_rad, command, step_s)
 
-    def _forces(
+    def _predict_axial_N(self, axial_N: float, ahead_s: float, step_s: float) -> float:
+        """Return the axial force a time ahead, from its reading and its mean rate."""
+        rise_N = 0.0 if self._axial_N is None else axial_N - self._axial_N
+        self._axial_N = axial_N
+        self._axial_rate_N_per_s -= math.expm1(-step_s / _RATE_LAG_s) * (
+            rise_N / step_s - self._axial_rate_N_per_s
+        )
+        return axial_N + ahead_s * self._axial_rate_N_per_s
+
+    def _check_axial(
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
     ) -> str:
-        limits = self._limits
-        wrench = estimate.wrench
+        """Return what is wrong with the axial force, now or a time ahead."""
         state = self._state
         if state in _IN_AIR:
-            if self._entry_axial_N is None:
-                self._entry_axial_N = wrench.axial
-            # In guidance it is the hand's, before a tare it holds the bias.
-            is_known = state != "guidance" and estimate.status is Status.OK
-            most_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
-            change_N = abs(wrench.axial - self._entry_axial_N)
-            return (
-                f"axial force changed by {change_N:.1f} N" if change_N > most_N else ""
-            )
+            return self._check_axial_in_air(estimate)
         if state not in _AT_TISSUE:
             return ""
-        if estimate.warnings & _UNUSABLE and state in _DRIVEN:
-            return wrench.message
-        inwards_N = max(axial_N, ahead_N)
-        outwards_N = -min(axial_N, ahead_N)
-        both_N = max(inwards_N, outwards_N)
-        most_N = {"withdraw": outwards_N, "teleop": both_N}.get(state, inwards_N)
-        if most_N > limits.axial_N:
-            return f"axial force {axial_N:.2f} N, {most_N:.2f} N ahead; limit {limits.axial_N:g} N"
+        if estimate.warnings & _FORCE_UNUSABLE and state in _ADVANCING:
+            return estimate.wrench.message
+        against_N = max(axial_N, ahead_N)
+        if state == State.WITHDRAW:
+            against_N = -min(axial_N, ahead_N)
+        elif state == State.TELEOP:
+            against_N = max(against_N, -min(axial_N, ahead_N))
+        limit_N = self._limits.axial_N
+        if against_N > limit_N:
+            return (
+                f"axial force {axial_N:.2f} N, {against_N:.2f} N ahead; "
+                f"limit {limit_N:g} N"
+            )
         return ""
 
-    def _side_force(self, step_s: float, lag_s: float) -> str:
-        """A force across the needle that lasts, and is not what a gap has left."""
-        state = self._state
-        lateral_N = self._lateral_N
-        # A needle that was stopped by a side force must still come out.
-        most_N = self._limits.lateral_N + (
-            self._entry_lateral_N if state == "withdraw" else 0.0
-        )
-        is_gap = step_s > max(_GAP_S, _GAP_STEPS * self._step_s)
-        self._fading_s = (
-            _FADE_LAGS * lag_s if is_gap else max(self._fading_s - step_s, 0.0)
-        )
-        self._step_s = step_s
-        counts = state in _AT_TISSUE and lateral_N > most_N and self._fading_s == 0.0
-        self._side_Ns = self._side_Ns + step_s * lateral_N if counts else 0.0
-        is_over = self._side_Ns > self._limits.lateral_s * most_N
-        return f"side force {lateral_N:.2f} N" if is_over else ""
+    def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
+        """Return what is wrong with the change of the axial force since the state began.
+
+        In guidance the force is the hand's, before a tare it holds the bias.
+        """
+        limits = self._limits
+        axial_N = estimate.wrench.axial
+        if self._entry_axial_N is None:
+            self._entry_axial_N = axial_N
+        is_known = self._state != State.GUIDANCE and estimate.status is Status.OK
+        max_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
+        change_N = abs(axial_N - self._entry_axial_N)
+        return f"axial force changed by {change_N:.1f} N" if change_N > max_N else ""

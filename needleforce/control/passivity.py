@@ -1,5 +1,4 @@
-"""Passivity in the time domain: energy through a port is observed, and what may leave
-is limited.
+"""Passivity in the time domain: the energy through a port is observed and limited.
 
 A port carries a force f that resists a motion x. With a force held between the samples
 its energy is known exactly, whatever moves it:
@@ -19,31 +18,44 @@ it has put in.
 import math
 
 HANDLE_kg = 0.25
-MOST_DAMPING_Ns_m = 150.0
-"""Mass of the device's handle as a hand feels it, and largest damping shown at it."""
-HAND_J = 1e-3
-HAND_W = 2e-3
-"""What the hand may get early: one that yields to a spring need not wait for the
-news of it."""
-FORCE_LAG_s = 0.015  # Of the virtual sensor's force, see `InsertionSession.lag_s`
+"""Mass of the device's handle as a hand feels it."""
+
+MAX_DAMPING_Ns_m = 150.0
+"""Largest damping shown at the handle: a device of that mass, sampled at 1 kHz, shows
+250 Ns/m at most."""
+
+HAND_ALLOWANCE_J = 1e-3
+"""What the hand may get before the news of it has come: one that yields to a spring
+need not wait."""
+
+HAND_ALLOWANCE_W = 2e-3
+"""By so much that allowance is refilled: hand and tissue dissipate as much in any
+case."""
+
+FORCE_LAG_s = 0.015
+"""Of the virtual sensor's force, see `InsertionSession.lag_s`."""
 
 
 class Port:
-    """Energy through one port since it was made: `in_J` has entered the network,
-    `out_J` left it.
+    """Energy through one port since it was made.
 
     Args:
         allowance_J: What may leave beyond what has entered at the other side: force and
             motion that meet with a delay never balance exactly.
         allowance_W: The same, per second; hand and tissue dissipate as much in any
             case.
+
+    Attributes:
+        in_J: Energy that has entered the network.
+        out_J: Energy that has left it.
     """
 
     def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
-        self._allowance_J = allowance_J
+        self._max_allowance_J = allowance_J
         self._allowance_W = allowance_W
-        self._allowed_J = allowance_J
-        self.in_J = self.out_J = 0.0
+        self._allowance_J = allowance_J
+        self.in_J = 0.0
+        self.out_J = 0.0
 
     @property
     def net_J(self) -> float:
@@ -51,31 +63,33 @@ class Port:
         return self.in_J - self.out_J
 
     def observe(self, force_N: float, travel_m: float) -> None:
-        """Count one interval: the force held over it, and the travel against that
-        force.
-        """
+        """Count one interval: the force held over it, and the travel against it."""
         energy_J = force_N * travel_m
         self.in_J += max(energy_J, 0.0)
         self.out_J -= min(energy_J, 0.0)
 
-    def budget_J(self, incoming_J: float, dt_s: float) -> float:
-        """What may still leave when a further time has passed, see the module.
+    def update_budget_J(self, incoming_J: float, dt_s: float) -> float:
+        """Return what may still leave when a further time has passed, see the module.
 
         Unused allowance does not grow: after a quiet insertion it would feed seconds of
         swinging.
+
+        Args:
+            incoming_J: Energy that is known to have entered at the other side.
+            dt_s: The time that has passed.
         """
         owed_J = self.out_J - incoming_J
-        most_J = self._allowance_J + max(owed_J, 0.0)
-        self._allowed_J = min(self._allowed_J + self._allowance_W * dt_s, most_J)
-        return self._allowed_J - owed_J
+        max_allowance_J = self._max_allowance_J + max(owed_J, 0.0)
+        refilled_J = self._allowance_J + self._allowance_W * dt_s
+        self._allowance_J = min(refilled_J, max_allowance_J)
+        return self._allowance_J - owed_J
 
 
-def passive_part(leaving_J: float, budget_J: float) -> float:
-    """The fraction, 0 to 1, of a force or a speed with which no more leaves than the
-    budget.
+def passive_fraction(leaving_J: float, budget_J: float) -> float:
+    """Return the fraction of a force or a speed with which only the budget leaves.
 
-    Below zero are what would leave where energy enters, the budget where too much has
-    left.
+    It is 0 to 1. Both numbers may be negative: the energy where it enters, the budget
+    where too much has left already.
     """
     return 1.0 if leaving_J <= max(budget_J, 0.0) else max(budget_J, 0.0) / leaving_J
 
@@ -95,8 +109,11 @@ class HandPort(Port):
     """
 
     def __init__(self) -> None:
-        super().__init__(HAND_J, HAND_W)
-        self._force_N = self._damping_N = self._damped_J = self._position_m = 0.0
+        super().__init__(HAND_ALLOWANCE_J, HAND_ALLOWANCE_W)
+        self._force_N = 0.0
+        self._damping_N = 0.0  # the part of the force that is damping
+        self._damped_J = 0.0  # what damping has taken
+        self._position_m = 0.0
 
     def update(
         self,
@@ -104,48 +121,68 @@ class HandPort(Port):
         position_m: float,
         speed_m_s: float,
         incoming_J: float,
-        times_s: tuple[float, float],
+        *,
+        dt_s: float,
+        ahead_s: float,
     ) -> float:
-        """The force to hold over the coming interval, positive against positive motion.
+        """Return the force to hold over the coming interval.
 
-        Given are what should be shown, the handle's place and rate, what is known to
-        have entered at the other side, and the times since the last call and, at most,
-        until the next.
+        It is positive against positive motion.
+
+        Args:
+            wanted_N: The force that should be shown.
+            position_m: Position of the handle.
+            speed_m_s: Its speed.
+            incoming_J: Energy that is known to have entered at the other side.
+            dt_s: Time since the last call.
+            ahead_s: Time until the next call, at most.
         """
-        dt_s, ahead_s = times_s
-        travel_m = (
-            position_m - self._position_m
-        )  # means nothing at first, when no force is held
+        # At the first call the travel means nothing, but then no force is held.
+        travel_m = position_m - self._position_m
         self.observe(self._force_N, travel_m)
         # What damping has taken is paid back; not to count it would damp for ever
         # after.
         self._damped_J += self._damping_N * travel_m
-        owed_J = self.budget_J(incoming_J, dt_s) + self._damped_J
-        force_N = wanted_N * passive_part(-wanted_N * speed_m_s * ahead_s, owed_J)
-        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
-        root_m_s = math.sqrt(
-            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
-        )
-        most_N = HANDLE_kg / ahead_s * (against_m_s + root_m_s)
-        force_N = math.copysign(min(abs(force_N), most_N), force_N)
+        owed_J = self.update_budget_J(incoming_J, dt_s) + self._damped_J
+        leaving_J = -wanted_N * speed_m_s * ahead_s
+        force_N = wanted_N * passive_fraction(leaving_J, owed_J)
+        max_N = self._max_force_N(wanted_N, speed_m_s, ahead_s)
+        force_N = math.copysign(min(abs(force_N), max_N), force_N)
         missing_J = -min(owed_J, self.net_J)
         self._damping_N = 0.0
         if missing_J > 0.0:
-            # More than m / Δt, held over an interval, would turn the handle round.
-            most_Ns_m = min(MOST_DAMPING_Ns_m, HANDLE_kg / ahead_s)
-            most_J = most_Ns_m * speed_m_s * speed_m_s * ahead_s
-            damping_N = passive_part(most_J, missing_J) * most_Ns_m * speed_m_s
-            self._damping_N = min(max(damping_N, -most_N - force_N), most_N - force_N)
+            damping_N = _damping_force_N(missing_J, speed_m_s, ahead_s)
+            self._damping_N = min(max(damping_N, -max_N - force_N), max_N - force_N)
         self._force_N = force_N + self._damping_N
         self._position_m = position_m
         return self._force_N
 
+    def _max_force_N(self, wanted_N: float, speed_m_s: float, ahead_s: float) -> float:
+        """Return the largest force with which a free handle gets no more than it gave."""
+        against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
+        root_m_s = math.sqrt(
+            speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg
+        )
+        return HANDLE_kg / ahead_s * (against_m_s + root_m_s)
+
     def release(self, travel_m: float) -> None:
-        """No force is held any more, after about so much travel, which is not
-        believed to give.
+        """Let go of the force, after about so much travel.
+
+        The travel counts where energy leaves; it is not believed where energy enters.
         """
         self.observe(min(self._force_N * travel_m, 0.0), 1.0)
-        self._force_N = self._damping_N = 0.0
+        self._force_N = 0.0
+        self._damping_N = 0.0
+
+
+def _damping_force_N(missing_J: float, speed_m_s: float, ahead_s: float) -> float:
+    """Return the damping force that takes back an energy in the coming interval.
+
+    More than m / Δt, held over an interval, would turn the handle round.
+    """
+    max_Ns_m = min(MAX_DAMPING_Ns_m, HANDLE_kg / ahead_s)
+    max_J = max_Ns_m * speed_m_s * speed_m_s * ahead_s
+    return passive_fraction(max_J, missing_J) * max_Ns_m * speed_m_s
 
 
 class NeedlePort(Port):
@@ -155,9 +192,15 @@ class NeedlePort(Port):
     multiplied: else a needle that bounces off a wall, the force still high while it
     retreats, seems to bring energy. A delayed force is shown too low while it rises, so
     the hand always owes some: the allowance.
+
+    Args:
+        allowance_J: See `Port`.
+        allowance_W: See `Port`.
     """
 
-    _lagged_m_s = 0.0
+    def __init__(self, allowance_J: float = 0.0, allowance_W: float = 0.0) -> None:
+        super().__init__(allowance_J, allowance_W)
+        self._lagged_m_s = 0.0
 
     def update(
         self,
@@ -167,12 +210,18 @@ class NeedlePort(Port):
         incoming_J: float,
         dt_s: float,
     ) -> float:
-        """The speed to move with over the coming interval, positive into the tissue.
+        """Return the speed to move with over the coming interval.
 
-        Given are the wanted one, the force against it, the speed now and what has
-        entered at the other side, as far as known here.
+        It is positive into the tissue.
+
+        Args:
+            wanted_m_s: The speed that is asked for.
+            force_N: The force against it.
+            speed_m_s: The speed now.
+            incoming_J: Energy that is known to have entered at the other side.
+            dt_s: Time since the last call, and until the next.
         """
         self._lagged_m_s += (speed_m_s - self._lagged_m_s) * dt_s / (FORCE_LAG_s + dt_s)
         self.observe(-force_N, self._lagged_m_s * dt_s)
-        budget_J = self.budget_J(incoming_J, dt_s)
-        return wanted_m_s * passive_part(force_N * wanted_m_s * dt_s, budget_J)
+        budget_J = self.update_budget_J(incoming_J, dt_s)
+        return wanted_m_s * passive_fraction(force_N * wanted_m_s * dt_s, budget_J)

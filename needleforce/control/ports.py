@@ -7,12 +7,8 @@ knows which. SI units; vectors in the axes of the robot's base unless said other
 from collections.abc import Iterator
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from foundation.arrays import Array
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 
 class ArmSample(Protocol):
@@ -48,12 +44,13 @@ class Arm(Protocol):
         ...
 
     def __iter__(self) -> Iterator[ArmSample]:
-        """Samples, one per cycle; ends with the connection."""
+        """Iterate over the samples, one per cycle, until the connection ends."""
         ...
 
     def send(self, dq_rad_s: Array) -> bool:
-        """Velocity for the coming cycle, which the arm integrates; False if it
-        refuses it.
+        """Send the velocity of the coming cycle; return False if the arm refuses it.
+
+        The arm integrates the velocity, shape (n,).
         """
         ...
 
@@ -63,7 +60,7 @@ class MasterSample(Protocol):
 
     @property
     def position_m(self) -> Array:
-        """Place of its handle, shape (3,), in the device's axes."""
+        """Position of its handle, shape (3,), in the device's axes."""
         ...
 
     @property

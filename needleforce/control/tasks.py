@@ -5,10 +5,11 @@ to a goal:
 
     J = S J_tip,    v = w + K S e,    e = (g - p, log(R_d R^T))
 
-with p and R the tip's place and axes, g and R_d where they should be, w a wanted rate.
-So an error fades with time constant 1/K where no limit and no task above it is in the
-way. Errors are of *measured* positions; the loop is stable while K times the delay from
-measurement to motion stays below about 0.6. A stack is a list of tasks, the first wins.
+with p and R the tip's position and axes, g and R_d where they should be, w a wanted
+rate. So an error decays with time constant 1/K where no limit and no task above it is
+in the way. Errors are of *measured* positions; the loop is stable while K times the
+delay from measurement to motion stays below about 0.6. A stack is a list of tasks in
+order of priority, the most important first.
 """
 
 from abc import abstractmethod
@@ -18,21 +19,29 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled
-from needleforce.control.errors import SettingError, require_positive
-from needleforce.control.ports import Array
+from needleforce.control.errors import SettingError
+from needleforce.control.setting_checks import as_vector, require_positive
 from urdf import Robot
 
 GAIN_PER_S = 30.0
 """K of the constraints. 60 / s hold a pushed needle closer where positions are fine;
 where they are rounded to an encoder's steps they make the command rough."""
-LONGEST_STEP_s = 0.02  # A sample that comes later moves the arm no more than this one
+
+MAX_STEP_s = 0.02
+"""A sample that comes later than this moves the arm no further than this one."""
+
+ROTATION_TOLERANCE = 1e-6
+"""Entries of R^T R may differ so much from the unit matrix: R is written with few
+digits."""
+
 _BASE_AXES = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-# Of w x r, the matrix on w, linear in r. On small arrays `dot` takes half the time of
-# ``@``.
+
 _CROSS = np.cross(np.eye(3)[:, None], np.eye(3)).transpose(2, 0, 1).reshape(9, 3)
-_NO_TURN = np.zeros(3)
+"""The map from r to the matrix of w x r, which acts on w; linear in r."""
+
+_NO_ROTATION = np.zeros(3)
 
 
 class ToolState:
@@ -60,15 +69,14 @@ class ToolState:
         data = self._data
         frame = self._frame_id
         jacobian = pin.computeFrameJacobian(model, data, q_rad, frame, _BASE_AXES)
-        self.jacobian: Array = jacobian.reshape(
-            6, -1
-        )  # of a single joint it comes as a vector
+        # Of an arm with a single joint it comes as a vector.
+        self.jacobian: Array = jacobian.reshape(6, -1)
         self.pose: Array = pin.updateFramePlacement(model, data, frame).homogeneous
         self.q_rad = q_rad
 
     @property
     def tip_m(self) -> Array:
-        """Where the tip is, shape (3,), a copy."""
+        """Position of the tip, shape (3,), a copy."""
         return self.pose[:3, 3].copy()
 
     @property
@@ -80,6 +88,13 @@ class ToolState:
     def axis(self) -> Array:
         """Direction of insertion in base axes, of length one, shape (3,), a copy."""
         return self.pose[:3, 2].copy()
+
+    def rotation_to(self, rotation: Array) -> Array:
+        """Return the rotation vector [rad] from the tool's axes to others, shape (3,).
+
+        It is log(R_d R^T) in base axes, with R_d the others in columns, shape (3, 3).
+        """
+        return pin.log3(rotation @ self.pose[:3, :3].T)
 
 
 class Task(Protocol):
@@ -96,20 +111,8 @@ class Task(Protocol):
         """Write J into ``rows``, shape (m, n), and v into ``rates``, shape (m,)."""
 
 
-def vector(value: ArrayLike, size: int, name: str) -> Array:
-    """Numbers in an array of their own; `SettingError` if there are more, less or
-    none.
-    """
-    try:
-        given = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        given = np.zeros(0)
-    if given.shape != (size,) or not np.isfinite(given).all():
-        raise SettingError(f"{name} is {value!r}, expected {size} finite numbers")
-    return given
-
-
-def _gain(gain_per_s: float) -> float:
+def _checked_gain(gain_per_s: float) -> float:
+    """Return a gain that is finite and not negative; refuse any other."""
     require_positive({"gain_per_s": gain_per_s}, or_zero=("gain_per_s",))
     return float(gain_per_s)
 
@@ -128,43 +131,57 @@ class TipTask:
     def __init__(self, selection: Array, gain_per_s: float) -> None:
         self.size = len(selection)
         self.selection = selection
-        self.gain_per_s = _gain(gain_per_s)
+        self.gain_per_s = _checked_gain(gain_per_s)
         self.goal_m = np.zeros(3)
         self.rotation = np.eye(3)
         self.rate = np.zeros(self.size)
-        self._turns = bool(selection[:, 3:].any())
+        self._has_rotation = bool(selection[:, 3:].any())
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
-        """See `Task.write`."""
-        turn = (
-            pin.log3(self.rotation @ tool.pose[:3, :3].T) if self._turns else _NO_TURN
+        """Write rows and rates, see `Task.write`."""
+        rotation_rad = (
+            tool.rotation_to(self.rotation) if self._has_rotation else _NO_ROTATION
         )
-        goal = self.goal_m, turn, self.rate, self.gain_per_s
-        _tip_task(tool.pose, tool.jacobian, self.selection, goal, rows, rates)
+        _write_tip_task(
+            tool.pose,
+            tool.jacobian,
+            self.selection,
+            self.goal_m,
+            rotation_rad,
+            self.rate,
+            self.gain_per_s,
+            rows,
+            rates,
+        )
+
+
+# On small arrays `np.dot` takes half the time of ``@``.
 
 
 @compiled
-def _tip_task(
+def _write_tip_task(
     pose: Matrix,
     jacobian: Matrix,
     selection: Matrix,
-    goal: tuple[Vector, Vector, Vector, float],
+    goal_m: Vector,
+    rotation_rad: Vector,
+    rate: Vector,
+    gain_per_s: float,
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    place, turn, rate, gain_per_s = goal
+    """Write J = S J_tip and v = w + K S e, with log(R_d R^T) as the rotation."""
     np.dot(selection, jacobian, rows)
     rates[:] = rate
     if gain_per_s != 0.0:
         error = np.zeros(6)
-        error[:3] = place - pose[:3, 3]
-        error[3:] = turn
+        error[:3] = goal_m - pose[:3, 3]
+        error[3:] = rotation_rad
         rates += gain_per_s * np.dot(selection, error)
 
 
 class Fixture(TipTask):
-    """The needle moves along a line fixed in space and keeps its orientation; five
-    rows.
+    """A line fixed in space, along which the needle moves without turning; five rows.
 
     Args:
         origin_m: A point g of the line, shape (3,).
@@ -176,33 +193,35 @@ class Fixture(TipTask):
         self, origin_m: ArrayLike, rotation: ArrayLike, gain_per_s: float = GAIN_PER_S
     ) -> None:
         axes = np.array(rotation, dtype=np.float64)
-        is_turn = axes.shape == (3, 3) and np.allclose(
-            axes.T @ axes, np.eye(3), atol=1e-6
+        is_orthonormal = axes.shape == (3, 3) and np.allclose(
+            axes.T @ axes, np.eye(3), atol=ROTATION_TOLERANCE
         )
-        if not (is_turn and np.linalg.det(axes) > 0.0):
-            what = "right-handed orthonormal axes in columns"
-            raise SettingError(f"rotation is {rotation!r}, expected {what}")
-        along = np.zeros((6, 6))  # place and direction, each along the three axes
-        along[:3, :3] = along[3:, 3:] = axes.T
-        super().__init__(
-            np.delete(along, 2, axis=0), gain_per_s
-        )  # all but the place on the line
-        self.goal_m = vector(origin_m, 3, "origin_m")
+        if not (is_orthonormal and np.linalg.det(axes) > 0.0):
+            raise SettingError(
+                f"rotation is {rotation!r}, expected right-handed orthonormal axes in "
+                "columns"
+            )
+        along_axes = np.zeros((6, 6))  # position and rotation along the three axes
+        along_axes[:3, :3] = axes.T
+        along_axes[3:, 3:] = axes.T
+        # All rows but that of the position on the line, which the needle is free to change.
+        super().__init__(np.delete(along_axes, 2, axis=0), gain_per_s)
+        self.goal_m = as_vector(origin_m, 3, "origin_m")
         self.rotation = axes
 
     @classmethod
     def here(cls, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> "Fixture":
-        """The fixture along the needle as it is now."""
+        """Return the fixture along the needle as it is now."""
         return cls(tool.tip_m, tool.rotation, gain_per_s)
 
 
 class TipVelocity(TipTask):
-    """A velocity of the tip, J_v dq = w + K (g - p), three rows; without g the velocity
-    alone.
+    """A velocity of the tip, J_v dq = w + K (g - p); three rows.
 
     Args:
         velocity_m_s: w in base axes, shape (3,).
-        goal_m: Place g that the tip follows, shape (3,); needs a gain.
+        goal_m: Position g that the tip follows, shape (3,); needs a gain. None for the
+            velocity alone.
         gain_per_s: K.
     """
 
@@ -217,26 +236,27 @@ class TipVelocity(TipTask):
                 "goal_m needs a gain_per_s, or nothing draws the tip there"
             )
         super().__init__(np.eye(6)[:3], gain_per_s if goal_m is not None else 0.0)
-        self.rate = vector(velocity_m_s, 3, "velocity_m_s")
+        self.rate = as_vector(velocity_m_s, 3, "velocity_m_s")
         if goal_m is not None:
-            self.goal_m = vector(goal_m, 3, "goal_m")
+            self.goal_m = as_vector(goal_m, 3, "goal_m")
 
 
 class DecoupledMotion(TipTask):
-    """Linear and angular velocity set apart: neither moves what the other has not asked
-    for.
+    """Linear and angular velocity, neither of which disturbs the other; six rows.
 
-    Feedback holds the place and the orientation that the wishes of `move` add up to;
-    six rows.
+    Feedback holds the position and the orientation that the velocities of `move` add up
+    to.
 
     Args:
         tool: Where to begin.
         gain_per_s: K of both.
     """
 
-    # A wish waits for an arm that limits hold so far back
-    MOST_LAG_m = 5e-3
-    MOST_LAG_rad = 0.05
+    MAX_LAG_m = 5e-3
+    """Limits may hold the tip back; the goal moves on once it is nearer than this."""
+
+    MAX_LAG_rad = 0.05
+    """The same for the orientation."""
 
     def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
         super().__init__(np.eye(6), gain_per_s)
@@ -250,25 +270,25 @@ class DecoupledMotion(TipTask):
         angular_rad_s: ArrayLike,
         dt_s: float,
     ) -> None:
-        """Wish velocities in base axes, shape (3,) each, for the coming tick.
+        """Ask for velocities in base axes, shape (3,) each, in the coming tick.
 
-        A longer time than `LONGEST_STEP_s` counts as that, one that is no positive
-        number as none.
+        A longer time than `MAX_STEP_s` counts as that, one that is no positive number as
+        none.
         """
-        behind_m = np.linalg.norm(self.goal_m - tool.tip_m)
-        behind_rad = np.linalg.norm(pin.log3(self.rotation @ tool.pose[:3, :3].T))
-        linear = vector(linear_m_s, 3, "linear_m_s") * (behind_m < self.MOST_LAG_m)
-        angular = vector(angular_rad_s, 3, "angular_rad_s") * (
-            behind_rad < self.MOST_LAG_rad
+        lag_m = np.linalg.norm(self.goal_m - tool.tip_m)
+        lag_rad = np.linalg.norm(tool.rotation_to(self.rotation))
+        linear = as_vector(linear_m_s, 3, "linear_m_s") * (lag_m < self.MAX_LAG_m)
+        angular = as_vector(angular_rad_s, 3, "angular_rad_s") * (
+            lag_rad < self.MAX_LAG_rad
         )
         self.rate = np.concatenate((linear, angular))
-        dt_s = min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else 0.0
+        dt_s = min(dt_s, MAX_STEP_s) if dt_s > 0.0 else 0.0
         self.goal_m = self.goal_m + dt_s * linear
         self.rotation = np.ascontiguousarray(pin.exp3(dt_s * angular) @ self.rotation)
 
 
 class RemoteCentre:
-    """The needle's axis passes through a fixed point, the entry; two rows.
+    """A fixed point, the entry, through which the needle's axis passes; two rows.
 
         e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
 
@@ -284,34 +304,39 @@ class RemoteCentre:
     size = 2
 
     def __init__(self, point_m: ArrayLike, gain_per_s: float = GAIN_PER_S) -> None:
-        self.point_m = vector(point_m, 3, "point_m")
-        self.gain_per_s = _gain(gain_per_s)
+        self.point_m = as_vector(point_m, 3, "point_m")
+        self.gain_per_s = _checked_gain(gain_per_s)
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
-        """See `Task.write`."""
-        _remote_centre(
+        """Write rows and rates, see `Task.write`."""
+        _write_remote_centre(
             tool.pose, tool.jacobian, self.point_m, self.gain_per_s, rows, rates
         )
 
 
 @compiled
-def _remote_centre(
+def _write_remote_centre(
     pose: Matrix,
     jacobian: Matrix,
-    point: Vector,
+    point_m: Vector,
     gain_per_s: float,
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    arm = point - pose[:3, 3]
+    """Write J = N^T (J_v - [c - p]_x J_w) and v = K N^T (c - p)."""
+    lever_m = point_m - pose[:3, 3]
     across = np.ascontiguousarray(pose[:3, :2].T)
-    swing = np.dot(_CROSS, arm).reshape(3, 3)  # w x arm, as a matrix on w
-    np.dot(across, jacobian[:3] + np.dot(swing, jacobian[3:]), rows)
-    rates[:] = gain_per_s * np.dot(across, arm)
+    cross_lever = np.dot(_CROSS, lever_m).reshape(3, 3)  # w x lever, acting on w
+    np.dot(across, jacobian[:3] + np.dot(cross_lever, jacobian[3:]), rows)
+    rates[:] = gain_per_s * np.dot(across, lever_m)
 
 
 class AxialSpeed:
-    """Speed of the tip along the needle, positive inwards, one row: a^T J_v dq = w."""
+    """Speed of the tip along the needle, positive inwards, one row: a^T J_v dq = w.
+
+    Args:
+        speed_m_s: w.
+    """
 
     size = 1
 
@@ -319,24 +344,31 @@ class AxialSpeed:
         self.speed_m_s = float(speed_m_s)
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
-        """See `Task.write`."""
+        """Write row and rate, see `Task.write`."""
         rows[0] = tool.pose[:3, 2] @ tool.jacobian[:3]
         rates[0] = self.speed_m_s
 
 
 class JointVelocity:
-    """A velocity of every joint [rad/s], n rows; cheapest as the last of a stack."""
+    """A velocity of every joint, n rows; cheapest as the last of a stack.
+
+    Args:
+        velocity_rad_s: Of the joints, shape (n,).
+
+    Attributes:
+        wish: The same, in an array of its own.
+    """
 
     def __init__(self, velocity_rad_s: ArrayLike) -> None:
         self.size = np.size(velocity_rad_s)
-        self.wish = vector(velocity_rad_s, self.size, "velocity_rad_s")
+        self.wish = as_vector(velocity_rad_s, self.size, "velocity_rad_s")
 
     def velocity(self, q_rad: Array) -> Array:
-        """What it asks for at joint positions, shape (n,)."""
+        """Return the velocity asked for at joint positions, shape (n,)."""
         return self.wish
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
-        """See `Task.write`."""
+        """Write rows and rates, see `Task.write`."""
         rates[:] = self.velocity(tool.q_rad)
         rows[:] = np.eye(self.size)
 
@@ -351,8 +383,8 @@ class Posture(JointVelocity):
 
     def __init__(self, q_rad: ArrayLike, gain_per_s: float = 1.0) -> None:
         super().__init__(q_rad)
-        self.gain_per_s = _gain(gain_per_s)
+        self.gain_per_s = _checked_gain(gain_per_s)
 
     def velocity(self, q_rad: Array) -> Array:
-        """See `JointVelocity.velocity`."""
+        """Return K (q_d - q), shape (n,)."""
         return self.gain_per_s * (self.wish - q_rad)

@@ -1,0 +1,125 @@
+"""A DICOM series from a folder, and what is refused of it."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.anatomy.errors import VolumeError
+
+MIN_STEP_mm = 1e-3
+"""Slices that are nearer to each other lie at the same place."""
+
+STEP_TOLERANCE = 0.01
+"""Fraction of the usual step by which steps may differ, along and across the slices."""
+
+MAX_SHEAR_PIXELS = 0.5
+"""Over the whole stack, slices may be shifted by so much."""
+
+SLICE_TAGS = {
+    "0020|0032": "position",
+    "0020|0037": "orientation",
+    "0028|0030": "spacing",
+    "0028|0010": "rows",
+    "0028|0011": "columns",
+}
+"""Tags that say how a slice lies."""
+
+
+class _Slice(NamedTuple):
+    """How a slice lies.
+
+    Attributes:
+        position_mm: Centre of its first pixel in LPS, shape (3,).
+        geometry: Axes of rows and columns, spacing [mm] and size: the same in all
+            slices of a scan, shape (10,).
+    """
+
+    position_mm: Array
+    geometry: Array
+
+    @property
+    def axes(self) -> Array:
+        """Directions of rows and columns, shape (2, 3)."""
+        return self.geometry[:6].reshape(2, 3)
+
+    @property
+    def spacing_mm(self) -> Array:
+        """Distance of the pixels, shape (2,)."""
+        return self.geometry[6:8]
+
+
+def read_series(folder: Path) -> Any:
+    """Read a DICOM series after a look at where its slices lie.
+
+    Returns:
+        The image of SimpleITK.
+
+    Raises:
+        VolumeError: No series or several; slices that are missing, doubled, of
+            different sizes or sheared.
+    """
+    import SimpleITK
+
+    reader = SimpleITK.ImageSeriesReader()
+    series = reader.GetGDCMSeriesIDs(str(folder))
+    if len(series) != 1:
+        raise VolumeError(
+            f"{folder} holds {len(series)} DICOM series: expected one; put each into its "
+            "own folder"
+        )
+    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+    _require_one_scan(folder, files)
+    reader.SetFileNames(files)
+    return reader.Execute()
+
+
+def _require_one_scan(folder: Path, files: Any) -> None:
+    """Refuse slices that are not those of one whole scan."""
+    slices = [_read_slice(name) for name in files]
+    if np.ptp([item.geometry for item in slices], axis=0).any():
+        raise VolumeError(
+            f"{folder}: slices differ in size, spacing or orientation: mixed series"
+        )
+    axes = slices[0].axes
+    to_slice_axes = np.vstack((axes, np.cross(axes[0], axes[1]))).T
+    positions_mm = np.array([item.position_mm for item in slices])
+    steps_mm = np.diff(positions_mm, axis=0) @ to_slice_axes
+    distances_mm = np.abs(steps_mm[:, 2])
+    usual_mm = float(np.median(distances_mm)) if len(distances_mm) else 0.0
+    if usual_mm < MIN_STEP_mm:
+        raise VolumeError(
+            f"{folder}: one slice, or all at the same place: expected one scan"
+        )
+    worst = int(np.abs(distances_mm - usual_mm).argmax())
+    if abs(distances_mm[worst] - usual_mm) > STEP_TOLERANCE * usual_mm:
+        raise VolumeError(
+            f"{folder}: slices are {usual_mm:.3f} mm apart, but "
+            f"{distances_mm[worst]:.3f} mm after {Path(files[worst]).name}: a slice is "
+            "missing or doubled"
+        )
+    largest_mm = np.abs(steps_mm[:, :2]).max()
+    total_mm = np.abs(np.cumsum(steps_mm[:, :2], axis=0)).max()
+    max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
+    if largest_mm > STEP_TOLERANCE * usual_mm or total_mm > max_total_mm:
+        raise VolumeError(
+            f"{folder}: slices are sheared (gantry tilt): resample the scan"
+        )
+
+
+def _read_slice(name: str) -> _Slice:
+    """Return how the slice in a DICOM file lies."""
+    import SimpleITK
+
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(name)
+    reader.ReadImageInformation()
+    numbers: list[float] = []
+    for tag in SLICE_TAGS:
+        if not reader.HasMetaDataKey(tag):
+            raise VolumeError(
+                f"{name} has no DICOM tag {tag}: expected slices of one scan"
+            )
+        numbers += [float(text) for text in reader.GetMetaData(tag).split("\\")]
+    return _Slice(np.array(numbers[:3]), np.array(numbers[3:]))

@@ -1,0 +1,180 @@
+"""Rigid registration by landmarks.
+
+Residuals at the landmarks do not say how large the error at the target is (Fitzpatrick
+2009); they serve to estimate the touches' deviation, and to refuse.
+"""
+
+from collections.abc import Iterator
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from foundation.arrays import Array
+from needleforce.anatomy.errors import RegistrationError, require_deviation
+from needleforce.anatomy.registration import (
+    MAX_LENGTH_RATIO,
+    MIN_WIDTH_m,
+    Registration,
+    displacement_jacobian,
+    fit_rigidly,
+    rms_extents_m,
+    rms_length,
+)
+
+FALSE_REFUSAL = 1e-6
+"""Probability that good landmarks do not fit: no refusal is wrong in a life."""
+
+MIN_EXTENT_m = 1e-12
+"""Keeps the ratio of extents finite where all landmarks are at one place."""
+
+
+class _Landmarks(NamedTuple):
+    """The same points in both frames, shape (n, 3) each.
+
+    Attributes:
+        model_m: In the CT.
+        robot_m: In the robot's base.
+    """
+
+    model_m: Array
+    robot_m: Array
+
+    def fit(self, std_m: float) -> bool:
+        """Return whether they fit with a standard deviation along each axis."""
+        degrees = 3 * len(self.model_m) - 6
+        max_squares_m2 = std_m**2 * chi2.isf(FALSE_REFUSAL, degrees)
+        return bool(fit_rigidly(*self).squares_m2 <= max_squares_m2)
+
+
+class _Explanation(NamedTuple):
+    """What may be wrong with landmarks.
+
+    Attributes:
+        cause: In words, and what would help.
+        corrected: The landmarks without it.
+    """
+
+    cause: str
+    corrected: _Landmarks
+
+
+def fit_landmarks(
+    model_m: ArrayLike,
+    robot_m: ArrayLike,
+    *,
+    std_m: float = 1e-3,
+    is_std_known: bool = False,
+) -> Registration:
+    """Register by landmarks.
+
+    Args:
+        model_m: Landmarks in the CT [m], LPS, shape (n, 3).
+        robot_m: The same, in the same order, touched with the robot's pointer [m], base
+            axes.
+        std_m: Standard deviation of a touch along each axis, localisation in the CT
+            included: what does not fit with several times as much is refused.
+        is_std_known: Use it for the covariance too; else that is estimated from the
+            residuals, and with three landmarks, which leave next to none, nothing is
+            claimed.
+
+    Raises:
+        RegistrationError: Too few, collinear, mirrored or swapped landmarks,
+            millimetres for metres, a deviation that is none, one landmark elsewhere.
+            Three landmarks cannot show a mirror image.
+    """
+    require_deviation("std_m", std_m, RegistrationError)
+    landmarks = _checked_landmarks(model_m, robot_m)
+    fit = fit_rigidly(*landmarks)
+    count = len(landmarks.model_m)
+    residual_rms_m = float(np.sqrt(fit.squares_m2 / count))
+    if not landmarks.fit(std_m):
+        raise RegistrationError(_find_cause(landmarks, std_m, residual_rms_m))
+    degrees = 3 * count - 6
+    variance_m2 = fit.squares_m2 / degrees if count > 3 else np.nan
+    if is_std_known:
+        variance_m2 = std_m**2
+    moved_m = landmarks.model_m @ fit.rotation.T + fit.translation_m
+    pivot_m = moved_m.mean(axis=0)
+    rows = displacement_jacobian(moved_m - pivot_m).reshape(-1, 6)
+    covariance = variance_m2 * np.linalg.inv(rows.T @ rows)
+    return Registration(
+        rotation=fit.rotation,
+        translation_m=fit.translation_m,
+        covariance=np.asarray(covariance, dtype=float),
+        pivot_m=pivot_m,
+        degrees=np.inf if is_std_known else float(degrees),
+        residual_rms_m=residual_rms_m,
+    )
+
+
+def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
+    """Return landmarks that could register."""
+    model = np.asarray(model_m, dtype=float)
+    robot = np.asarray(robot_m, dtype=float)
+    if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
+        shapes = f"{model.shape} and {robot.shape}"
+        raise RegistrationError(f"landmarks of shapes {shapes}: expected (n, 3) twice")
+    if len(model) < 3:
+        raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
+    if not np.isfinite([model, robot]).all():
+        raise RegistrationError("a landmark is not finite; touch it again")
+    model_length_m, model_width_m, _ = rms_extents_m(model)
+    robot_length_m, robot_width_m, _ = rms_extents_m(robot)
+    ratio = robot_length_m / max(model_length_m, MIN_EXTENT_m)
+    if not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
+        raise RegistrationError(
+            f"the touched landmarks are {ratio:.3g} times as far apart as those of the "
+            "model: millimetres for metres? Give both in metres"
+        )
+    if min(model_width_m, robot_width_m) < MIN_WIDTH_m:
+        raise RegistrationError(
+            "the landmarks are collinear: the model could turn about their line; touch "
+            "one that lies aside"
+        )
+    return _Landmarks(model, robot)
+
+
+def _find_cause(landmarks: _Landmarks, std_m: float, residual_rms_m: float) -> str:
+    """Return why landmarks do not fit: the first explanation without which they do."""
+    for cause, corrected in _explanations(landmarks):
+        if corrected.fit(std_m):
+            return cause
+    return (
+        f"the landmarks do not fit: {1e3 * residual_rms_m:.1f} mm rms are left with "
+        f"{1e3 * std_m:g} mm per axis expected; are they the same points, in the same "
+        "order?"
+    )
+
+
+def _explanations(landmarks: _Landmarks) -> Iterator[_Explanation]:
+    """Yield what may be wrong: order, mirror, scale, one landmark, in this order.
+
+    In another order the scale would take the blame.
+    """
+    model_m, robot_m = landmarks
+    count = len(model_m)
+    for i, j in combinations(range(count), 2):
+        order = np.arange(count)
+        order[[i, j]] = j, i
+        yield _Explanation(
+            f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order",
+            _Landmarks(model_m, robot_m[order]),
+        )
+    yield _Explanation(
+        "the touched landmarks are the mirror image of the model's: left for right?",
+        _Landmarks(-model_m, robot_m),
+    )
+    robot_size_m = rms_length(robot_m - robot_m.mean(axis=0))
+    scale = robot_size_m / rms_length(model_m - model_m.mean(axis=0))
+    yield _Explanation(
+        f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?",
+        _Landmarks(scale * model_m, robot_m),
+    )
+    for k in range(count if count > 4 else 0):
+        yield _Explanation(
+            f"landmark {k + 1} lies elsewhere than in the model; touch it again",
+            _Landmarks(np.delete(model_m, k, axis=0), np.delete(robot_m, k, axis=0)),
+        )

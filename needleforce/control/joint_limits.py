@@ -1,0 +1,154 @@
+"""Limits of the joints, and the box of joint velocities that they leave for a tick."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foundation.arrays import Vector, WrittenMatrix
+from foundation.jit import compiled
+from needleforce.control.errors import SettingError
+from needleforce.control.setting_checks import require_positive
+from urdf import Robot
+
+SLACK_rad_s = 1e-7
+"""Speeds and their changes stay this far inside, and a solver may exceed the box by
+as much."""
+
+
+class JointLimits(NamedTuple):
+    """What each of n joints may do; arrays of shape (n,), read-only.
+
+    Attributes:
+        position_lower_rad: Lowest position.
+        position_upper_rad: Highest position.
+        speed_rad_s: Highest speed, either way.
+        acceleration_rad_s2: Highest acceleration, either way.
+    """
+
+    position_lower_rad: Vector
+    position_upper_rad: Vector
+    speed_rad_s: Vector
+    acceleration_rad_s2: Vector
+
+
+class Limits:
+    """What the joints may do, checked against the robot's own limits.
+
+    Args:
+        robot: Its model names positions and speeds.
+        velocity_rad_s: Slower speeds, one or one per joint; the robot's where None.
+        acceleration_rad_s2: One or one per joint. A low one lengthens every stop.
+        margin_rad: Kept from the position limits, for what moves the arm besides the
+            command.
+
+    Attributes:
+        joints: The limits of every joint, the margin and `SLACK_rad_s` subtracted.
+
+    Raises:
+        SettingError: A limit is missing, not positive, or above the robot's.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        velocity_rad_s: ArrayLike | None = None,
+        acceleration_rad_s2: ArrayLike = 10.0,
+        margin_rad: float = 0.02,
+    ) -> None:
+        require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
+        limits = _one_per_joint(
+            robot.nv,
+            robot.position_lower_rad + margin_rad,
+            robot.position_upper_rad - margin_rad,
+            robot.velocity_limit_rad_s if velocity_rad_s is None else velocity_rad_s,
+            acceleration_rad_s2,
+        )
+        _require_usable(limits, robot, margin_rad)
+        limits.speed_rad_s[:] -= SLACK_rad_s
+        for values in limits:
+            values.setflags(write=False)
+        self.joints = limits
+
+
+def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
+    """Return limits with one number per joint, from one number or one per joint."""
+    try:
+        rows = [np.broadcast_to(limit, joint_count) for limit in limits]
+    except ValueError:
+        raise SettingError(
+            f"limits must be one number or {joint_count}, one per joint"
+        ) from None
+    return JointLimits(*np.array(rows, dtype=np.float64))
+
+
+def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> None:
+    """Refuse limits that are missing, leave no room, or exceed the robot's."""
+    positions = np.array((limits.position_lower_rad, limits.position_upper_rad))
+    rates = np.array((limits.speed_rad_s, limits.acceleration_rad_s2))
+    robot_speed_rad_s = robot.velocity_limit_rad_s
+    complaints = (
+        (
+            ~np.isfinite(positions).all(axis=0),
+            "no position limits; name them in its model",
+        ),
+        (
+            ~(limits.position_lower_rad < limits.position_upper_rad),
+            f"no room within a margin of {margin_rad:g} rad",
+        ),
+        (
+            ~np.isfinite(rates).all(axis=0),
+            "no limit of speed or acceleration; give one",
+        ),
+        (~(rates > 0.0).all(axis=0), "a speed or acceleration that is not positive"),
+        (
+            limits.speed_rad_s > robot_speed_rad_s,
+            f"a speed above the robot's own {robot_speed_rad_s.tolist()} rad/s",
+        ),
+    )
+    for is_wrong, complaint in complaints:
+        if is_wrong.any():
+            joints = ", ".join(np.array(robot.joint_names)[is_wrong])
+            raise SettingError(f"joints {joints}: {complaint}")
+
+
+@compiled
+def write_velocity_bounds(
+    limits: JointLimits,
+    q_rad: Vector,
+    last_rad_s: Vector,
+    step_s: float,
+    bounds: WrittenMatrix,
+) -> None:
+    """Write the bounds l <= dq <= u of the coming tick.
+
+        u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
+
+    and l alike. The root is the fastest speed from which the arm, braking at a after
+    this tick of T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the
+    box the next tick has such a speed within reach of a again. Where noise or a push
+    has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
+
+    Args:
+        limits: q_min, q_max, v and a.
+        q_rad: q, shape (n,).
+        last_rad_s: dq_last, the velocity commanded last, shape (n,).
+        step_s: T.
+        bounds: l and u, shape (2, n); nan where a position is.
+    """
+    speed = limits.speed_rad_s
+    change = limits.acceleration_rad_s2 * step_s - SLACK_rad_s
+    change_squared = change * change
+    twice_acceleration = 2.0 * limits.acceleration_rad_s2
+    lowest_reachable = last_rad_s - change
+    highest_reachable = last_rad_s + change
+    room_above = np.maximum(limits.position_upper_rad - q_rad, 0.0)
+    room_below = np.maximum(q_rad - limits.position_lower_rad, 0.0)
+    upper = np.sqrt(change_squared + twice_acceleration * room_above) - change
+    lower = change - np.sqrt(change_squared + twice_acceleration * room_below)
+    bounds[0] = np.minimum(
+        np.maximum(np.maximum(lower, -speed), lowest_reachable), highest_reachable
+    )
+    bounds[1] = np.minimum(
+        np.maximum(np.minimum(upper, speed), lowest_reachable), highest_reachable
+    )

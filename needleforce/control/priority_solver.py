@@ -1,0 +1,280 @@
+"""Strict priorities within hard limits: a hierarchical quadratic program.
+
+    lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
+
+with limits of the joints and a wish w of theirs that comes last, zero or a posture
+(Kanoun et al., IEEE T-RO 2011). Norms are of rows scaled to length one: a row counts by
+how far joints move for it.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.jit import compiled
+from foundation.linear_algebra import dot
+from needleforce.control.errors import SettingError
+from needleforce.control.joint_limits import SLACK_rad_s
+from needleforce.control.tasks import JointVelocity, Task, ToolState
+
+MIN_NEW_PART = 1e-6
+"""Where less than that of a row is new, it counts as dependent on those above it."""
+
+MIN_ROW_LENGTH = 1e-9
+"""Shorter rows are not scaled to length one: joints hardly move what they ask for."""
+
+MIN_MOTION = 1e-13
+"""A direction that moves a row of length one by less does not move it."""
+
+RANK_TOLERANCE = 1e-8
+"""Singular values of a level, relative to the largest, below which it counts as
+singular: there joints would move far for a gain that is rounding."""
+
+PUSH_TOLERANCE = 1e-12
+"""The same where pushes of bounds are found; these rows are nearly orthonormal."""
+
+AT_LIMIT_rad_s = 1e-6
+"""A joint so near to a bound counts as being at it."""
+
+BEYOND_rad_s = 1e-8
+"""By so much a joint may pass its bound, within `SLACK_rad_s`."""
+
+MAX_CHANGES = 60
+"""Changes of the set of held joints in one level; then the velocity at hand is kept."""
+
+MIN_GAIN = 1e-12
+"""A joint that gains less by being released stays held: that is rounding."""
+
+
+class Stack:
+    """The numbers of a stack of tasks, in arrays that are used over and over.
+
+    Args:
+        tasks: The first one is the most important.
+        joints: Number n of joints.
+
+    Attributes:
+        rows: J of all tasks but a last one that asks for joint velocities, shape (m, n).
+        rates: v of them, shape (m,).
+        wish: w, shape (n,): the velocity that a last task of this kind asks for, which
+            needs no rows; else zero.
+        bounds: l and u, shape (2, n), for its user to fill in.
+        levels: Rows and rates of each task, views of the above.
+
+    Raises:
+        SettingError: A task is for another number of joints.
+    """
+
+    def __init__(self, tasks: Sequence[Task], joints: int) -> None:
+        for task in tasks:
+            if isinstance(task, JointVelocity) and task.size != joints:
+                raise SettingError(
+                    f"a task of {task.size} joints, the robot has {joints}"
+                )
+        has_wish = bool(tasks) and isinstance(tasks[-1], JointVelocity)
+        sizes = [task.size for task in (tasks[:-1] if has_wish else tasks)]
+        self.rows = np.zeros((sum(sizes), joints))
+        self.rates = np.zeros(sum(sizes))
+        self.wish = np.zeros(joints)
+        self.bounds = np.zeros((2, joints))
+        ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
+        self.levels = [
+            (self.rows[start:end], self.rates[start:end]) for start, end in ends
+        ]
+
+    def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
+        """Fill in rows, rates and wish of tasks of the same sizes."""
+        for task, (rows, rates) in zip(tasks, self.levels, strict=False):
+            task.write(tool, rows, rates)
+        if tasks and isinstance(lowest := tasks[-1], JointVelocity):
+            self.wish = lowest.velocity(tool.q_rad)
+
+
+Solver = Callable[[Stack], tuple[Array, bool]]
+"""Joint velocities for a stack, in an array of their own, and whether one is at a
+limit."""
+
+
+def hierarchical(stack: Stack) -> tuple[Array, bool]:
+    """Return joint velocities in strict priority within hard limits; see `Solver`.
+
+    If all rows can be met within the limits, they are. Otherwise each level moves
+    within the null space N of the rows above it, which therefore keep what they have
+    achieved:
+
+        dq_k = dq_{k-1} + N y,   min_y |J_k N y - (v_k - J_k dq_{k-1})|,   l <= dq_k <= u
+    """
+    velocity = stack.wish.copy()
+    if meet_all_rows(stack.rows, stack.rates, stack.bounds, velocity):
+        return velocity, False
+    if not (
+        np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()
+    ):
+        raise SettingError("positions or goals are not finite")
+    lower, upper = stack.bounds
+    # The start depends on no lower task, so that none can matter to a higher one.
+    velocity = np.minimum(np.maximum(0.0, lower), upper)
+    free_directions = np.eye(velocity.size)
+    for rows, rates in [*stack.levels, (free_directions, stack.wish)]:
+        if free_directions.size:
+            length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
+            velocity, free_directions = solve_level(
+                rows / length[:, None],
+                rates / length,
+                free_directions,
+                stack.bounds,
+                velocity,
+            )
+    velocity = np.minimum(
+        np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s
+    )
+    room = np.minimum(velocity - lower, upper - velocity)
+    return velocity, bool(room.min() <= AT_LIMIT_rad_s)
+
+
+@compiled
+def meet_all_rows(
+    rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
+) -> bool:
+    """Change a velocity as little as meets all rows; return whether it is within bounds.
+
+    Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its
+    i-th direction meets row i and leaves the rows before it met. False where rows depend
+    on each other.
+    """
+    joints = velocity.size
+    if rates.size > joints:
+        return False
+    basis = np.empty((joints, joints))
+    for i in range(rates.size):
+        direction = basis[i]
+        direction[:] = rows[i]
+        for j in range(2 * i):
+            overlap = dot(direction, basis[j % i])
+            for k in range(joints):
+                direction[k] -= overlap * basis[j % i, k]
+        length = math.sqrt(dot(direction, direction))
+        if length < MIN_NEW_PART:
+            return False
+        direction /= length
+        step = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], direction)
+        for k in range(joints):
+            velocity[k] += step * direction[k]
+    is_within = True
+    for k in range(joints):
+        is_within = is_within and bounds[0, k] < velocity[k] < bounds[1, k]
+    return is_within
+
+
+@compiled
+def null_space(rows: Matrix) -> Matrix:
+    """Return orthonormal directions that move no row, in columns."""
+    if rows.size == 0:
+        return np.eye(rows.shape[1])
+    _, singular_values, right_vectors = np.linalg.svd(rows)
+    rank = (singular_values > MIN_MOTION).sum()
+    return np.ascontiguousarray(right_vectors[rank:].T)
+
+
+@compiled
+def find_blocking_joint(
+    velocity: Vector, step: Vector, bounds: Matrix, held_at: Vector
+) -> tuple[float, int]:
+    """Return the fraction of a step that bounds allow, and the joint that ends it.
+
+    The fraction is 0 to 1; the joint -1 if none ends it. Of joints that meet their
+    bounds almost at once it is the one that moves most, so that near a singular posture
+    none is held for a motion that is rounding (Harris, Math. Programming 1973).
+    """
+    fraction = 1.0
+    joint = -1
+    largest_motion = 0.0
+    room = np.where(step > 0.0, bounds[1], bounds[0]) - velocity
+    for k in range(step.size):
+        if held_at[k] == 0.0 and step[k] != 0.0:
+            reach = room[k] / step[k] + BEYOND_rad_s / abs(step[k])
+            fraction = min(fraction, max(reach, 0.0))
+    for k in range(step.size if fraction < 1.0 else 0):
+        if (
+            held_at[k] == 0.0
+            and abs(step[k]) > largest_motion
+            and room[k] / step[k] <= fraction
+        ):
+            joint = k
+            largest_motion = abs(step[k])
+    return (max(room[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
+
+
+@compiled
+def find_joint_to_release(
+    held_rows: Matrix, gradient: Vector, held_at: Vector, is_first_taken: bool
+) -> int:
+    """Return the held joint that gains most by being released, -1 if none gains.
+
+    Args:
+        held_rows: Rows of the free directions that belong to the held joints.
+        gradient: By how much the level gains along each free direction.
+        held_at: -1 at the lower bound, 1 at the upper, 0 for a free joint, shape (n,).
+        is_first_taken: Take the first joint that gains, not the best one.
+    """
+    push = np.linalg.lstsq(np.ascontiguousarray(held_rows.T), gradient, PUSH_TOLERANCE)[
+        0
+    ]
+    joints = np.flatnonzero(held_at)
+    outwards_push = push * held_at[joints]
+    gaining = np.flatnonzero(outwards_push < -MIN_GAIN)
+    if not gaining.size:
+        return -1
+    index = gaining[0] if is_first_taken else np.argmin(outwards_push)
+    return joints[index]
+
+
+@compiled
+def solve_level(
+    rows: Matrix, rates: Vector, free: Matrix, bounds: Matrix, start: Vector
+) -> tuple[Array, Array]:
+    """Solve one level by a primal active-set method.
+
+    With the joints that are held at a bound the nearest velocity is a least-squares
+    solution. The way there ends where another joint meets its bound, which is then held
+    too. At its end that joint is released which gains most from it, the first of them
+    after many changes, so that no circle can form; if none gains, the level is solved.
+
+    Args:
+        rows: J of the level, of length one each, shape (m, n).
+        rates: v, shape (m,).
+        free: N, orthonormal directions in columns, in which the levels above are content.
+        bounds: l and u, shape (2, n).
+        start: Velocity of the levels above, within bounds, shape (n,).
+
+    Returns:
+        The velocity of the level, and the N of the levels below.
+    """
+    velocity = start.copy()
+    held_at = np.zeros(start.size)
+    rows_of_free = rows @ free
+    for change in range(MAX_CHANGES):
+        held_rows = free[held_at != 0.0]
+        directions = np.ascontiguousarray(free @ null_space(held_rows))
+        if directions.shape[1]:
+            coefficients = np.linalg.lstsq(
+                rows @ directions, rates - rows @ velocity, RANK_TOLERANCE
+            )[0]
+            step = directions @ coefficients
+            fraction, joint = find_blocking_joint(velocity, step, bounds, held_at)
+            velocity += fraction * step
+            if joint >= 0:
+                held_at[joint] = 1.0 if step[joint] > 0.0 else -1.0
+                continue
+        if not len(held_rows):
+            break
+        gradient = rows_of_free.T @ (rates - rows @ velocity)
+        is_first_taken = change > MAX_CHANGES // 2
+        joint = find_joint_to_release(held_rows, gradient, held_at, is_first_taken)
+        if joint < 0:
+            break
+        held_at[joint] = 0.0
+    return velocity, np.ascontiguousarray(free @ null_space(rows_of_free))

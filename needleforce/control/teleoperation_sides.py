@@ -1,0 +1,326 @@
+"""The two sides of a teleoperation, and the packets between them.
+
+The device's side scales the motion of the hand and shows it a passive force; the
+needle's side follows within a speed limit and sends the force. See `teleoperation`.
+"""
+
+import math
+from typing import NamedTuple
+
+from needleforce.control.passivity import (
+    HANDLE_kg,
+    HandPort,
+    MAX_DAMPING_Ns_m,
+    NeedlePort,
+)
+
+USUAL_FORCE_LAG_s = 0.015
+"""Lag of the force that the usual damping makes up for: of the default observer."""
+
+MAX_STIFFNESS_N_per_m = 1000.0
+"""Largest stiffness of tissue that is reckoned with."""
+
+DAMPING_Ns_m = 50.0
+"""Damping of quick motion, per motion scale. A delayed spring drives a hand (a stiffness
+k takes k T of damping away), and so does friction that is not known yet, both the more
+the less its motion is scaled down; and it springs forward at a rupture."""
+
+MIN_DAMPING_Ns_m = 15.0
+"""Least damping of quick motion, whatever the scale."""
+
+STEADY_s = 0.3
+"""Motion that lasts longer is steady: it is not damped."""
+
+SPEED_LAG_s = 0.01
+"""Low-pass on the speed of the handle, which comes from its encoder's steps."""
+
+SWING_MEMORY_s = 0.12
+"""Time of the means that show a swing of 3 Hz or more, where damping grows up to the
+port's."""
+
+SWING_RATIO = 2.0
+"""Of a hand that springs forward the mean square of the speed is that of its mean; what
+exceeds so many times that is a swing."""
+
+CALM_m_s = 3e-3
+"""A slower swing is none that must be damped."""
+
+COUPLING_s = 0.2
+"""So softly the force comes and goes with the clutch: no step throws the hand."""
+
+MAX_HOLD_s = 0.02
+"""Between two samples of the device its force stays; without one for so long it ends."""
+
+GAP_MEMORY_s = 1.0
+"""For so long a gap between two samples of the device may come again."""
+
+MAX_SILENCE_s = 0.1
+"""Without news from the device for so long the needle stands; and a handle that has not
+changed its place for so long does, whatever speed it reports."""
+
+CATCH_UP_PER_s = 10.0
+"""Rate at which the needle makes up for travel that it could not follow."""
+
+NEEDLE_ALLOWANCE_J = 10e-3
+"""What the hand may owe the needle, see `NeedlePort`: a delayed force is shown too low
+while it rises."""
+
+NEEDLE_ALLOWANCE_W = 2e-3
+"""By so much that allowance is refilled: hand and tissue dissipate as much in any
+case."""
+
+
+class HandPacket(NamedTuple):
+    """From the device to the needle.
+
+    Attributes:
+        travel_m: Of the handle along the needle while coupled, scaled to the needle.
+        speed_m_s: Its rate, scaled.
+        energy_J: That the hand has put in.
+        is_coupled: Whether the hand moves the needle, which stands otherwise.
+    """
+
+    travel_m: float
+    speed_m_s: float
+    energy_J: float
+    is_coupled: bool
+
+
+class NeedlePacket(NamedTuple):
+    """From the needle to the device.
+
+    Attributes:
+        force_N: To be shown, scaled to the hand.
+        energy_J: That the tissue has given back, scaled to the hand.
+    """
+
+    force_N: float
+    energy_J: float
+
+
+class HandleSample(NamedTuple):
+    """The handle along the needle's axis.
+
+    Attributes:
+        position_m: Its position, positive inwards.
+        speed_m_s: Its speed, positive inwards.
+        is_coupled: Whether the hand moves the needle.
+    """
+
+    position_m: float
+    speed_m_s: float
+    is_coupled: bool
+
+
+class _SwingMeter:
+    """Measures how much of the quick motion of a hand is a swing."""
+
+    def __init__(self) -> None:
+        self._mean_m_s = 0.0
+        self._mean_square_m2_s2 = 0.0
+
+    def update(self, quick_m_s: float, dt_s: float) -> float:
+        """Return the fraction, 0 to 1, of the quick speed's mean square that swings."""
+        weight = dt_s / (SWING_MEMORY_s + dt_s)
+        self._mean_m_s += weight * (quick_m_s - self._mean_m_s)
+        self._mean_square_m2_s2 += weight * (quick_m_s**2 - self._mean_square_m2_s2)
+        swing_m2_s2 = max(
+            self._mean_square_m2_s2 - SWING_RATIO * self._mean_m_s**2, 0.0
+        )
+        return swing_m2_s2 / (self._mean_square_m2_s2 + CALM_m_s**2)
+
+
+class DeviceSide:
+    """The end at the haptic device: scales its motion, shows a passive force.
+
+    Args:
+        motion_scale: See `Teleoperation`.
+        force_lag_s: See `Teleoperation`.
+
+    Attributes:
+        port: Energy between device and hand.
+        position_m: Of the handle at its last sample; None after a release.
+        force_N: To render, positive against insertion.
+    """
+
+    def __init__(
+        self, motion_scale: float, force_lag_s: float = USUAL_FORCE_LAG_s
+    ) -> None:
+        late_s = max(force_lag_s - USUAL_FORCE_LAG_s, 0.0)
+        damping_Ns_m = DAMPING_Ns_m + MAX_STIFFNESS_N_per_m * late_s
+        self._damping_Ns_m = max(MIN_DAMPING_Ns_m, damping_Ns_m * motion_scale)
+        self._scale = motion_scale
+        self.port = HandPort()
+        self.position_m: float | None = None
+        self.force_N = 0.0
+        self._packet = HandPacket(0.0, 0.0, 0.0, False)
+        self._speed_m_s = 0.0  # of the handle, smoothed
+        self._steady_m_s = 0.0  # the slow part of it
+        self._still_s = 0.0  # time without a change of place
+        self._since_s = 0.0  # time since the last sample
+        self._coupling = 0.0  # 0 to 1, follows the clutch
+        self._gap_s = 0.0  # longest of late between two samples
+        self._swing = _SwingMeter()
+
+    def release(self, travel_m: float = 0.0) -> None:
+        """Let go of the force, after about so much travel, and begin anew.
+
+        The next sample says where the handle is.
+        """
+        self.port.release(travel_m)
+        self.position_m = None
+        self.force_N = 0.0
+        self._since_s = MAX_HOLD_s
+        self._packet = self._packet._replace(speed_m_s=0.0, is_coupled=False)
+
+    def update(
+        self, handle: HandleSample | None, news: NeedlePacket | None, dt_s: float
+    ) -> HandPacket:
+        """Find the force to render, and return the packet to send.
+
+        Between samples of the handle its force stays: then the energy through the port
+        is known exactly.
+
+        Args:
+            handle: A new sample, or None.
+            news: The newest packet from the needle, or None.
+            dt_s: Time since the last call.
+        """
+        self._since_s += dt_s
+        if handle is None:
+            self._wait(dt_s)
+            return self._packet
+        dt_s = min(self._since_s, MAX_HOLD_s)
+        self._since_s = 0.0
+        last_position_m = self.position_m
+        moved_m = (
+            0.0 if last_position_m is None else handle.position_m - last_position_m
+        )
+        self._still_s = (
+            self._still_s + dt_s if handle.position_m == last_position_m else 0.0
+        )
+        self.position_m = handle.position_m
+        self._coupling += (
+            (handle.is_coupled - self._coupling) * dt_s / (COUPLING_s + dt_s)
+        )
+        self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / GAP_MEMORY_s))
+        # A handle that moves changes its place; one that only says so repeats an old
+        # sample.
+        speed_m_s = 0.0 if self._still_s > MAX_SILENCE_s else handle.speed_m_s
+        damping_N = self._damp_quick_motion(speed_m_s, dt_s)
+        known_N, incoming_J = news or (0.0, 0.0)
+        self.force_N = self.port.update(
+            known_N * self._coupling + damping_N,
+            handle.position_m,
+            speed_m_s,
+            incoming_J,
+            dt_s=dt_s,
+            ahead_s=self._gap_s,
+        )
+        scale = self._scale * handle.is_coupled
+        self._packet = HandPacket(
+            travel_m=self._packet.travel_m + scale * moved_m,
+            speed_m_s=scale * self._speed_m_s,
+            energy_J=self.port.in_J,
+            is_coupled=handle.is_coupled,
+        )
+        return self._packet
+
+    def _wait(self, dt_s: float) -> None:
+        """Let a tick pass without a sample; after too many let go of the force."""
+        if self._since_s < MAX_HOLD_s:
+            return
+        self._coupling -= self._coupling * dt_s / (COUPLING_s + dt_s)
+        if self.position_m is not None:
+            self.release(self._speed_m_s * self._since_s)
+
+    def _damp_quick_motion(self, speed_m_s: float, dt_s: float) -> float:
+        """Return the force that damps what is not steady in the hand's motion.
+
+        The damping grows where that motion swings. A light device that is read seldom
+        would be thrown back by more than its mass over twice the time between samples.
+        """
+        self._speed_m_s += (speed_m_s - self._speed_m_s) * dt_s / (SPEED_LAG_s + dt_s)
+        self._steady_m_s += (
+            (self._speed_m_s - self._steady_m_s) * dt_s / (STEADY_s + dt_s)
+        )
+        quick_m_s = self._speed_m_s - self._steady_m_s
+        swing_fraction = self._swing.update(quick_m_s, dt_s)
+        lowest_Ns_m = self._damping_Ns_m
+        highest_Ns_m = max(
+            min(MAX_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), lowest_Ns_m
+        )
+        damping_Ns_m = lowest_Ns_m + swing_fraction * (highest_Ns_m - lowest_Ns_m)
+        return damping_Ns_m * quick_m_s
+
+
+class NeedleSide:
+    """The end at the robot: follows the hand within a speed limit, sends the force.
+
+    Energy at the hand is that at the needle times force scale / motion scale.
+
+    Args:
+        motion_scale: See `Teleoperation`.
+        force_scale: See `Teleoperation`.
+        speed_limit_m_s: See `Teleoperation`.
+
+    Attributes:
+        port: Energy between needle and tissue.
+        start_m: Depth without travel of the hand; None until the first packet and after
+            a reset.
+    """
+
+    def __init__(
+        self, motion_scale: float, force_scale: float, speed_limit_m_s: float
+    ) -> None:
+        scale = force_scale / motion_scale
+        self._energy_scale = scale
+        self._force_scale = force_scale
+        self._limit_m_s = speed_limit_m_s
+        self.port = NeedlePort(NEEDLE_ALLOWANCE_J / scale, NEEDLE_ALLOWANCE_W / scale)
+        self.start_m: float | None = None
+        self._news: HandPacket | None = None
+        self._silent_s = 0.0
+
+    def update(
+        self,
+        news: HandPacket | None,
+        force_N: float,
+        depth_m: float,
+        speed_m_s: float,
+        dt_s: float,
+    ) -> tuple[float, NeedlePacket]:
+        """Return the speed to move with, and the packet to send.
+
+        Args:
+            news: The newest packet from the device, or None.
+            force_N: The force to be shown, not scaled.
+            depth_m: Of the needle, from any zero.
+            speed_m_s: Of the needle, positive inwards.
+            dt_s: Time since the last call.
+        """
+        self._silent_s = self._silent_s + dt_s if news is self._news else 0.0
+        self._news = news
+        wanted_m_s = 0.0
+        incoming_J = 0.0
+        if news is not None:
+            wanted_m_s = self._follow_hand(news, depth_m)
+            incoming_J = news.energy_J
+        wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
+        passive_m_s = self.port.update(
+            wanted_m_s, force_N, speed_m_s, incoming_J / self._energy_scale, dt_s
+        )
+        return passive_m_s, NeedlePacket(
+            force_N=self._force_scale * force_N,
+            energy_J=self._energy_scale * self.port.in_J,
+        )
+
+    def _follow_hand(self, news: HandPacket, depth_m: float) -> float:
+        """Return the speed that follows the hand; zero where it is silent."""
+        is_silent = self._silent_s >= MAX_SILENCE_s
+        if self.start_m is None or not news.is_coupled or is_silent:
+            self.start_m = depth_m - news.travel_m
+        if is_silent:
+            return 0.0
+        behind_m = self.start_m + news.travel_m - depth_m
+        return news.speed_m_s + CATCH_UP_PER_s * behind_m
