@@ -15,7 +15,7 @@ from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
-from needleforce.anatomy.volume import UNLABELLED
+from needleforce.anatomy.path_layers import UNLABELLED
 
 SPACINGS_MM = {
     "3 mm": (3.0, 3.0, 3.0),

@@ -26,7 +26,9 @@ from benchmarks.results import Measurement, our_measurement
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
-from needleforce.control.controller import Controller, Limits, Solver, hierarchical
+from needleforce.control.controller import Controller
+from needleforce.control.joint_limits import Limits
+from needleforce.control.priority_solver import Solver, hierarchical
 from needleforce.control.tasks import (
     DecoupledMotion,
     Fixture,

@@ -22,20 +22,19 @@ from benchmarks.control.published import solve_published
 from benchmarks.results import Measurement, Method, our_measurement
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
-from needleforce.control.controller import (
-    Controller,
-    Limits,
+from needleforce.control.controller import Controller
+from needleforce.control.joint_limits import Limits, write_velocity_bounds
+from needleforce.control.priority_solver import (
     Solver,
     Stack,
     hierarchical,
-    joint_bounds,
-    serve_level,
+    solve_level,
 )
 from needleforce.control.tasks import (
     AxialSpeed,
     DecoupledMotion,
     Fixture,
-    LONGEST_STEP_s,
+    MAX_STEP_s,
     Posture,
     RemoteCentre,
     Task,
@@ -77,8 +76,8 @@ class RandomStacks:
     def posture(self, is_singular: bool) -> Array:
         """Joint positions within limits."""
         rng = self.rng
-        table = self.limits.table
-        q = rng.uniform(table[0], table[1])
+        joints = self.limits.joints
+        q = rng.uniform(joints.position_lower_rad, joints.position_upper_rad)
         if is_singular:
             joint = rng.choice(SINGULAR_JOINTS)
             q[joint] = rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-9.0, -2.0)
@@ -100,7 +99,10 @@ class RandomStacks:
             AxialSpeed(speed * rng.standard_normal()),
         ]
         chosen = rng.permutation(len(kinds))[: rng.integers(2, 5)]
-        goal = rng.uniform(self.limits.table[0] - 0.5, self.limits.table[1] + 0.5)
+        joints = self.limits.joints
+        goal = rng.uniform(
+            joints.position_lower_rad - 0.5, joints.position_upper_rad + 0.5
+        )
         return [*(kinds[k] for k in chosen), Posture(goal)]
 
     def draw(self, is_singular: bool) -> tuple[list[Task], Array]:
@@ -108,7 +110,8 @@ class RandomStacks:
         q = self.posture(is_singular)
         self.tool.update(q)
         fraction = self.rng.choice((0.0, 0.01, 0.3, 1.0))
-        last = fraction * self.limits.table[2] * self.rng.uniform(-1.0, 1.0, q.size)
+        speed_rad_s = self.limits.joints.speed_rad_s
+        last = fraction * speed_rad_s * self.rng.uniform(-1.0, 1.0, q.size)
         return self.tasks(), last
 
 
@@ -121,7 +124,9 @@ def solved(
     """Numbers of the first levels of a stack, and the velocity that serves them."""
     stack = Stack(tasks, last.size)
     stack.fill(tasks, stacks.tool)
-    joint_bounds(stacks.limits.table, stacks.tool.q_rad, last, 1e-3, stack.bounds)
+    write_velocity_bounds(
+        stacks.limits.joints, stacks.tool.q_rad, last, 1e-3, stack.bounds
+    )
     return stack, solve(stack)[0]
 
 
@@ -227,7 +232,7 @@ def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array
         length = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
         level = rows / length[:, None], rates / length
         if free.size and not all_met:
-            end, free = serve_level(*level, free, stack.bounds, end)
+            end, free = solve_level(*level, free, stack.bounds, end)
         yield *level, velocity if all_met else end
 
 
@@ -281,12 +286,14 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measuremen
         elapsed_s, dt_s, seen = _hostile_sample(q, rng)
         last_step_s, step_s = (
             step_s,
-            min(dt_s, LONGEST_STEP_s) if dt_s > 0.0 else step_s,
+            min(dt_s, MAX_STEP_s) if dt_s > 0.0 else step_s,
         )
         q = q + elapsed_s * before
         dq = control.update(ArmSample(dt_s, seen, None, seen), tasks).dq_rad_s
         silent += not np.isfinite(dq).all()
-        change = np.abs(dq - before) - stacks.limits.table[3] * max(step_s, last_step_s)
+        change = np.abs(dq - before) - stacks.limits.joints.acceleration_rad_s2 * max(
+            step_s, last_step_s
+        )
         beyond = np.maximum(robot.position_lower_rad - q, q - robot.position_upper_rad)
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])

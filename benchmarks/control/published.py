@@ -7,14 +7,14 @@ damped inverses is none, so near singular postures lower tasks undo higher ones.
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.control.controller import Stack
 from needleforce.control.errors import ControlError
+from needleforce.control.priority_solver import Stack
 
 Array = NDArray[np.float64]
 
 
 def solve_published(stack: Stack) -> tuple[Array, bool]:
-    """Joint velocities, and False, see `needleforce.control.controller.Solver`.
+    """Joint velocities, and False, see `needleforce.control.priority_solver.Solver`.
 
     dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
 

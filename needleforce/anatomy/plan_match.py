@@ -15,7 +15,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import PlanError, require_deviation
-from needleforce.anatomy.path_layers import Layer, UNLABELLED
+from needleforce.anatomy.path_layers import UNLABELLED, Layer
 from needleforce.anatomy.rupture_model import RuptureModel, join, match_last_rupture
 from needleforce.anatomy.structures import words_of
 
@@ -148,7 +148,9 @@ class PlanMatch:
         if deepest_m is not None:
             lowest_m = max(float(deepest_m) - entry_depth_m, tip_m)
         model = self._model
-        expected = model.expect(None if contact_m is None else contact_m - entry_depth_m)
+        expected = model.expect(
+            None if contact_m is None else contact_m - entry_depth_m
+        )
         ahead = model.look_ahead(expected, lowest_m)
         weights = model.weigh(
             expected, [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]

@@ -165,13 +165,16 @@ class RuptureModel:
         offset_std_m: float,
     ) -> None:
         chances = find_chances([name.lower() for name in names])
-        self._at_once_and_late = np.array([1.0 - chances.late, chances.late])[:, :, None]
+        self._at_once_and_late = np.array([1.0 - chances.late, chances.late])[
+            :, :, None
+        ]
         self._missed = chances.missed[:, None]
         self._bound_m = bound_m
         self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
         self._offset_std_m = offset_std_m
         half = round(REACH * offset_std_m / GRID_m)
-        self.offset_m: Array = GRID_m * np.arange(-half, half + 1)
+        steps = np.arange(-half, half + 1).astype(np.float64)
+        self.offset_m: Array = np.multiply(GRID_m, steps)
         std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
         std_m[0] = np.hypot(std_m[0], offset_std_m)  # the surface, see `TOGETHER`
         weight = np.zeros((len(names) + 1, len(self.offset_m)))

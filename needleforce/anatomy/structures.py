@@ -4,11 +4,38 @@ import re
 from dataclasses import dataclass
 
 OBSTACLES = frozenset(
-    """
-    bone bones rib ribs ribcage costal cartilage cartilages vertebra vertebrae vertebral
-    spine sacrum coccyx hip femur patella tibia fibula sternum scapula scapulae clavicula
-    clavicle humerus radius ulna pelvis skull mandible
-    """.split()
+    [
+        "bone",
+        "bones",
+        "rib",
+        "ribs",
+        "ribcage",
+        "costal",
+        "cartilage",
+        "cartilages",
+        "vertebra",
+        "vertebrae",
+        "vertebral",
+        "spine",
+        "sacrum",
+        "coccyx",
+        "hip",
+        "femur",
+        "patella",
+        "tibia",
+        "fibula",
+        "sternum",
+        "scapula",
+        "scapulae",
+        "clavicula",
+        "clavicle",
+        "humerus",
+        "radius",
+        "ulna",
+        "pelvis",
+        "skull",
+        "mandible",
+    ]
 )
 """Words in the names of structures that stop a needle."""
 

@@ -239,16 +239,14 @@ def closed_surface(
     padded = np.pad(mask, 1)
     vertices, triangles, _, _ = marching_cubes(padded, 0.5, gradient_direction="ascent")
     mesh = _smooth_and_simplify(vertices, triangles)
-    _restore_volume(mesh, np.count_nonzero(mask))
+    _restore_volume(mesh, int(np.count_nonzero(mask)))
     # A mirrored grid turns triangles inside out, and this turns them back.
     origin_m = (corner_m - axes_m.sum(axis=1))[:, None]
     mesh.apply_transform(np.block([[axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
     return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), colour)
 
 
-def _smooth_and_simplify(
-    vertices: Array, triangles: NDArray[np.integer]
-) -> "Trimesh":
+def _smooth_and_simplify(vertices: Array, triangles: NDArray[np.integer]) -> "Trimesh":
     """Return the surface of cubes without their stairs and with fewer triangles.
 
     A structure of a few voxels, which smoothing would fold, stays as it is.

@@ -273,7 +273,7 @@ def _gauss_newton_step(fit: _Fit, step_number: int) -> Array:
     held = fit.normal_matrix + SMALL_HOLD * hold
     gradient = fit.rows.T @ (fit.weights * fit.distances)
     step = -np.linalg.lstsq(held, gradient)[0]
-    return step * min(1.0, FULL_STEPS / step_number)
+    return np.asarray(step * min(1.0, FULL_STEPS / step_number), dtype=np.float64)
 
 
 def _move(points: Array, step: Array) -> Array:

@@ -14,9 +14,9 @@ from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from needleforce.control.state_machine import MOVING, State, transition
+from residual.checks.input import as_float
 from residual.errors import TareError
 from residual.estimate import Status
-from residual.checks.input import as_float
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate

@@ -16,8 +16,8 @@ from needleforce.control.errors import SettingError
 from needleforce.control.ports import ArmSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
-from residual.estimate import SensorWarning, Status
 from residual.checks.input import as_float
+from residual.estimate import SensorWarning, Status
 
 if TYPE_CHECKING:
     from needleforce.session import InsertionSession, SessionEstimate

@@ -142,13 +142,13 @@ class TipTask:
         rotation_rad = (
             tool.rotation_to(self.rotation) if self._has_rotation else _NO_ROTATION
         )
+        rates[:] = self.rate
         _write_tip_task(
             tool.pose,
             tool.jacobian,
             self.selection,
             self.goal_m,
             rotation_rad,
-            self.rate,
             self.gain_per_s,
             rows,
             rates,
@@ -165,14 +165,12 @@ def _write_tip_task(
     selection: Matrix,
     goal_m: Vector,
     rotation_rad: Vector,
-    rate: Vector,
     gain_per_s: float,
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    """Write J = S J_tip and v = w + K S e, with log(R_d R^T) as the rotation."""
+    """Write J = S J_tip, and add K S e to v; the rotation is log(R_d R^T)."""
     np.dot(selection, jacobian, rows)
-    rates[:] = rate
     if gain_per_s != 0.0:
         error = np.zeros(6)
         error[:3] = goal_m - pose[:3, 3]

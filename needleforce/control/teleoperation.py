@@ -22,15 +22,15 @@ from needleforce.control.ports import MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.teleoperation_sides import (
     DeviceSide,
-    HandPacket,
     HandleSample,
+    HandPacket,
     MAX_STIFFNESS_N_per_m,
     NeedlePacket,
     NeedleSide,
     USUAL_FORCE_LAG_s,
 )
-from residual.estimate import Status
 from residual.checks.input import as_float
+from residual.estimate import Status
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate

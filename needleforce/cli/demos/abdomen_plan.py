@@ -17,7 +17,7 @@ from needleforce.anatomy import (
     Layer,
     Structure,
 )
-from needleforce.anatomy.volume import UNLABELLED
+from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.cli.terminal import CommandError
 
 Array = NDArray[np.float64]

@@ -19,6 +19,7 @@ from needleforce.anatomy import (  # noqa: E402
     fit_landmarks,
     fit_surface,
 )
+from needleforce.anatomy.rupture_model import find_chances  # noqa: E402
 
 FRONT = np.array(
     [
@@ -374,7 +375,8 @@ def test_a_capsule_is_expected_to_rupture_late():
         layers[1],
         replace(layers[2], name="liver"),
     ]
-    assert PlanMatch(inside, 3e-3)._kind[1, :, 0].tolist() == [1.0, 0.25, 0.25]
+    chances = find_chances([layer.name for layer in inside])
+    assert chances.late.tolist() == [1.0, 0.25, 0.25]
 
 
 def test_a_false_alarm_does_not_count_as_a_boundary():

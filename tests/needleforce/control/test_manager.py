@@ -12,19 +12,17 @@ from hypothesis import strategies as st
 from groundtruth.rig_arm import ArmSample
 from needleforce import InsertionSession
 from needleforce.control.errors import SettingError
-from needleforce.control.manager import (
+from needleforce.control.event_log import read_events, replay, write_mcap
+from needleforce.control.manager import Manager
+from needleforce.control.monitors import Beside
+from needleforce.control.state_machine import (
     EVENTS,
     MOVING,
     REFUSALS,
     TABLE,
-    Manager,
     State,
-    read_events,
-    replay,
     transition,
-    write_mcap,
 )
-from needleforce.control.monitors import Beside
 from residual import SensorConfig, Status
 from tests.needleforce.control.managed_session import (
     ROBOT,

@@ -8,8 +8,8 @@ import pytest
 
 from groundtruth.rig_arm import ArmSample
 from needleforce.control.errors import SettingError
-from needleforce.control.manager import State
 from needleforce.control.monitors import Beside, SafetyLimits
+from needleforce.control.state_machine import State
 from residual import SensorWarning, Status
 from tests.needleforce.control.managed_session import inserting, new_manager, run
 

@@ -22,7 +22,7 @@ from needleforce.control import (
     Task,
     TipVelocity,
 )
-from needleforce.control.tasks import JointVelocity, LONGEST_STEP_s, ToolState
+from needleforce.control.tasks import JointVelocity, MAX_STEP_s, ToolState
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -135,7 +135,7 @@ def test_a_pause_or_a_time_that_is_none_moves_no_wish_of_decoupled_motion_away()
     for dt_s, most_m in (
         (np.nan, 0.0),
         (-1.0, 0.0),
-        (5.0, 0.03 * LONGEST_STEP_s),
+        (5.0, 0.03 * MAX_STEP_s),
         (1e-3, 1e-3),
     ):
         before_m = motion.goal_m

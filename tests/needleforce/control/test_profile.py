@@ -14,8 +14,8 @@ from needleforce.control import (
     State,
     depth_of,
 )
-from needleforce.control.insertion_profile import RuptureCount
-from needleforce.control.manager import MOVING
+from needleforce.control.rupture_counter import RuptureCounter
+from needleforce.control.state_machine import MOVING
 
 DT = 1e-3
 SPEED_M_S = 5e-3
@@ -31,7 +31,7 @@ def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=
 
 def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
     """Layers left after a force that has grown for three seconds falls within 20 ms."""
-    ruptures = RuptureCount()
+    ruptures = RuptureCounter()
     rng = np.random.default_rng(0)
     for k in range(3100):
         force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(
@@ -67,7 +67,7 @@ def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
 
 
 def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
-    ruptures = RuptureCount()
+    ruptures = RuptureCounter()
     left = []
     for k in range(5000):
         force_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
@@ -89,7 +89,7 @@ def test_a_force_that_falls_behind_a_gap_is_no_rupture():
 
 
 def test_a_reading_that_is_no_number_is_skipped():
-    ruptures = RuptureCount()
+    ruptures = RuptureCounter()
     for k in range(3100):
         fallen = k > 3030
         force_N = np.nan if k == 100 else 2.0 * min(k / 3000.0, 1.0) - fallen

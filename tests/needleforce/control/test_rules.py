@@ -17,7 +17,7 @@ from needleforce.control import (
     replay,
     write_mcap,
 )
-from needleforce.control.manager import EVENTS, REFUSALS, TABLE, transition
+from needleforce.control.state_machine import EVENTS, REFUSALS, TABLE, transition
 from urdf import load_lwr
 
 ROBOT = load_lwr()

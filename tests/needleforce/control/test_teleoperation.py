@@ -12,7 +12,7 @@ from groundtruth.errors import PlantError
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator, random_operator
 from needleforce.control import SettingError
-from needleforce.control.passivity import HandPort, NeedlePort, Port, passive_part
+from needleforce.control.passivity import HandPort, NeedlePort, Port, passive_fraction
 from needleforce.control.teleoperation import Teleoperation, shown_force
 from residual import Status
 
@@ -101,8 +101,8 @@ def test_without_passivity_a_delayed_wall_gives_energy_away():
     rng = np.random.default_rng(5)
     master = HapticMaster(Operator(wish_m=advancing(20e-3, 30e-3)))
     tele = Teleoperation(lines=(line(0.05, rng), line(0.05, rng)), shown="raw")
-    tele.device.port.update = lambda wanted, *_: wanted
-    tele.needle.port.update = lambda wanted, *_: wanted
+    tele.device.port.update = lambda wanted, *_, **__: wanted
+    tele.needle.port.update = lambda wanted, *_, **__: wanted
     drive(PLANTS["wall"], tele, master, 3.0, rng)
     assert master.least_energy_J < -5e-3
 
@@ -315,9 +315,9 @@ def test_a_free_device_never_gets_out_what_was_not_put_in(steps):
     position_m = 0.0
     mass_kg = 0.25
     for wanted_N, speed_m_s in steps:
-        force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, (DT, DT))
+        force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, dt_s=DT, ahead_s=DT)
         position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
-        port.update(0.0, position_m, 0.0, 1e9, (DT, DT))
+        port.update(0.0, position_m, 0.0, 1e9, dt_s=DT, ahead_s=DT)
         assert port.net_J >= -1e-12
 
 
@@ -326,22 +326,22 @@ def test_energy_of_a_port_counts_both_ways_apart():
     port.observe(2.0, 0.1)
     port.observe(2.0, -0.05)
     assert (port.in_J, port.out_J, port.net_J) == pytest.approx((0.2, 0.1, 0.1))
-    assert passive_part(1.0, 0.25) == 0.25
-    assert passive_part(1.0, -1.0) == 0.0
-    assert passive_part(-1.0, -1.0) == 1.0
+    assert passive_fraction(1.0, 0.25) == 0.25
+    assert passive_fraction(1.0, -1.0) == 0.0
+    assert passive_fraction(-1.0, -1.0) == 1.0
 
 
 def test_an_allowance_that_is_not_used_is_not_saved_up():
     port = Port(1e-3, 2e-3)
     for _ in range(60_000):
-        quiet = port.budget_J(0.0, DT)
+        quiet = port.update_budget_J(0.0, DT)
     assert quiet == 1e-3
     port.observe(-1.0, 1.5e-3)  # more than may leave has left
-    assert port.budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
+    assert port.update_budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
     for _ in range(2000):
-        later = port.budget_J(0.0, DT)
+        later = port.update_budget_J(0.0, DT)
     assert later == pytest.approx(1e-3)
-    assert port.budget_J(0.1, DT) == pytest.approx(0.1 - 1.5e-3 + 1e-3)
+    assert port.update_budget_J(0.1, DT) == pytest.approx(0.1 - 1.5e-3 + 1e-3)
 
 
 def test_needle_without_a_hand_behind_it_presses_no_further_than_its_allowance():
