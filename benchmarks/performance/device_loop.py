@@ -25,13 +25,9 @@ from benchmarks.report.tables import ResultTable
 from groundtruth import simulate
 from needleforce import InsertionSession
 from needleforce.cli.arms.recorder import Recorder, leave_real_time
-from needleforce.devices import ArmSample, FriArm
-from needleforce.devices.emulators import (
-    Emulator,
-    FriSettings,
-    emulate_fri,
-    take_real_time,
-)
+from needleforce.devices import ArmReading, FriArm
+from needleforce.devices.emulators import Emulator, take_real_time
+from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 from urdf import Robot
 
 SCENARIO = "gel-25-constant"
@@ -87,7 +83,7 @@ def _is_real_time() -> bool:
 @contextmanager
 def _beside(
     kind: str, robot: Robot, notes: list[str]
-) -> Iterator[Callable[[Any, ArmSample], None]]:
+) -> Iterator[Callable[[Any, ArmReading], None]]:
     """What takes the estimate and the sample of every tick; at the end, what else is
     to be said.
     """

@@ -5,22 +5,26 @@ own protocol from a process of its own, or on the simulated arm. Links bind and 
 to loopback unless an address is named. What is malformed, old or foreign is counted in
 a `LinkReport`, never handed on.
 
-Reading order: `proxy` (what a device offers, samples, reports), `fri` (KUKA LWR 4+),
-`rdt` (ATI Net F/T), `research_arms` (Franka, UR), `haptic`, `emulators`.
+Reading order: `link` (what a device offers, readings, reports), `errors`,
+`datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` (ATI Net F/T), `research_arms`
+(Franka, UR), `haply`. Emulators: `emulators`, `fri_emulator`, `rdt_emulator`,
+`haply_emulator`.
 """
 
-from needleforce.devices.fri import FriArm as FriArm
-from needleforce.devices.haptic import HaplyMaster as HaplyMaster
-from needleforce.devices.proxy import (
-    ArmSample as ArmSample,
+from needleforce.devices.errors import (
     DeviceError as DeviceError,
     DeviceSettingError as DeviceSettingError,
     LinkError as LinkError,
-    LinkReport as LinkReport,
-    MasterSample as MasterSample,
     MissingClientError as MissingClientError,
+)
+from needleforce.devices.fri import FriArm as FriArm
+from needleforce.devices.haply import HaplyMaster as HaplyMaster
+from needleforce.devices.link import (
+    ArmReading as ArmReading,
+    LinkReport as LinkReport,
+    MasterReading as MasterReading,
     ReplayArm as ReplayArm,
-    paced as paced,
+    pace as pace,
 )
 from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
 from needleforce.devices.research_arms import FrankaArm as FrankaArm, UrArm as UrArm

@@ -1,86 +1,129 @@
 """KUKA LWR 4+ through the Fast Research Interface 1.0 of its controller (KRC2 lr).
 
 The controller sends a measurement of 916 bytes every cycle and wants a command of 376
-bytes back within it. A cycle is answered before its sample is handed on, with the
+bytes back within it. A cycle is answered before its reading is handed on, with the
 motion asked for before.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from enum import IntEnum
 from time import monotonic
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.devices.proxy import (
-    LOOPBACK,
-    ArmSample,
-    DatagramLink,
-    DeviceSettingError,
-)
+from foundation.arrays import Array
+from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
+from needleforce.devices.errors import DeviceSettingError
+from needleforce.devices.link import ArmReading
 
 PORT = 49938
+"""Of this machine, unless the controller is configured otherwise."""
+
 JOINTS = 7
+
 COUNTS = 1 << 16
-_HEADER = {
-    "count": ("<u2", 0),
-    "reflected": ("<u2", 2),
-    "size": ("<u2", 4),
-    "kind": ("<u2", 6),
+"""Counters of packets go round after so many."""
+
+
+class PacketField(NamedTuple):
+    """A field of a packet.
+
+    Attributes:
+        kind: Its type, as numpy names it, with a length for arrays.
+        offset: Its first byte.
+    """
+
+    kind: Any
+    offset: int
+
+
+_HEADER_FIELDS = {
+    "count": PacketField("<u2", 0),
+    "reflected": PacketField("<u2", 2),
+    "size": PacketField("<u2", 4),
+    "kind": PacketField("<u2", 6),
 }
 
 
-def _packet(size: int, fields: dict[str, tuple[object, int]]) -> np.dtype:
-    """A packet of so many bytes with these fields: their types and first bytes."""
-    both = _HEADER | fields
-    formats, offsets = zip(*both.values(), strict=True)
-    table = {
-        "names": list(both),
-        "formats": formats,
-        "offsets": offsets,
+def _packet_type(size: int, fields: Mapping[str, PacketField]) -> np.dtype:
+    """Return the type of packets of so many bytes, with a header and these fields."""
+    all_fields = {**_HEADER_FIELDS, **fields}
+    layout: Any = {
+        "names": list(all_fields),
+        "formats": [field.kind for field in all_fields.values()],
+        "offsets": [field.offset for field in all_fields.values()],
         "itemsize": size,
     }
-    return np.dtype(table)  # pyright: ignore[reportCallIssue, reportArgumentType]
+    return np.dtype(layout)
 
 
 # Little endian; from published descriptions of the interface (Schreiber, Stemmer,
 # Bischoff, ICRA 2010 workshop, and public drivers). Only what is used here.
-_MEASURED = {
-    "stamp_s": ("<f4", 140),
-    "state": ("<u2", 144),
-    "quality": ("<u2", 146),
-    "period_s": ("<f4", 148),
-    "error": ("<u2", 184),
-    "position_rad": (("<f4", JOINTS), 216),
-    "commanded_rad": (("<f4", JOINTS), 292),
-    "added_rad": (("<f4", JOINTS), 320),  # what this interface has added to the command
-    "torque_Nm": (("<f4", JOINTS), 444),  # behind the gears
-    "external_Nm": (("<f4", JOINTS), 472),
-}
-MEASUREMENT = _packet(916, _MEASURED)
+MEASUREMENT = _packet_type(
+    916,
+    {
+        "stamp_s": PacketField("<f4", 140),
+        "state": PacketField("<u2", 144),
+        "quality": PacketField("<u2", 146),
+        "period_s": PacketField("<f4", 148),
+        "error": PacketField("<u2", 184),
+        "position_rad": PacketField(("<f4", JOINTS), 216),
+        "commanded_rad": PacketField(("<f4", JOINTS), 292),
+        # What this interface has added to the command.
+        "added_rad": PacketField(("<f4", JOINTS), 320),
+        # Behind the gears.
+        "torque_Nm": PacketField(("<f4", JOINTS), 444),
+        "external_Nm": PacketField(("<f4", JOINTS), 472),
+    },
+)
+"""What the controller sends."""
+
 MEASUREMENT_KIND = 0x2006
-COMMAND = _packet(376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)})
+
+COMMAND = _packet_type(
+    376,
+    {
+        "flags": PacketField("<u4", 140),
+        "position_rad": PacketField(("<f4", JOINTS), 144),
+    },
+)
+"""What the controller wants back."""
+
 COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
-SILENT_CYCLES = 5  # After so many cycles without `send` the arm is held
-LONGEST_COUNTED_s = 1.0
-"""Of a longer gap the counter may have gone round or begun anew: our own clock says
-how long."""
-MOST_WAIT_s = 3600.0  # A socket waits for no infinite time
-LATEST_s = 0.1  # By which one datagram may come later than others
+
+MAX_SILENT_CYCLES = 5
+"""After so many cycles without `send` the arm is held."""
+
+MAX_COUNTED_GAP_S = 1.0
+"""After a longer gap the counter may have gone round or begun anew: our own clock says
+how long the gap was."""
+
+MAX_WAIT_S = 3600.0
+"""A socket waits for no infinite time."""
+
+MAX_DELAY_S = 0.1
+"""One datagram may come so much later than others."""
+
+MIN_PERIOD_S = 0.5e-3
+"""A measurement with a shorter period is invalid."""
+
+MAX_PERIOD_S = 0.1
+"""A measurement with a longer period is invalid."""
 
 
-class State(IntEnum):
-    """Of the interface."""
+class FriState(IntEnum):
+    """Modes of the interface."""
 
     OFF = 0
     MONITOR = 1
     COMMAND = 2
 
 
-class Quality(IntEnum):
-    """Of the connection, as the controller rates it."""
+class FriQuality(IntEnum):
+    """Qualities of the connection, as the controller rates it."""
 
     UNACCEPTABLE = 0
     BAD = 1
@@ -89,28 +132,32 @@ class Quality(IntEnum):
 
 
 def read_measurement(data: bytes) -> np.void | None:
-    """Decode a datagram; None if it is no measurement of this version, or has
-    impossible values.
+    """Decode a datagram.
+
+    Returns:
+        A record of `MEASUREMENT`; None if the datagram is no measurement of this
+        version, or has impossible values.
     """
     if len(data) != MEASUREMENT.itemsize:
         return None
-    found = np.frombuffer(data, MEASUREMENT)[0]
-    names = (
-        "stamp_s",
-        "position_rad",
-        "commanded_rad",
-        "added_rad",
-        "torque_Nm",
-        "external_Nm",
+    measurement = np.frombuffer(data, MEASUREMENT)[0]
+    is_kind = measurement["kind"] == MEASUREMENT_KIND
+    is_size = measurement["size"] == MEASUREMENT.itemsize
+    is_state = measurement["state"] <= max(FriState)
+    is_quality = measurement["quality"] <= max(FriQuality)
+    is_period = MIN_PERIOD_S < measurement["period_s"] <= MAX_PERIOD_S
+    if not (is_kind and is_size and is_state and is_quality and is_period):
+        return None
+    signals = (
+        measurement["stamp_s"],
+        measurement["position_rad"],
+        measurement["commanded_rad"],
+        measurement["added_rad"],
+        measurement["torque_Nm"],
+        measurement["external_Nm"],
     )
-    is_valid = (
-        (found["size"], found["kind"]) == (MEASUREMENT.itemsize, MEASUREMENT_KIND)
-        and found["state"] <= max(State)
-        and found["quality"] <= max(Quality)
-        and 0.5e-3 < found["period_s"] <= 0.1
-        and all(np.isfinite(found[name]).all() for name in names)
-    )
-    return found if is_valid else None
+    is_finite = all(np.isfinite(signal).all() for signal in signals)
+    return measurement if is_finite else None
 
 
 class FriArm(DatagramLink):
@@ -119,7 +166,7 @@ class FriArm(DatagramLink):
     In monitor mode every answer mirrors the position that the controller commands, as
     it demands. In command mode, which the program on the controller begins (friStart),
     with a good or perfect connection and no error, velocities given to `send` are
-    integrated. The interface transmits no velocity: samples have ``dq_rad_s=None``.
+    integrated. The interface transmits no velocity: readings have ``dq_rad_s=None``.
     After `close` the controller goes to monitor mode.
 
     Args:
@@ -128,12 +175,14 @@ class FriArm(DatagramLink):
         peer: Address or name of the controller; others are dropped. None: who is valid
             first.
         wait_s: A silence longer than this counts as an outage.
-        give_up_s: After so long without a valid measurement the samples end.
+        give_up_s: After so long without a valid measurement the readings end.
         robot: The model of the arm, kept for those who need both.
 
     Attributes:
-        state: Of the interface, of the last sample.
-        quality: Of the connection, of the last sample.
+        state: Of the interface, of the latest reading.
+        quality: Of the connection, of the latest reading.
+        robot: The model of the arm.
+        joints: How many there are.
 
     Raises:
         LinkError: The address cannot be bound, or the peer's name is unknown.
@@ -150,29 +199,34 @@ class FriArm(DatagramLink):
         give_up_s: float = 10.0,
         robot: Any = None,
     ) -> None:
-        if not 0.0 < wait_s <= min(give_up_s, MOST_WAIT_s):
-            what = f"0 < wait_s <= give_up_s, and wait_s of at most {MOST_WAIT_s:g} s"
-            raise DeviceSettingError(f"{wait_s=}, {give_up_s=}: expected {what}")
+        if not 0.0 < wait_s <= min(give_up_s, MAX_WAIT_S):
+            raise DeviceSettingError(
+                f"{wait_s=}, {give_up_s=}: expected 0 < wait_s <= give_up_s, and "
+                f"wait_s of at most {MAX_WAIT_S:g} s"
+            )
         super().__init__(host, port, peer=peer)
         self.robot = robot
         self.joints = JOINTS
-        self.state = State.OFF
-        self.quality = Quality.UNACCEPTABLE
+        self.state = FriState.OFF
+        self.quality = FriQuality.UNACCEPTABLE
         self._wait_s = wait_s
         self._give_up_s = give_up_s
-        self._last: np.void | None = None
-        self._arrival_s = self._after_s = (
-            monotonic()
-        )  # Of the last: read then, sent later than
+
+        self._measurement: np.void | None = None  # the latest
+        now_s = monotonic()
+        self._read_s = now_s  # when the latest was read
+        self._sent_after_s = now_s  # the latest was sent later than this
+
         self._answer = np.zeros((), COMMAND)
         self._answer["size"] = COMMAND.itemsize
         self._answer["kind"] = COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
-        self._target_rad = self._velocity_rad_s = np.zeros(JOINTS)
-        self._silent = SILENT_CYCLES
+        self._target_rad = np.zeros(JOINTS)
+        self._velocity_rad_s = np.zeros(JOINTS)
+        self._silent_cycles = MAX_SILENT_CYCLES
 
-    def __iter__(self) -> Iterator[ArmSample]:
-        """Samples as they come, each answered already."""
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield readings as they come, each answered already."""
         heard_s = monotonic()
         is_silent = False
         while self._is_open and monotonic() - heard_s < self._give_up_s:
@@ -180,82 +234,118 @@ class FriArm(DatagramLink):
             if data is None:
                 self.report.outages += not is_silent
                 is_silent = True
-                self.state = State.OFF
+                self.state = FriState.OFF
                 self.peer = None  # after an outage it may come back on another port
                 continue
-            for sample in self._answered(data):
-                yield sample
+            reading = self._process(data)
+            if reading is not None:
+                yield reading
                 heard_s = monotonic()
                 is_silent = False
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Joint velocity for the coming cycles [rad/s], shape (7,).
+        """Command a joint velocity for the coming cycles.
 
-        It holds for five cycles; then the arm is held where it is. False where the arm
-        takes no commands, and for numbers that are not finite.
+        It holds for five cycles; then the arm is held where it is.
+
+        Args:
+            dq_rad_s: Velocity, shape (7,).
+
+        Returns:
+            False where the arm takes no commands, and for numbers that are not finite.
         """
-        velocity = np.array(dq_rad_s, dtype=float)
-        is_usable = velocity.shape == (JOINTS,) and bool(np.isfinite(velocity).all())
+        velocity_rad_s = np.array(dq_rad_s, dtype=float)
+        is_shaped = velocity_rad_s.shape == (JOINTS,)
+        is_usable = is_shaped and bool(np.isfinite(velocity_rad_s).all())
         if not (is_usable and self._takes_commands()):
             return False
-        self._velocity_rad_s = velocity
-        self._silent = 0
+        self._velocity_rad_s = velocity_rad_s
+        self._silent_cycles = 0
         return True
 
     def _takes_commands(self) -> bool:
-        is_well = self._last is not None and self._last["error"] == 0
-        return self.state is State.COMMAND and self.quality >= Quality.GOOD and is_well
+        """Return whether the arm would move now."""
+        measurement = self._measurement
+        is_well = measurement is not None and measurement["error"] == 0
+        is_commanded = self.state is FriState.COMMAND
+        return is_commanded and self.quality >= FriQuality.GOOD and is_well
 
-    def _answered(self, data: bytes) -> Iterator[ArmSample]:
-        """A sample whose measurement is newer than the last, once that is answered."""
-        found = read_measurement(data)
+    def _process(self, data: bytes) -> ArmReading | None:
+        """Answer a measurement that is newer than the latest, and return its reading."""
+        measurement = read_measurement(data)
         now_s = monotonic()
-        if found is None:
+        if measurement is None:
             self.report.malformed += 1
-            return
-        # Both this and the last may have waited to be read: no more time is between
-        # them.
-        cycles = 1
-        most_s = now_s - self._after_s + LATEST_s
+            return None
         # The period as it was meant: 1 ms is not a number of 32 bits.
-        period_s = round(float(found["period_s"]), 6)
-        if self._last is not None:
-            cycles = (int(found["count"]) - int(self._last["count"])) % COUNTS
-            is_short = self._empty_s - self._arrival_s < LONGEST_COUNTED_s
-            is_counted = is_short and most_s < COUNTS // 2 * period_s
-            if is_counted and not 0 < cycles < COUNTS // 2:
-                self.report.stale += 1
-                return
-            if not is_counted or cycles * period_s > most_s:
-                cycles = max(round((now_s - self._arrival_s) / period_s), 1)
+        period_s = round(float(measurement["period_s"]), 6)
+        cycles = self._count_cycles(int(measurement["count"]), period_s, now_s)
+        if cycles is None:
+            self.report.stale += 1
+            return None
         self.peer = self.sender
-        self._arrival_s = now_s
-        self._after_s = self._empty_s
-        self._send_answer(found)
+        self._read_s = now_s
+        self._sent_after_s = self._empty_s
+        self._answer_measurement(measurement)
         dt_s = cycles * period_s
-        is_moved = self._takes_commands()
-        self.report.use(cycles, dt_s)
-        signals = "position_rad", "torque_Nm", "external_Nm"
-        q, tau, external = (found[name].astype(float) for name in signals)
-        yield ArmSample(
-            dt_s, q, None, tau, external, cycles - 1, accepts_commands=is_moved
+        self.report.count_used(cycles, dt_s)
+        return ArmReading(
+            dt_s=dt_s,
+            q_rad=measurement["position_rad"].astype(float),
+            dq_rad_s=None,
+            tau_Nm=measurement["torque_Nm"].astype(float),
+            external_Nm=measurement["external_Nm"].astype(float),
+            missed=cycles - 1,
+            accepts_commands=self._takes_commands(),
         )
 
-    def _send_answer(self, found: np.void) -> None:
+    def _count_cycles(self, count: int, period_s: float, now_s: float) -> int | None:
+        """Return how many cycles a measurement is later than the latest.
+
+        The counter says so; after a long gap our own clock does. Both this measurement
+        and the latest may have waited to be read: no more time is between them than
+        since the latest can have been sent.
+
+        Args:
+            count: Its number, modulo `COUNTS`.
+            period_s: Time of a cycle.
+            now_s: When it was read.
+
+        Returns:
+            The cycles; 1 for the first measurement, None for one that is not newer.
+        """
+        if self._measurement is None:
+            return 1
+        cycles = (count - int(self._measurement["count"])) % COUNTS
+        max_gap_s = now_s - self._sent_after_s + MAX_DELAY_S
+        is_short = self._empty_s - self._read_s < MAX_COUNTED_GAP_S
+        is_counted = is_short and max_gap_s < COUNTS // 2 * period_s
+        if is_counted and not 0 < cycles < COUNTS // 2:
+            return None
+        if not is_counted or cycles * period_s > max_gap_s:
+            return max(round((now_s - self._read_s) / period_s), 1)
+        return cycles
+
+    def _answer_measurement(self, measurement: np.void) -> None:
+        """Send the command of this cycle: the position of the controller, or ours."""
         was_commanded = self._takes_commands()
-        self._last = found
-        self.state = State(found["state"])
-        self.quality = Quality(found["quality"])
+        self._measurement = measurement
+        self.state = FriState(measurement["state"])
+        self.quality = FriQuality(measurement["quality"])
         if not (was_commanded and self._takes_commands()):
-            self._target_rad = found["commanded_rad"].astype(float) + found["added_rad"]
-            self._silent = SILENT_CYCLES
-        elif self._silent < SILENT_CYCLES:
-            self._silent += 1
-            self._target_rad = (
-                self._target_rad + found["period_s"] * self._velocity_rad_s
-            )
+            self._target_rad = _commanded_position(measurement)
+            self._silent_cycles = MAX_SILENT_CYCLES
+        elif self._silent_cycles < MAX_SILENT_CYCLES:
+            self._silent_cycles += 1
+            step_rad = measurement["period_s"] * self._velocity_rad_s
+            self._target_rad = self._target_rad + step_rad
         answer = self._answer
         answer["count"] = (int(answer["count"]) + 1) % COUNTS
-        answer["reflected"] = found["count"]
+        answer["reflected"] = measurement["count"]
         answer["position_rad"] = self._target_rad
         self._send(answer.tobytes())
+
+
+def _commanded_position(measurement: np.void) -> Array:
+    """Return where the controller commands the arm to be, shape (7,) [rad]."""
+    return measurement["commanded_rad"].astype(float) + measurement["added_rad"]

@@ -7,6 +7,7 @@ read from it, never assumed.
 
 import struct
 from collections.abc import Iterator
+from enum import IntEnum
 from http.client import HTTPException
 from time import monotonic
 from typing import NamedTuple
@@ -15,49 +16,80 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from needleforce.devices.proxy import (
+from foundation.arrays import Array
+from needleforce.devices.datagram_link import (
     LOOPBACK,
-    Array,
+    MAX_PORT,
     DatagramLink,
-    DeviceSettingError,
-    LinkError,
-    resolved,
+    Endpoint,
+    resolve_host,
 )
+from needleforce.devices.errors import DeviceSettingError, LinkError
 
 PORT = 49152
+"""Of the sensor, unless it is configured otherwise."""
+
 REQUEST_MARK = 0x1234
+"""How a request begins."""
+
 REQUEST = struct.Struct(">HHI")
-STOP = 0
-STREAM = 2
-BUFFERED = 3
-SOFTWARE_BIAS = 0x42
+"""Mark, command, and how many records are asked for; 0: any number."""
+
+
+class RdtCommand(IntEnum):
+    """Commands in a request."""
+
+    STOP = 0
+    STREAM = 2
+    BUFFERED = 3
+    SOFTWARE_BIAS = 0x42
+
+
 RECORD = np.dtype(
     [("count", ">u4"), ("ft_count", ">u4"), ("status", ">u4"), ("counts", ">i4", 6)]
 )
+"""What the sensor sends."""
+
 COUNTS = 1 << 32
-LONGEST_COUNTED_s = (
-    1.0  # A sensor silent for longer may have been off, and count from zero
-)
-MOST_AHEAD = 10_000  # Records of such a time; one further on, or further back, is not a new record
-RENUMBERED = 400  # Unless so many in a row are: the sensor has restarted its count
-MOST_REPLY = 1 << 20
-ROOM = (
-    1 << 22
-)  # Bytes for the records of half a second, if net.core.rmem_max allows as many
-FAULT_BITS = (
-    0xFFFF0000  # Of the status word: error of the sensor, saturated gauge, lost supply
-)
+"""Counters of records go round after so many."""
+
+MAX_COUNTED_GAP_S = 1.0
+"""A sensor silent for longer may have been off, and count from zero."""
+
+MAX_RECORDS_AHEAD = 10_000
+"""Records of such a time; one further on, or further back, is not a new record."""
+
+MIN_RENUMBERED_RECORDS = 400
+"""After so many in a row that are no new records the sensor has restarted its count."""
+
+MAX_REPLY_BYTES = 1 << 20
+"""So much of the sensor's page is read."""
+
+RECEIVE_BUFFER_BYTES = 1 << 22
+"""Room for the records of half a second, if net.core.rmem_max allows as much."""
+
+FAULT_BITS = 0xFFFF0000
+"""Of the status word: error of the sensor, saturated gauge, lost supply."""
 
 
 class Scale(NamedTuple):
-    """How many counts the sensor gives."""
+    """How many counts the sensor gives.
+
+    Attributes:
+        per_N: For a newton.
+        per_Nm: For a newton metre.
+    """
 
     per_N: float
     per_Nm: float
 
 
 def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
-    """Ask the sensor's page of its calibration for its counts.
+    """Read the counts from the sensor's page of its calibration.
+
+    Args:
+        url: Address of the page.
+        timeout_s: How long an answer is waited for.
 
     Raises:
         LinkError: The page cannot be read, names no counts, or counts per another unit
@@ -65,26 +97,41 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     """
     try:
         with urlopen(url, timeout=timeout_s) as reply:
-            tree = ElementTree.fromstring(reply.read(MOST_REPLY))
+            tree = ElementTree.fromstring(reply.read(MAX_REPLY_BYTES))
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
         raise LinkError(
             f"no counts per newton from {url}: {error}; is it the sensor?"
         ) from error
-    numbers = []
-    for name, unit_name, si in (("calcpf", "scalfu", "N"), ("calcpt", "scaltu", "Nm")):
-        text, unit = (tree.findtext(f".//{each}") for each in (name, unit_name))
-        try:
-            numbers.append(float(text or ""))
-        except ValueError:
-            raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
-        if unit is not None and unit.strip().replace("-", "") != si:
-            what = (
-                f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected {si}"
-            )
-            raise LinkError(
-                f"{what}: set the sensor to it, or give scale=Scale(per_N, per_Nm)"
-            )
-    return Scale(*numbers)
+    return Scale(
+        per_N=_read_counts(tree, url, "calcpf", "scalfu", "N"),
+        per_Nm=_read_counts(tree, url, "calcpt", "scaltu", "Nm"),
+    )
+
+
+def _read_counts(
+    tree: ElementTree.Element, url: str, name: str, unit_name: str, si_unit: str
+) -> float:
+    """Return the counts per unit that the sensor's page gives.
+
+    Args:
+        tree: The page.
+        url: Its address, for messages.
+        name: Of the element with the counts.
+        unit_name: Of the element with the unit; it may be missing.
+        si_unit: Which the unit has to be.
+    """
+    text = tree.findtext(f".//{name}")
+    unit = tree.findtext(f".//{unit_name}")
+    try:
+        counts = float(text or "")
+    except ValueError:
+        raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
+    if unit is not None and unit.strip().replace("-", "") != si_unit:
+        raise LinkError(
+            f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected "
+            f"{si_unit}: set the sensor to it, or give scale=Scale(per_N, per_Nm)"
+        )
+    return counts
 
 
 class NetFT(DatagramLink):
@@ -99,7 +146,7 @@ class NetFT(DatagramLink):
 
     Attributes:
         scale: Counts per newton and per newton metre.
-        status: Word of the last record; 0 when all is well.
+        status: Word of the latest record; 0 when all is well.
 
     Raises:
         LinkError: The sensor's name is unknown, its page cannot be read, or no port is
@@ -117,50 +164,59 @@ class NetFT(DatagramLink):
         buffered: bool = False,
         listen_on: str | None = None,
     ) -> None:
-        host = resolved(host)
+        host = resolve_host(host)
         page = scale or f"http://{host}/netftcalapi.xml"
         self.scale = read_scale(page) if isinstance(page, str) else page
         if np.shape(self.scale) != (2,) or not all(
-            0.0 < each < np.inf for each in self.scale
+            0.0 < counts < np.inf for counts in self.scale
         ):
             raise DeviceSettingError(
                 f"{self.scale}: expected positive counts per N and per Nm"
             )
-        if not 0 < port <= 65535:
-            raise DeviceSettingError(f"port {port} of the sensor: expected 1 to 65535")
+        if not 0 < port <= MAX_PORT:
+            raise DeviceSettingError(
+                f"port {port} of the sensor: expected 1 to {MAX_PORT}"
+            )
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
-        super().__init__(local, 0, peer=host, room=ROOM)
+        super().__init__(local, 0, peer=host, buffer_bytes=RECEIVE_BUFFER_BYTES)
         self.status = 0
-        self._sensor = (host, port)
-        self._mode = BUFFERED if buffered else STREAM
-        self._divisor = np.repeat(self.scale, 3)
-        self._last: int | None = None
-        self._odd = self._odd_row = (
-            0  # Last count out of sequence, and how many in a row
-        )
-        self._arrival_s = monotonic()
+        self._sensor = Endpoint(host, port)
+        self._mode = RdtCommand.BUFFERED if buffered else RdtCommand.STREAM
+        self._counts_per_unit = np.repeat(self.scale, 3)
+        self._latest_count: int | None = None
+        self._stray_count = 0  # of the latest record that was no new one
+        self._stray_in_row = 0  # such records that follow each other
+        self._read_s = monotonic()  # when the latest record was read
         self._zero = np.zeros(6)
         self._newest = np.zeros(6)
         self._request(self._mode)
 
     def read(self) -> Array | None:
-        """The newest wrench of all that have come: force [N], torque [Nm], shape (6,);
-        else None.
+        """Return the newest wrench of all that have come.
 
-        Raises nothing: `report` counts malformed and old ones. After 1 s of silence it
-        asks anew.
+        Malformed and old records are counted in the report. After 1 s of silence the
+        sensor is asked anew.
+
+        Returns:
+            Force [N] and torque [Nm], shape (6,); None if nothing has come.
         """
-        found = None
+        newest = None
         while self._is_open and (data := self._receive(0.0)) is not None:
-            for wrench in self._records(data):
-                found = wrench
-        if monotonic() - self._arrival_s > LONGEST_COUNTED_s:
+            for wrench in self._wrenches(data):
+                newest = wrench
+        if monotonic() - self._read_s > MAX_COUNTED_GAP_S:
             self._ask_again()
-        return found
+        return newest
 
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
-        """Every wrench as it comes, shape (6,); None after a silence: it is asked
-        for again.
+        """Yield every wrench as it comes.
+
+        Args:
+            wait_s: A silence longer than this counts as an outage.
+
+        Yields:
+            Force [N] and torque [Nm], shape (6,); None after a silence, when the sensor
+            was asked again.
         """
         while self._is_open:
             data = self._receive(wait_s)
@@ -168,68 +224,84 @@ class NetFT(DatagramLink):
                 self._ask_again()
                 yield None
             else:
-                yield from self._records(data)
+                yield from self._wrenches(data)
 
     def bias(self) -> None:
-        """Take the last reading for zero, here; the sensor's own zero stays as it
-        is.
-        """
+        """Take the latest reading for zero, here; the sensor's own zero stays."""
         self._zero = self._newest.copy()
 
     def unbias(self) -> None:
-        """Forget that."""
+        """Take the sensor's own zero again."""
         self._zero = np.zeros(6)
 
     def bias_sensor(self) -> None:
         """Let the sensor itself take its present load for zero."""
-        self._request(SOFTWARE_BIAS)
+        self._request(RdtCommand.SOFTWARE_BIAS)
 
     def close(self) -> None:
         """Ask the sensor to stop, and free the port."""
-        self._request(STOP)
+        self._request(RdtCommand.STOP)
         super().close()
 
     def _ask_again(self) -> None:
+        """Count an outage, and ask for records once more."""
         self.report.outages += 1
-        self._arrival_s = monotonic()
-        self._last = None
+        self._read_s = monotonic()
+        self._latest_count = None
         self._request(self._mode)
 
-    def _request(self, command: int) -> None:
+    def _request(self, command: RdtCommand) -> None:
+        """Send a command to the sensor."""
         self._send(REQUEST.pack(REQUEST_MARK, command, 0), self._sensor)
 
-    def _records(self, data: bytes) -> Iterator[Array]:
-        """Valid wrenches of a datagram, oldest first."""
+    def _wrenches(self, data: bytes) -> Iterator[Array]:
+        """Yield the valid wrenches of a datagram, shape (6,), oldest first."""
         report = self.report
         now_s = monotonic()
         if not data or len(data) % RECORD.itemsize:
             report.malformed += 1
             return
-        if now_s - self._arrival_s > LONGEST_COUNTED_s:
-            self._last = None  # it may have begun to count anew
-            report.longest_gap_s = max(report.longest_gap_s, now_s - self._arrival_s)
-        self._arrival_s = now_s
+        gap_s = now_s - self._read_s
+        if gap_s > MAX_COUNTED_GAP_S:
+            self._latest_count = None  # it may have begun to count anew
+            report.longest_gap_s = max(report.longest_gap_s, gap_s)
+        self._read_s = now_s
         for record in np.frombuffer(data, RECORD):
-            count = int(record["count"])
-            status = int(record["status"])
-            last = self._last
-            is_faulty = status & FAULT_BITS
-            ahead = 1 if last is None else (count - last) % COUNTS
-            if not 0 < ahead <= MOST_AHEAD:
-                follows = 0 < (count - self._odd) % COUNTS <= MOST_AHEAD
-                self._odd = count
-                self._odd_row = self._odd_row + 1 if follows else 0
-                report.stale += 1
-                if self._odd_row >= RENUMBERED:
-                    self._last = None
-                continue
-            report.malformed += bool(is_faulty)
-            self.status = status
-            if last is not None or not is_faulty:  # a faulty first one may be garbage
-                self._last = count
-                self._odd_row = 0
-                report.missed += ahead - 1
-            if not is_faulty:
-                report.used += 1
-                self._newest = record["counts"] / self._divisor
-                yield self._newest - self._zero
+            wrench = self._process(record)
+            if wrench is not None:
+                yield wrench
+
+    def _process(self, record: np.void) -> Array | None:
+        """Return the wrench of a record, shape (6,); None if it is old or invalid."""
+        report = self.report
+        count = int(record["count"])
+        status = int(record["status"])
+        is_first = self._latest_count is None
+        ahead = 1
+        if self._latest_count is not None:
+            ahead = (count - self._latest_count) % COUNTS
+        if not 0 < ahead <= MAX_RECORDS_AHEAD:
+            report.stale += 1
+            self._count_stray(count)
+            return None
+        is_faulty = bool(status & FAULT_BITS)
+        report.malformed += is_faulty
+        self.status = status
+        if not (is_first and is_faulty):  # a faulty first one may be garbage
+            self._latest_count = count
+            self._stray_in_row = 0
+            report.missed += ahead - 1
+        if is_faulty:
+            return None
+        report.used += 1
+        self._newest = record["counts"] / self._counts_per_unit
+        return self._newest - self._zero
+
+    def _count_stray(self, count: int) -> None:
+        """Count a record that is no new one; begin anew after many in a row."""
+        ahead = (count - self._stray_count) % COUNTS
+        follows = 0 < ahead <= MAX_RECORDS_AHEAD
+        self._stray_count = count
+        self._stray_in_row = self._stray_in_row + 1 if follows else 0
+        if self._stray_in_row >= MIN_RENUMBERED_RECORDS:
+            self._latest_count = None

@@ -13,12 +13,12 @@ from needleforce.cli.robot import robot_from_options
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request
 from needleforce.devices import (
-    ArmSample,
+    ArmReading,
     FrankaArm,
     FriArm,
     ReplayArm,
     UrArm,
-    paced,
+    pace,
 )
 from urdf import Robot
 
@@ -86,7 +86,7 @@ def open_arm(
         yield arm, robot
 
 
-def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmSample]:
+def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]:
     """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or
     SIGHUP.
     """
@@ -101,7 +101,7 @@ def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmSample]:
     ]
     passed_s = 0.0
     with stop_request(*others, then=arm.end) as is_asked:
-        for sample in paced(arm) if isinstance(arm, ReplayArm) else arm:
+        for sample in pace(arm) if isinstance(arm, ReplayArm) else arm:
             passed_s += sample.dt_s
             yield sample
             if passed_s >= options.seconds or is_asked():

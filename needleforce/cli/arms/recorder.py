@@ -17,7 +17,7 @@ from typing import Any, Self
 import numpy as np
 
 from needleforce.cli.terminal import CommandError
-from needleforce.devices import ArmSample
+from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
 
@@ -31,7 +31,7 @@ COLUMNS = {
     "external_Nm": "tau_ext_Nm",
     "current_A": "current_A",
 }
-"""Columns of a recording, by the fields of `ArmSample`; those that are None are left
+"""Columns of a recording, by the fields of `ArmReading`; those that are None are left
 out."""
 
 
@@ -52,7 +52,7 @@ class Recorder:
         check_writable(path)
         self.rows = 0
         self.time_s = 0.0
-        self._chunk: list[tuple[float, ArmSample]] = []
+        self._chunk: list[tuple[float, ArmReading]] = []
         self._fields: list[str] = []
         context = multiprocessing.get_context("spawn")
         self._queue = context.Queue()
@@ -60,7 +60,7 @@ class Recorder:
         given = (self._queue, self._other, path, joint_names)
         self._process = context.Process(target=_write, args=given)
 
-    def put(self, sample: ArmSample) -> None:
+    def put(self, sample: ArmReading) -> None:
         """Take a sample; it takes microseconds."""
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:

@@ -17,7 +17,7 @@ from needleforce.anatomy import Layer, PlanMatch
 from needleforce.anatomy.plan_match import OUTSIDE
 from needleforce.cli import main
 from needleforce.cli.arms import arm_connection, arm_watch
-from needleforce.devices.proxy import ReadOnlyArm
+from needleforce.devices.link import ReadOnlyArm
 from needleforce.plan_follower import PlanFollower
 from tests.insertion_run import (
     following,
@@ -191,7 +191,7 @@ def test_a_needle_that_is_withdrawn_is_in_the_layers_it_has_crossed():
 def arm(monkeypatch):
     """The simulated arm of `needleforce live`, as fast as it can."""
     monkeypatch.setattr(arm_connection, "simulate", lambda *_, **__: RUN)
-    monkeypatch.setattr(arm_connection, "paced", lambda arm: arm)
+    monkeypatch.setattr(arm_connection, "pace", lambda arm: arm)
     return "sim:gel-25-constant"
 
 

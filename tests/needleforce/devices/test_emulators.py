@@ -14,9 +14,10 @@ from needleforce.devices import (
     ReplayArm,
     UrArm,
     emulators,
-    haptic,
+    haply,
 )
-from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
+from needleforce.devices.emulators import Emulator
+from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 
 ROWS = np.zeros((1, 7))
 
@@ -29,7 +30,7 @@ def controller(cycles):
 
 def test_a_controller_may_take_longer_to_end_than_to_start(monkeypatch):
     with controller(1500) as emulator:
-        monkeypatch.setattr(emulators, "START_s", 0.1)
+        monkeypatch.setattr(emulators, "START_S", 0.1)
         assert emulator.counts()["cycles"] == 1500
 
 
@@ -87,9 +88,9 @@ def test_a_silence_of_a_haptic_device_is_one_outage(silence, monkeypatch):
 
     link = SimpleNamespace(recv=recv, send=sent.append, close=lambda: None)
     library = SimpleNamespace(WebSocketException=Gone, connect=lambda *_, **__: link)
-    monkeypatch.setattr(haptic, "client", lambda *_: library)
-    monkeypatch.setattr(haptic.time, "monotonic", lambda: now_s)
-    with haptic.HaplyMaster() as master:
+    monkeypatch.setattr(haply, "import_client", lambda *_: library)
+    monkeypatch.setattr(haply.time, "monotonic", lambda: now_s)
+    with haply.HaplyMaster() as master:
         for cycle in range(6001):
             now_s = 1e-3 * cycle
             if cycle % 10 == 0 and not (1000 < cycle < 3000 or 4000 < cycle < 4500):

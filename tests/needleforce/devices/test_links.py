@@ -21,20 +21,15 @@ from needleforce.devices import (
     NetFT,
     ReplayArm,
     Scale,
+    datagram_link,
     fri,
-    paced,
-    proxy,
+    pace,
     rdt,
 )
-from needleforce.devices.emulators import (
-    Emulator,
-    Faults,
-    FriSettings,
-    RdtSettings,
-    emulate_fri,
-    emulate_rdt,
-)
-from needleforce.devices.proxy import LOOPBACK
+from needleforce.devices.datagram_link import LOOPBACK
+from needleforce.devices.emulators import Emulator, WireFaults
+from needleforce.devices.fri_emulator import FriSettings, emulate_fri
+from needleforce.devices.rdt_emulator import RdtSettings, emulate_rdt
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
@@ -51,8 +46,8 @@ def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
         q_rad=ROWS,
         tau_Nm=2.0 * ROWS,
         cycles=cycles,
-        patience_s=PATIENCE_S,
-        faults=faults or Faults(),
+        extra_wait_s=PATIENCE_S,
+        faults=faults or WireFaults(),
         **settings,
     )
     found = []
@@ -88,7 +83,9 @@ def test_every_cycle_of_an_lwr_is_answered_and_handed_on():
 
 
 def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
-    faults = Faults(lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05)
+    faults = WireFaults(
+        lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05
+    )
     found, arm, _ = fri_run(2000, faults)
     assert all(np.array_equal(sample.tau_Nm, 2.0 * sample.q_rad) for sample in found)
     report = arm.report
@@ -102,7 +99,7 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
 
 
 def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
-    found, arm, _ = fri_run(2500, Faults(silent=((0.3, 2.3),)), give_up_s=4.0)
+    found, arm, _ = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
     gap = max(found, key=lambda sample: sample.dt_s)
     assert 1.99 < gap.dt_s < 3.9  # longer only on a busy machine
     assert gap.missed == round(gap.dt_s / 1e-3) - 1
@@ -111,7 +108,7 @@ def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
 
 
 def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
-    faults = Faults(bad_quality=((0.6, 0.8),))
+    faults = WireFaults(bad_quality=((0.6, 0.8),))
     found, _, counts = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
     accepted = np.array([sample.accepts_commands for sample in found])
     assert not accepted[:190].any()
@@ -187,7 +184,10 @@ def test_no_more_time_is_reported_than_passed(
 ):
     real = time.monotonic
     ahead_s = 0.0
-    for module in (fri, proxy):  # a slow clock, which advances where the test says so
+    for module in (
+        fri,
+        datagram_link,
+    ):  # a slow clock, which advances where the test says so
         monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
     arm = FriArm(port=0, wait_s=1e-3, give_up_s=1e-3 * PATIENCE_S)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
@@ -317,7 +317,7 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
 
 
 def test_a_force_sensor_that_loses_records_says_how_many():
-    faults = Faults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
+    faults = WireFaults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
     most_N = np.abs(WRENCH).max() + 1e-6
     found = []
     with (
@@ -408,7 +408,7 @@ def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_reco
     report = received(
         range(first, first + 50), odd, range(first + 50, first + 52), again
     )
-    stale = 1 + rdt.RENUMBERED + 1
+    stale = 1 + rdt.MIN_RENUMBERED_RECORDS + 1
     assert (report.used, report.stale, report.missed) == (853 - stale, stale, 0)
 
 
@@ -422,13 +422,13 @@ def test_datagrams_of_many_records_that_come_twice_or_late_are_not_used_again():
 def test_a_haptic_device_moves_and_is_felt():
     pytest.importorskip("websockets")
     from needleforce.devices import HaplyMaster
-    from needleforce.devices.haptic import emulate_haply
+    from needleforce.devices.haply_emulator import emulate_haply
 
     wish = np.zeros((1000, 3))
     wish[:, 2] = 0.02
     wish[0] = 0.0
     with Emulator(emulate_haply, wish) as service:
-        with HaplyMaster(service.ready["address"], most_force_N=2.0) as master:
+        with HaplyMaster(service.ready["address"], max_force_N=2.0) as master:
             places = []
             end_s = time.monotonic() + PATIENCE_S
             while len(places) <= 1000 and time.monotonic() < end_s:
@@ -494,6 +494,6 @@ def test_a_loop_of_no_time_is_refused(seconds, capsys):
 def test_recorded_signals_come_in_real_time():
     arm = ReplayArm(np.full(100, 1e-3), ROWS, None, ROWS)
     begin_s = time.monotonic()
-    assert len(list(paced(arm))) == 100
+    assert len(list(pace(arm))) == 100
     assert time.monotonic() - begin_s > 0.09
     assert not arm.send(np.zeros(7))

@@ -13,7 +13,7 @@ import pytest
 from needleforce.cli import main
 from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.terminal import CommandError
-from needleforce.devices import ArmSample, FriArm
+from needleforce.devices import ArmReading, FriArm
 from needleforce.recordings import FileAccessError, read_log
 from tests.needleforce.devices.test_links import PATIENCE_S, ROWS, measurement
 
@@ -49,7 +49,7 @@ def test_a_signal_ends_a_recording_whether_or_not_something_comes(
     assert not sends or len(read_log(path)) == arm.report.used > 350
 
 
-SAMPLE = ArmSample(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
+SAMPLE = ArmReading(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
 
 
 def test_a_recorder_whose_process_dies_says_so(tmp_path):

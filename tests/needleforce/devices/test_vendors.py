@@ -150,7 +150,7 @@ class DoubtfulUr:
 
 def test_a_current_that_is_no_number_is_counted_and_not_handed_on(monkeypatch):
     library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
-    monkeypatch.setattr(research_arms, "client", lambda *_: library)
+    monkeypatch.setattr(research_arms, "import_client", lambda *_: library)
     with UrArm() as arm:
         found = list(arm)
         assert (len(found), arm.report.malformed, found[1].missed) == (2, 1, 1)

@@ -16,8 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from foundation.arrays import Array
+from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.emulators import Window, is_within
-from needleforce.devices.proxy import LOOPBACK, Array
 
 FRANKA_PORT = 1337
 FRANKA_VERSION = 5

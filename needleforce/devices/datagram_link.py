@@ -1,0 +1,160 @@
+"""A link over UDP with one peer."""
+
+import socket
+from contextlib import suppress
+from time import monotonic
+from typing import NamedTuple
+
+from needleforce.devices.errors import DeviceSettingError, LinkError
+from needleforce.devices.link import Link
+
+LOOPBACK = "127.0.0.1"
+"""Where links bind and connect unless an address is named."""
+
+MAX_PORT = 65535
+
+MAX_DATAGRAM_BYTES = 65536
+"""No datagram of UDP is longer."""
+
+RECEIVE_BUFFER_BYTES = 1 << 17
+"""Room for datagrams that wait to be read: no more than usual, old ones are stale."""
+
+
+class Endpoint(NamedTuple):
+    """An address of UDP.
+
+    Attributes:
+        host: Numeric address.
+        port: From 0 to 65535.
+    """
+
+    host: str
+    port: int
+
+
+class Datagram(NamedTuple):
+    """What came over UDP.
+
+    Attributes:
+        data: Its bytes.
+        sender: From where it came.
+    """
+
+    data: bytes
+    sender: Endpoint
+
+
+def resolve_host(host: str) -> str:
+    """Return the numeric address of a host, which its datagrams bear.
+
+    Raises:
+        LinkError: The name is unknown.
+    """
+    try:
+        return socket.gethostbyname(host)
+    except (OSError, ValueError) as error:
+        raise LinkError(
+            f"{host!r} is no address and no name that is known here: {error}; give the "
+            "numeric address of the device"
+        ) from error
+
+
+class DatagramLink(Link):
+    """A link over UDP with one peer; datagrams from elsewhere are counted and dropped.
+
+    Args:
+        host: Address of this machine to bind to.
+        port: To bind to; 0 for any free one.
+        peer: Address or name of the only host that is listened to; None for any.
+        buffer_bytes: Room for datagrams that wait to be read.
+
+    Attributes:
+        address: Where it listens.
+        sender: From where the latest datagram came.
+        peer: Where it sends to, and the only one it listens to; None: not known yet.
+
+    Raises:
+        LinkError: The address cannot be bound, or the peer's name is unknown.
+        DeviceSettingError: A port outside 0 to 65535.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        *,
+        peer: str | None = None,
+        buffer_bytes: int = RECEIVE_BUFFER_BYTES,
+    ) -> None:
+        if not 0 <= port <= MAX_PORT:
+            raise DeviceSettingError(
+                f"port {port}: expected 0 to {MAX_PORT} (0: any free one)"
+            )
+        super().__init__()
+        self._peer_host = peer and resolve_host(peer)
+        self.sender: Endpoint | None = None
+        self.peer: Endpoint | None = None
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(
+                f"cannot listen on {host}:{port}: {error.strerror or error}; is "
+                "another program using the port, and is the address one of this "
+                "machine?"
+            ) from error
+        self.address = Endpoint(*self._socket.getsockname())
+        self._empty_s = monotonic()
+        """When nothing waited to be read for the last time: what came, came later."""
+
+    def _receive(self, timeout_s: float) -> bytes | None:
+        """Return the next datagram that may be the peer's.
+
+        Args:
+            timeout_s: How long it is waited for; 0: only what waits already.
+
+        Returns:
+            Its bytes; None when none came in time.
+        """
+        deadline_s = monotonic() + timeout_s
+        is_empty = False
+        while True:
+            asked_s = monotonic()
+            self._socket.settimeout(max(deadline_s - asked_s, 0.0) if is_empty else 0.0)
+            try:
+                data, address = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
+            except (TimeoutError, BlockingIOError):
+                self._empty_s = asked_s
+                is_empty = True
+                if asked_s >= deadline_s:
+                    return None
+                continue
+            except ConnectionError:  # what was sent before found nobody listening
+                continue
+            sender = Endpoint(*address)
+            if self._is_peer(sender):
+                self.sender = sender
+                return data
+            self.report.foreign += 1
+
+    def _is_peer(self, sender: Endpoint) -> bool:
+        """Return whether a datagram from there may be the peer's."""
+        is_host = self._peer_host is None or sender.host == self._peer_host
+        return is_host and self.peer in (None, sender)
+
+    def _send(self, data: bytes, receiver: Endpoint | None = None) -> None:
+        """Send to the peer, or to another receiver.
+
+        What the network refuses is lost, as on a wire.
+        """
+        receiver = receiver or self.peer
+        if receiver is not None:
+            with suppress(OSError):
+                self._socket.sendto(data, receiver)
+
+    def close(self) -> None:
+        """End the readings, and free the port."""
+        super().close()
+        self._socket.close()

@@ -1,0 +1,38 @@
+"""The errors of this package, and the import of vendors' client libraries."""
+
+from importlib import import_module
+from typing import Any
+
+
+class DeviceError(Exception):
+    """Base of all errors of this package; the others are standard exceptions, too."""
+
+
+class DeviceSettingError(DeviceError, ValueError):
+    """An address, a rate or a scale that cannot work."""
+
+
+class LinkError(DeviceError, ConnectionError):
+    """A device that cannot be reached, does not answer or has stayed away too long."""
+
+
+class MissingClientError(DeviceError, ImportError):
+    """The vendor's client library is not installed; the message names it."""
+
+
+def import_client(module: str, package: str) -> Any:
+    """Import a module of a vendor's library.
+
+    Args:
+        module: Its dotted name.
+        package: That has it, as it is installed.
+
+    Raises:
+        MissingClientError: It is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise MissingClientError(
+            f"{package} is not installed; pip install {package}"
+        ) from error

@@ -1,0 +1,185 @@
+"""What every device offers, real or emulated: readings, and a report of its link.
+
+An arm is iterated over: one reading per cycle, in SI units; what the interface lacks is
+None. Arms and haptic devices satisfy the protocols of `needleforce.control.ports`, as
+the simulated ones do.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from time import monotonic, sleep
+from typing import NamedTuple, Self
+
+from numpy.typing import ArrayLike
+
+from foundation.arrays import Array
+
+
+class ArmReading(NamedTuple):
+    """What an arm reports in one cycle.
+
+    Attributes:
+        dt_s: Time since the previous reading, by the arm's own count of cycles.
+        q_rad: Joint positions, shape (n,).
+        dq_rad_s: Joint velocities, shape (n,); None where the interface has none.
+        tau_Nm: Torques measured behind the gears, with gravity, shape (n,); None where
+            it has none.
+        external_Nm: The arm's own estimate of the external torques, shape (n,), or
+            None.
+        missed: Cycles since the previous reading that brought nothing valid.
+        accepts_commands: Whether the arm would move now.
+        current_A: Motor currents of an arm without torque sensors, shape (n,), or None.
+    """
+
+    dt_s: float
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array | None
+    external_Nm: Array | None
+    missed: int
+    accepts_commands: bool
+    current_A: Array | None = None
+
+
+class MasterReading(NamedTuple):
+    """What a haptic device reports.
+
+    Attributes:
+        t_s: On its own clock.
+        position_m: Of the handle, shape (3,), in the device's axes.
+        velocity_m_s: Of the handle, shape (3,), in the device's axes.
+        clutch: True while the hand moves the needle.
+    """
+
+    t_s: float
+    position_m: Array
+    velocity_m_s: Array
+    clutch: bool
+
+
+@dataclass(slots=True)
+class LinkReport:
+    """Counts of what a link has received since it was opened.
+
+    Attributes:
+        used: Valid, passed on.
+        missed: Cycles of which nothing valid came.
+        malformed: Wrong size, type or checks, or numbers that are not finite.
+        stale: The same as the one before, or older.
+        foreign: From another address than the device's.
+        outages: Silences longer than the time that the link waits.
+        longest_gap_s: Between two valid ones.
+    """
+
+    used: int = 0
+    missed: int = 0
+    malformed: int = 0
+    stale: int = 0
+    foreign: int = 0
+    outages: int = 0
+    longest_gap_s: float = 0.0
+
+    def count_used(self, cycles: int, gap_s: float) -> None:
+        """Count a reading that was passed on.
+
+        Args:
+            cycles: Since the one before; 1 if none was missed.
+            gap_s: Time since the one before.
+        """
+        self.used += 1
+        self.missed += cycles - 1
+        self.longest_gap_s = max(self.longest_gap_s, gap_s)
+
+    def __str__(self) -> str:
+        """Return one line for people: what is not zero."""
+        counts = (f"{value:g} {name}" for name, value in asdict(self).items() if value)
+        text = ", ".join(counts).replace("longest_gap_s", "s the longest gap")
+        return text or "nothing received"
+
+
+class Link:
+    """A connection to a device; at the end of a ``with`` statement it closes itself.
+
+    Attributes:
+        report: What has come, and what has not.
+    """
+
+    def __init__(self) -> None:
+        self.report = LinkReport()
+        self._is_open = True
+
+    def end(self) -> None:
+        """Let the readings end, at the latest when the present wait does.
+
+        A signal handler may call it.
+        """
+        self._is_open = False
+
+    def close(self) -> None:
+        """End the connection, and with it the readings."""
+        self.end()
+
+    def __enter__(self) -> Self:
+        """Return the link itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close the link."""
+        self.close()
+
+
+class ReadOnlyArm(Link):
+    """An arm that is only listened to."""
+
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Return False: no command is taken."""
+        return False
+
+
+class ReplayArm(ReadOnlyArm):
+    """Recorded joint signals of m cycles as an arm that takes no commands.
+
+    Its report counts the readings given out.
+
+    Args:
+        dt_s: Time steps, shape (m,).
+        q_rad: Joint positions, shape (m, n).
+        dq_rad_s: Joint velocities, shape (m, n), or None.
+        tau_Nm: Joint torques, shape (m, n).
+
+    Attributes:
+        joints: How many there are, n.
+    """
+
+    def __init__(
+        self, dt_s: Array, q_rad: Array, dq_rad_s: Array | None, tau_Nm: Array
+    ) -> None:
+        super().__init__()
+        self.joints = q_rad.shape[1]
+        velocities = [None] * len(dt_s) if dq_rad_s is None else dq_rad_s
+        self._rows = zip(dt_s.tolist(), q_rad, velocities, tau_Nm, strict=True)
+
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield the readings as fast as they are taken; see `pace`."""
+        for dt_s, q_rad, dq_rad_s, tau_Nm in self._rows:
+            if not self._is_open:
+                return
+            self.report.used += 1
+            yield ArmReading(
+                dt_s=dt_s,
+                q_rad=q_rad,
+                dq_rad_s=dq_rad_s,
+                tau_Nm=tau_Nm,
+                external_Nm=None,
+                missed=0,
+                accepts_commands=False,
+            )
+
+
+def pace(arm: Iterable[ArmReading]) -> Iterator[ArmReading]:
+    """Yield the readings of a recorded arm in real time, each when its time has come."""
+    due_s = monotonic()
+    for reading in arm:
+        due_s += reading.dt_s
+        sleep(max(due_s - monotonic(), 0.0))
+        yield reading
