@@ -14,12 +14,15 @@ import os
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
 from inspect import getfile, signature
 from pathlib import Path
 from shutil import rmtree
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
@@ -47,8 +50,8 @@ def compiled(function: Function) -> Function:
     them; it raises nothing, and calls compiled functions only, of any module.
 
     Where every parameter is annotated as ``float``, ``int``, ``bool``, one of
-    `foundation.arrays`, a `NamedTuple` of such, or a plain tuple of a fixed number of
-    them, it is compiled when its module is imported; what it calls then stands above it
+    `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`), or a
+    plain tuple of a fixed number of them, it is compiled when its module is imported; what it calls then stands above it
     or in a module imported there. Where one is not (``Any``, ``tuple[float, ...]``), it
     is compiled at the first call with these types: whoever calls it in a tick calls it
     once when constructed. No tick waits for a compiler.
@@ -85,6 +88,10 @@ def compiler_type(hint: Any) -> Any:
         # A parameter that is only read takes read-only arrays and others.
         is_read_only = "written" not in marks
         return types.Array(types.float64, dimensions, "C", readonly=is_read_only)
+    if isinstance(hint, type) and is_dataclass(hint):
+        return numba.from_dtype(record_dtype(hint))
+    if get_origin(hint) is list and is_dataclass(get_args(hint)[0]):
+        return types.Array(compiler_type(get_args(hint)[0]), 1, "C")
     names = getattr(hint, "_fields", None)
     if names is not None:
         fields = get_type_hints(hint, include_extras=True)
@@ -124,6 +131,25 @@ if COMPILER:
     types.NamedTuple.can_convert_to = _can_convert
     types.NamedUniTuple.can_convert_to = _can_convert
     imputils.lower_cast(types.BaseNamedTuple, types.BaseNamedTuple)(_cast)
+
+
+@cache
+def state_fields(kind: type) -> dict[str, Any]:
+    """Return the types of the fields of a state, by name."""
+    return get_type_hints(kind)
+
+
+@cache
+def record_dtype(kind: type) -> np.dtype[Any]:
+    """Return numpy's type of a state: a structure with its fields, in their order."""
+    parts: list[Any] = []
+    for name, hint in state_fields(kind).items():
+        if hint in SCALARS:
+            parts.append((name, np.dtype(hint)))
+        else:  # a tuple of states of one type
+            inner = get_args(hint)
+            parts.append((name, record_dtype(inner[0]), (len(inner),)))
+    return np.dtype(parts, align=True)
 
 
 def cache_folder(module: str, file: str) -> Path:

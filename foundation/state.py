@@ -84,7 +84,7 @@ def check_state(state: Any, reference: Any = None, place: str = "state") -> None
         _check_array(state, reference, place)
     elif isinstance(state, float):
         _check_numbers(np.asarray(state), place)
-    elif _is_record(state):
+    elif _is_record(state) or _is_record(reference):
         _check_record(state, reference, place)
     elif isinstance(state, tuple):
         parts = reference if _is_alike(state, reference) else [None] * len(state)

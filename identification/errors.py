@@ -1,6 +1,4 @@
-"""Errors of `identification`: one base, leaves that are also the built-in kind they
-refine.
-"""
+"""Errors of `identification`: one base, and leaves that refine a built-in kind."""
 
 
 class IdentificationError(Exception):
@@ -12,12 +10,8 @@ class InvalidConfigError(IdentificationError, ValueError):
 
 
 class InvalidLogError(IdentificationError, ValueError):
-    """A recording cannot be identified: empty, wrong shapes, non-finite or
-    unordered.
-    """
+    """A recording cannot be identified: empty, ragged, not finite or not in order."""
 
 
 class InvalidSnapshotError(IdentificationError, ValueError):
-    """A snapshot does not belong to the identifier it is restored into, or is
-    damaged.
-    """
+    """A snapshot of another identifier than the one to restore, or a damaged one."""

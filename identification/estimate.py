@@ -9,12 +9,7 @@ from the same zero, so that a travel in tissue is a difference of the two.
 
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from typing import NamedTuple
 
 
 class SampleStatus(Enum):
@@ -38,9 +33,7 @@ class SampleStatus(Enum):
 
 
 class RuptureState(Enum):
-    """Where the identifier stands with respect to a rupture (the authors'
-    framework).
-    """
+    """Stage with respect to a rupture, as in the authors' framework."""
 
     NO_RUPTURE = "no rupture"
     EXPECTED = "expected"
@@ -63,6 +56,7 @@ class Rupture:
         speed_m_s: Speed at that instant.
         probability: That the tissue ruptured there and it is no chance of the signal, 0
             to 1; of a retracted one, what is left of it.
+        is_final: Whether it is settled: while False it may still be retracted.
         contact_depth_m: Depth of first contact: found by the multi-layer method, known
             beforehand in `published`.
         partial_rupture_probability: That it was partial and not the layer's end, None
@@ -77,9 +71,7 @@ class Rupture:
     force_N: float
     speed_m_s: float
     probability: float
-    is_final: bool = (
-        False  # whether it is settled: while False it may still be retracted
-    )
+    is_final: bool = False
     contact_depth_m: float
     partial_rupture_probability: float | None = None
 
@@ -89,12 +81,8 @@ class LayerEstimate:
     """A layer that has been traversed, as known now.
 
     The multi-layer method reports a layer twice: provisionally, a millimetre after its
-    rupture, and finally, some millimetres later. A field with ``_std_`` in its name is
-    the standard deviation of the one before it, None where the method states none
-    (`published`); one that ends in ``_identified`` is whether the data determine the
-    value.
-
-    The values are those at the rupture's speed.
+    rupture, and finally, some millimetres later. The values are those at the rupture's
+    speed. Standard deviations are None where the method states none (`published`).
 
     Attributes:
         layer: Number from 1.
@@ -106,13 +94,23 @@ class LayerEstimate:
         thickness_m: d_i, travel from there to its rupture.
         rupture: How it ended.
         force_drop_N: Elastic force released.
+        force_drop_std_N: Standard deviation of the force drop.
         stiffness_N_per_m: K_i.
+        stiffness_std_N_per_m: Standard deviation of K_i.
+        stiffness_identified: Whether the data determine K_i.
         friction_Ns_per_m2: B_i (for `kv` in Ns/m).
+        friction_std_Ns_per_m2: Standard deviation of B_i.
+        friction_identified: Whether the data determine B_i.
         friction_N: Friction of this layer on the shaft at its rupture, B_i d_i v.
-        coulomb_N_per_m: Per embedded length the part of the friction that does not
-            depend on speed, and the part in proportion to it; None for `published`,
-            which knows viscous friction only. Identified where the motion separated the
-            two.
+        friction_std_N: Standard deviation of that friction.
+        coulomb_N_per_m: Part of the friction that does not depend on speed, per
+            embedded length; None for `published`, which knows viscous friction only.
+        coulomb_std_N_per_m: Standard deviation of the Coulomb part.
+        coulomb_identified: Whether the motion separated it from the viscous part.
+        viscous_Ns_per_m2: Part of the friction in proportion to the speed, per embedded
+            length; None for `published`.
+        viscous_std_Ns_per_m2: Standard deviation of the viscous part.
+        viscous_identified: Whether the motion separated it from the Coulomb part.
     """
 
     layer: int
@@ -145,7 +143,7 @@ class Estimate(NamedTuple):
     dataclass of as many fields takes ten times as long. Change a field with
     ``_replace``.
 
-    Fields with ``_std_`` and ``_identified`` in their names are as in `LayerEstimate`.
+    Standard deviations are None where the method states none (`published`).
 
     Attributes:
         time_s: Time of the sample on the caller's clock.
@@ -157,17 +155,24 @@ class Estimate(NamedTuple):
         layer: Number of the layer the tip is in, from 1; 0 in free air in front of the
             tissue.
         enhanced_force_N: Axial force less the friction of the layers already traversed.
-            Its deviation, as that of the tip force, holds the noise of the force too.
+        enhanced_force_std_N: Its standard deviation, the noise of the force included.
         tip_force_N: Axial force less all friction of the shaft; in tissue never
             negative.
+        tip_force_std_N: Its standard deviation, the noise of the force included.
         shaft_friction_N: All shaft friction; opposes motion, negative during
             withdrawal.
+        shaft_friction_std_N: Its standard deviation.
         predicted_force_N: Axial force the model expected at this sample.
         stiffness_N_per_m: K of the current layer.
+        stiffness_std_N_per_m: Its standard deviation.
+        stiffness_identified: Whether the data determine K.
         friction_Ns_per_m2: B of the current layer, at the present speed (for `kv` in
             Ns/m).
+        friction_std_Ns_per_m2: Its standard deviation.
+        friction_identified: Whether the data determine B.
         cumulative_friction_Ns_per_m: Sum of B_j d_j over the traversed layers, at the
             speed of their ruptures.
+        cumulative_friction_std_Ns_per_m: Its standard deviation.
         rupture: The rupture raised by this sample, or None.
         identified_layer: The layer whose friction was identified at this sample,
             provisionally or finally (see `LayerEstimate.is_final`), or None.
@@ -201,32 +206,151 @@ class Estimate(NamedTuple):
 
     @property
     def has_events(self) -> bool:
-        """Whether this sample raised a rupture, identified a layer or retracted an
-        alarm.
-        """
+        """Whether this sample raised or retracted a rupture, or identified a layer."""
         return not (self.rupture is self.identified_layer is self.retracted is None)
 
     def without_events(self) -> "Estimate":
-        """The same, its events over."""
-        return self._replace(**Events()._asdict()) if self.has_events else self
-
-
-Outputs = tuple[
-    Any, ...
-]  # The fields of an `Estimate` from ``in_contact`` up to the events
+        """Return the same estimate, its events over."""
+        return self._replace(**NO_EVENTS._asdict()) if self.has_events else self
 
 
 class Events(NamedTuple):
-    """The last three fields of an `Estimate`."""
+    """What happened at a sample, if anything: the last fields of an `Estimate`.
+
+    Attributes:
+        rupture: The rupture raised.
+        identified_layer: The layer whose friction was identified.
+        retracted: The rupture that proved to be a false alarm.
+    """
 
     rupture: Rupture | None = None
     identified_layer: LayerEstimate | None = None
     retracted: Rupture | None = None
 
 
-Sample = tuple[float, float, float, float, float, float, float, float, float, float]
-"""A checked sample as a method gets it; every number is finite: time on the caller's
-clock, see `Identifier.update`; interval since the previous sample that was used,
-positive; depth, jumps removed; its rate; standard deviations of the noise of both;
-axial force; the standard deviation of its slow error; the depth before it was filtered;
-time since the reset, which never goes back."""
+NO_EVENTS = Events()
+"""Of most samples."""
+
+
+Outputs = tuple[
+    bool,  # in_contact
+    int,  # layer
+    float,  # enhanced_force_N
+    float | None,  # enhanced_force_std_N
+    float,  # tip_force_N
+    float | None,  # tip_force_std_N
+    float,  # shaft_friction_N
+    float | None,  # shaft_friction_std_N
+    float,  # predicted_force_N
+    float,  # stiffness_N_per_m
+    float | None,  # stiffness_std_N_per_m
+    bool,  # stiffness_identified
+    float,  # friction_Ns_per_m2
+    float | None,  # friction_std_Ns_per_m2
+    bool,  # friction_identified
+    float,  # cumulative_friction_Ns_per_m
+    float | None,  # cumulative_friction_std_Ns_per_m
+]
+"""What a method calculates at every sample: the fields of an `Estimate` from
+``in_contact`` to the events. A plain tuple, since compiled code that returns a named
+one costs a microsecond; `make_estimate` names its values."""
+
+
+def make_estimate(
+    time_s: float,
+    status: SampleStatus,
+    rupture_state: RuptureState,
+    outputs: Outputs,
+    events: Events,
+) -> Estimate:
+    """Put an estimate together: the one place where its fields get their values."""
+    (
+        in_contact,
+        layer,
+        enhanced_force_N,
+        enhanced_force_std_N,
+        tip_force_N,
+        tip_force_std_N,
+        shaft_friction_N,
+        shaft_friction_std_N,
+        predicted_force_N,
+        stiffness_N_per_m,
+        stiffness_std_N_per_m,
+        stiffness_identified,
+        friction_Ns_per_m2,
+        friction_std_Ns_per_m2,
+        friction_identified,
+        cumulative_friction_Ns_per_m,
+        cumulative_friction_std_Ns_per_m,
+    ) = outputs
+    return Estimate(
+        time_s=time_s,
+        status=status,
+        rupture_state=rupture_state,
+        in_contact=in_contact,
+        layer=layer,
+        enhanced_force_N=enhanced_force_N,
+        enhanced_force_std_N=enhanced_force_std_N,
+        tip_force_N=tip_force_N,
+        tip_force_std_N=tip_force_std_N,
+        shaft_friction_N=shaft_friction_N,
+        shaft_friction_std_N=shaft_friction_std_N,
+        predicted_force_N=predicted_force_N,
+        stiffness_N_per_m=stiffness_N_per_m,
+        stiffness_std_N_per_m=stiffness_std_N_per_m,
+        stiffness_identified=stiffness_identified,
+        friction_Ns_per_m2=friction_Ns_per_m2,
+        friction_std_Ns_per_m2=friction_std_Ns_per_m2,
+        friction_identified=friction_identified,
+        cumulative_friction_Ns_per_m=cumulative_friction_Ns_per_m,
+        cumulative_friction_std_Ns_per_m=cumulative_friction_std_Ns_per_m,
+        rupture=events.rupture,
+        identified_layer=events.identified_layer,
+        retracted=events.retracted,
+    )
+
+
+class Sample(NamedTuple):
+    """A checked sample, as a method gets it; every number is finite.
+
+    Attributes:
+        time_s: Time on the caller's clock, see `Identifier.update`.
+        dt_s: Time since the previous sample that was used, positive.
+        depth_m: Filtered depth, jumps removed.
+        speed_m_s: Filtered speed.
+        depth_std_m: Standard deviation that noise of the samples leaves in the depth.
+        speed_std_m_s: The same of the speed.
+        force_N: Axial force.
+        force_std_N: Standard deviation of its slow error.
+        raw_depth_m: Depth, jumps removed, not filtered.
+        raw_speed_m_s: Speed as measured; the filtered one where nobody measures it.
+        clock_s: Time since the reset, which never goes back.
+    """
+
+    time_s: float
+    dt_s: float
+    depth_m: float
+    speed_m_s: float
+    depth_std_m: float
+    speed_std_m_s: float
+    force_N: float
+    force_std_N: float
+    raw_depth_m: float
+    raw_speed_m_s: float
+    clock_s: float
+
+
+NO_SAMPLE = Sample(
+    time_s=0.0,
+    dt_s=0.0,
+    depth_m=0.0,
+    speed_m_s=0.0,
+    depth_std_m=0.0,
+    speed_std_m_s=0.0,
+    force_N=0.0,
+    force_std_N=0.0,
+    raw_depth_m=0.0,
+    raw_speed_m_s=0.0,
+    clock_s=0.0,
+)
+"""Stands for a sample where there has been none."""

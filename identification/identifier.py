@@ -1,51 +1,115 @@
-"""The online identifier: one class in front of the methods."""
+"""The online identifier: check a sample, filter its travel, ask the method, report.
+
+The methods stand in `identification.multilayer` and `identification.published`.
+"""
 
 import math
+from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import is_dataclass, replace
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from identification import sample_filter as samples
+from foundation.records import as_record, from_record, read_field
+from foundation.state import StateError, check_state
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
-from identification.estimate import Array, Estimate, Events, LayerEstimate, SampleStatus
+from identification.estimate import (
+    NO_EVENTS,
+    Estimate,
+    Events,
+    LayerEstimate,
+    Outputs,
+    Rupture,
+    RuptureState,
+    Sample,
+    SampleStatus,
+    make_estimate,
+)
 from identification.multilayer.method import SwitchingMethod, SwitchingState
 from identification.published.online import PublishedMethod, PublishedState
+from identification.sample_check import STATUSES, CheckState, as_scalar
+from identification.travel_filter import TravelState, process_sample
 
-_new = tuple.__new__  # makes an `Estimate` of a tuple in a third of the time
-_METHODS: dict[type, Any] = {
-    MultilayerConfig: SwitchingMethod,
-    PublishedConfig: PublishedMethod,
-}
-"""By the type of their settings. A method gets checked samples only: ``update`` uses
-one, and returns the fields of `Estimate` from ``rupture_state`` on, ``report`` those of
-a sample at zero depth, speed and force; ``state``, an immutable tree, is all that it
-remembers, ``restore`` goes on from one, bit for bit."""
-_EVENTS = -len(Events._fields)
-_NO_EVENTS = Events()[:]
+
+class Method(Protocol):
+    """What an `Identifier` needs of a method, which gets checked samples only."""
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers traversed so far, in order, as known now."""
+        ...
+
+    @property
+    def contact_depth_m(self) -> float | None:
+        """Depth at which tissue was met first; None where that is not known."""
+        ...
+
+    @property
+    def rupture_state(self) -> RuptureState:
+        """Where it stands with respect to a rupture."""
+        ...
+
+    @property
+    def events(self) -> Events:
+        """What happened at the last sample."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """Everything that it remembers, as an immutable tree."""
+        ...
+
+    def report(self) -> Outputs:
+        """Return what there is to report without a sample."""
+        ...
+
+    def update(self, sample: Sample) -> Outputs:
+        """Use one sample; return what to report of it beside the events."""
+        ...
+
+    def restore(self, state: Any) -> None:
+        """Resume from a state, bit for bit."""
+        ...
+
+
+def make_method(config: MultilayerConfig | PublishedConfig) -> Method:
+    """Return a new method of a configuration.
+
+    Raises:
+        InvalidConfigError: Another type of configuration.
+    """
+    if type(config) is MultilayerConfig:
+        return SwitchingMethod(config)
+    if type(config) is PublishedConfig:
+        return PublishedMethod(config)
+    raise InvalidConfigError(
+        "config must be one of MultilayerConfig, PublishedConfig, got "
+        f"{type(config).__name__}"
+    )
 
 
 class Snapshot(NamedTuple):
-    """Everything an `Identifier` remembers; immutable, so keeping it costs nothing.
+    """Everything an `Identifier` remembers; nothing changes it.
 
     Attributes:
         config: Configuration it belongs to.
-        samples: Memory of the sample filter.
-        state: Memory of the method.
+        check: State of the sample check.
+        travel: State of the travel filter.
+        state: State of the method.
         last: Last estimate.
     """
 
     config: MultilayerConfig | PublishedConfig
-    samples: Array
+    check: CheckState
+    travel: TravelState
     state: PublishedState | SwitchingState
     last: Estimate
 
 
 class Identifier:
-    """Finds ruptures and identifies stiffness and friction of each layer, sample by
-    sample.
+    """Online identification of ruptures, and of each layer's stiffness and friction.
 
     Depth grows into the tissue, speed is its rate, force is positive when tissue pushes
     back. Depths in what it reports have the zero of the depths it is given, see
@@ -63,20 +127,18 @@ class Identifier:
         Raises:
             InvalidConfigError: Another type of configuration.
         """
-        if type(config) not in _METHODS:
-            known = ", ".join(kind.__name__ for kind in _METHODS)
-            raise InvalidConfigError(
-                f"config must be one of {known}, got {type(config).__name__}"
-            )
-        self._limits = samples.check_limits(config.check)
+        self._method = make_method(config)
         self._config = config
+        self._limits = as_record(config.check)
+        self._max_force_N = float(config.check.force_limit_N)
         self.reset()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers traversed so far, in order, as known now."""
-        shift_m = float(self._samples[samples.SHIFT])
-        return tuple(_in_callers_depth(layer, shift_m) for layer in self._method.layers)
+        return tuple(
+            move_layer(layer, self._removed_m) for layer in self._method.layers
+        )
 
     @property
     def contact_depth_m(self) -> float | None:
@@ -85,17 +147,20 @@ class Identifier:
         Always None for the published method, which does not look for it.
         """
         contact_m = self._method.contact_depth_m
-        return (
-            None
-            if contact_m is None
-            else contact_m + float(self._samples[samples.SHIFT])
-        )
+        return None if contact_m is None else contact_m + self._removed_m
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
-        self._method = _METHODS[type(self._config)](self._config)
-        self._samples = np.zeros(samples.SAMPLE_MEMORY)
-        self._last = Estimate(0.0, SampleStatus.OK, *self._method.report())
+        self._method = make_method(self._config)
+        self._check = as_record(CheckState())
+        self._travel = as_record(TravelState())
+        self._last = make_estimate(
+            0.0,
+            SampleStatus.OK,
+            self._method.rupture_state,
+            self._method.report(),
+            self._method.events,
+        )
 
     def update(
         self,
@@ -125,43 +190,74 @@ class Identifier:
                 force counts the less the larger it is. What is no number, below zero or
                 beyond any plausible force counts as not stated.
         """
-        is_measured = speed_m_s is not None
-        speed = speed_m_s if is_measured else 0.0
-        if (
-            not (type(depth_m) is type(speed) is type(force_N) is type(dt_s) is float)
-            or type(force_std_N) is not float
-            or (
-                time_s is not None
-                and not (type(time_s) is float and math.isfinite(time_s))
-            )
+        is_speed_measured = speed_m_s is not None
+        speed_m_s = speed_m_s if is_speed_measured else 0.0
+        if not (
+            type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float
+            and type(force_std_N) is float
+            and (time_s is None or (type(time_s) is float and math.isfinite(time_s)))
         ):
-            raw = (depth_m, speed, force_N, dt_s)
-            return self._update_raw(raw, is_measured, time_s, force_std_N)
-        method = self._method
-        number, elapsed_s, clock_s, place_m, motion = samples.take_sample(
-            depth_m, speed, force_N, dt_s, is_measured, self._samples, self._limits
+            values = (depth_m, speed_m_s, force_N, dt_s)
+            return self._update_unchecked(
+                values, is_speed_measured, time_s, force_std_N
+            )
+        (
+            status_number,
+            elapsed_s,
+            clock_s,
+            raw_depth_m,
+            filtered_depth_m,
+            filtered_speed_m_s,
+            depth_std_m,
+            speed_std_m_s,
+        ) = process_sample(
+            depth_m,
+            speed_m_s,
+            force_N,
+            dt_s,
+            is_speed_measured,
+            self._limits,
+            self._check,
+            self._travel,
         )
         if time_s is None:
             time_s = clock_s
-        if number > samples.LAST_USED:
-            return self._reject(samples.STATUSES[number], time_s)
-        if not method.takes_filtered_travel:
-            motion = (place_m, speed if is_measured else motion[1], 0.0, 0.0)
-        std = force_std_N if 0.0 <= force_std_N <= self._limits[-1] else 0.0
-        found = method.update(
-            (time_s, elapsed_s, *motion, force_N, std, place_m, clock_s)
+        status = STATUSES[status_number]
+        if not status.is_used:
+            return self._reject(status, time_s)
+        if not 0.0 <= force_std_N <= self._max_force_N:
+            force_std_N = 0.0
+        sample = Sample(
+            time_s=time_s,
+            dt_s=elapsed_s,
+            depth_m=filtered_depth_m,
+            speed_m_s=filtered_speed_m_s,
+            depth_std_m=depth_std_m,
+            speed_std_m_s=speed_std_m_s,
+            force_N=force_N,
+            force_std_N=force_std_N,
+            raw_depth_m=raw_depth_m,
+            raw_speed_m_s=speed_m_s if is_speed_measured else filtered_speed_m_s,
+            clock_s=clock_s,
         )
-        if found[_EVENTS:] != _NO_EVENTS:
-            shift_m = float(self._samples[samples.SHIFT])
-            events = (_in_callers_depth(event, shift_m) for event in found[_EVENTS:])
-            found = (*found[:_EVENTS], *events)
-        self._last = _new(Estimate, (time_s, samples.STATUSES[number], *found))
+        method = self._method
+        outputs = method.update(sample)
+        events = method.events
+        if events is not NO_EVENTS:
+            events = move_events(events, self._removed_m)
+        self._last = make_estimate(
+            time_s, status, method.rupture_state, outputs, events
+        )
         return self._last
 
     def snapshot(self) -> Snapshot:
-        """Everything needed to resume exactly here."""
+        """Return everything needed to resume exactly here."""
         return Snapshot(
-            self._config, np.array(self._samples), self._method.state, self._last
+            config=self._config,
+            check=from_record(CheckState, self._check),
+            travel=from_record(TravelState, self._travel),
+            state=self._method.state,
+            last=self._last,
         )
 
     def restore(self, snapshot: Snapshot) -> None:
@@ -173,97 +269,152 @@ class Identifier:
         """
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
-                f"expected a Snapshot taken with {self._config}, got {type(snapshot).__name__}"
+                f"expected a Snapshot taken with {self._config}, got "
+                f"{type(snapshot).__name__}"
             )
-        check_state(snapshot.state, _METHODS[type(self._config)](self._config).state)
-        check_state(snapshot.samples, np.zeros(samples.SAMPLE_MEMORY), "samples")
+        try:
+            check_method_state(snapshot.state, make_method(self._config).state)
+            check_state(snapshot.check, CheckState(), "check")
+            check_state(snapshot.travel, TravelState(), "travel")
+        except StateError as error:
+            raise InvalidSnapshotError(f"the snapshot is damaged: {error}") from error
         self.resume(snapshot)
 
     def resume(self, snapshot: Snapshot) -> None:
-        """As `restore`, of a snapshot this identifier has taken itself, which needs
-        no check.
-        """
+        """Resume a snapshot taken by this identifier itself; it is not checked."""
         self._method.restore(snapshot.state)
-        self._samples = snapshot.samples.copy()
+        self._check = as_record(snapshot.check)
+        self._travel = as_record(snapshot.travel)
         self._last = snapshot.last
 
-    def _update_raw(
+    @property
+    def _removed_m(self) -> float:
+        """Sum of the jumps that were removed from the depth."""
+        return float(read_field(self._check, "removed_m"))
+
+    def _update_unchecked(
         self,
-        values: tuple[Any, ...],
-        is_measured: bool,
+        values: Sequence[object],
+        is_speed_measured: bool,
         time_s: object,
         force_std_N: object,
     ) -> Estimate:
-        """As `update`, for values of any type; the speed is measured or estimated."""
-        numbers: list[Any] = [samples.as_scalar(value) for value in values]
-        time = samples.as_scalar(0.0 if time_s is None else time_s)
-        if time is not None and math.isfinite(time) and None not in numbers:
-            numbers[1] = numbers[1] if is_measured else None
-            clock_s = None if time_s is None else time
-            std = samples.as_scalar(force_std_N) or 0.0
-            return self.update(*numbers, time_s=clock_s, force_std_N=std)
-        # Handled as one that is not finite: its time passes, if it has one.
-        dt_s = math.nan if numbers[-1] is None else numbers[-1]
-        samples.take_sample(
-            math.nan, 0.0, 0.0, dt_s, is_measured, self._samples, self._limits
-        )
-        is_odd = time is None or None in numbers
-        status = SampleStatus.NOT_A_SCALAR if is_odd else SampleStatus.NOT_FINITE
+        """Convert values of any type to floats, and use or reject the sample.
+
+        `values` are depth, speed, force and time step.
+        """
+        depth_m, speed_m_s, force_N, dt_s = map(as_scalar, values)
+        time = as_scalar(0.0 if time_s is None else time_s)
         if time is None or not math.isfinite(time):
-            time = self._last.time_s
-        return self._reject(
-            status, float(self._samples[samples.TIME]) if time_s is None else time
+            self._pass_time(dt_s, is_speed_measured)
+            status = SampleStatus.NOT_A_SCALAR
+            if time is not None and None not in (depth_m, speed_m_s, force_N, dt_s):
+                status = SampleStatus.NOT_FINITE
+            return self._reject(status, self._last.time_s)
+        if depth_m is None or speed_m_s is None or force_N is None or dt_s is None:
+            self._pass_time(dt_s, is_speed_measured)
+            clock_s = float(read_field(self._check, "time_s"))
+            return self._reject(
+                SampleStatus.NOT_A_SCALAR, clock_s if time_s is None else time
+            )
+        return self.update(
+            depth_m,
+            speed_m_s if is_speed_measured else None,
+            force_N,
+            dt_s,
+            time_s=None if time_s is None else time,
+            force_std_N=as_scalar(force_std_N) or 0.0,
+        )
+
+    def _pass_time(self, dt_s: float | None, is_speed_measured: bool) -> None:
+        """Let the time of a sample pass whose values cannot be used, if it has any."""
+        process_sample(
+            math.nan,
+            0.0,
+            0.0,
+            math.nan if dt_s is None else dt_s,
+            is_speed_measured,
+            self._limits,
+            self._check,
+            self._travel,
         )
 
     def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
-        """A sample that is not used: the last estimate, its events over."""
+        """Repeat the last estimate, its events over, for a sample that is not used."""
         self._last = self._last.without_events()._replace(time_s=time_s, status=status)
         return self._last
 
 
-def _in_callers_depth(event: Any, shift_m: float) -> Any:
-    """An event with the jumps that were removed from the depth: in the caller's
-    depth.
-    """
-    if event is None or shift_m == 0.0:
-        return event
-    if isinstance(event, LayerEstimate):
-        rupture = _in_callers_depth(event.rupture, shift_m)
-        return replace(
-            event, start_depth_m=event.start_depth_m + shift_m, rupture=rupture
-        )
-    names = ("depth_m", "alarm_depth_m", "contact_depth_m")
-    return replace(event, **{name: getattr(event, name) + shift_m for name in names})
+def move_rupture(rupture: Rupture | None, by_m: float) -> Rupture | None:
+    """Return a rupture whose depths count from another zero."""
+    if rupture is None:
+        return None
+    return replace(
+        rupture,
+        depth_m=rupture.depth_m + by_m,
+        alarm_depth_m=rupture.alarm_depth_m + by_m,
+        contact_depth_m=rupture.contact_depth_m + by_m,
+    )
 
 
-def check_state(state: Any, initial: Any, place: str = "state") -> None:
-    """Refuse a damaged state, before compiled code reads beyond its arrays or a solver
-    fails.
+def move_layer(layer: LayerEstimate, by_m: float) -> LayerEstimate:
+    """Return a layer whose depths count from another zero."""
+    if by_m == 0.0:
+        return layer
+    return replace(
+        layer,
+        start_depth_m=layer.start_depth_m + by_m,
+        rupture=move_rupture(layer.rupture, by_m),
+    )
+
+
+def move_events(events: Events, by_m: float) -> Events:
+    """Return events whose depths count from another zero."""
+    if by_m == 0.0:
+        return events
+    layer = events.identified_layer
+    return Events(
+        rupture=move_rupture(events.rupture, by_m),
+        identified_layer=None if layer is None else move_layer(layer, by_m),
+        retracted=move_rupture(events.retracted, by_m),
+    )
+
+
+def check_method_state(state: Any, initial: Any, place: str = "state") -> None:
+    """Refuse a damaged state, before compiled code reads beyond its arrays.
 
     `initial` is the state before the first sample, or None where it has no such part.
 
     Raises:
         InvalidSnapshotError: A part is of another type, an array of another kind or
-            shape, or the covariance of a recursive least squares not positive
-            semi-definite.
+            shape, a number not finite, or the covariance of a recursive least squares
+            not positive semi-definite.
+        StateError: A record of compiled code is damaged.
     """
     if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
-        _check_array(state, initial, place)
+        check_array(state, initial, place)
     elif hasattr(initial, "_fields") and type(state) is not type(initial):
         raise InvalidSnapshotError(
             f"{place} is {state!r:.80}, expected {type(initial).__name__}"
         )
-    elif damage := getattr(state, "damage", ""):  # it checks itself
-        raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {damage}")
+    elif is_dataclass(initial):
+        check_state(state, initial, place)
     elif isinstance(state, tuple):
         names = getattr(state, "_fields", None) or [f"[{k}]" for k in range(len(state))]
-        for name, part in zip(names, state, strict=True):
-            check_state(part, getattr(initial, name, None), f"{place}.{name}")
+        for name, value in zip(names, state, strict=True):
+            check_method_state(value, getattr(initial, name, None), f"{place}.{name}")
+        if damage := getattr(state, "damage", ""):  # it checks itself
+            raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {damage}")
 
 
-def _check_array(array: Any, initial: Any, place: str) -> None:
-    is_array = isinstance(array, np.ndarray) and array.dtype == np.float64
-    if not is_array or not array.flags.c_contiguous:
+def check_array(array: Any, initial: Any, place: str) -> None:
+    """Refuse what is no array of finite floats in the shape of the initial one.
+
+    Raises:
+        InvalidSnapshotError: It is none.
+    """
+    is_of_floats = isinstance(array, np.ndarray) and array.dtype == np.float64
+    if not is_of_floats or not array.flags.c_contiguous:
         raise InvalidSnapshotError(
             f"{place} is {array!r:.80}, expected an array of floats"
         )

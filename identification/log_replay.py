@@ -8,72 +8,96 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.advice import Message
+from foundation.arrays import Array
 from identification.advice import SignAdvice
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
-from identification.estimate import Array, Estimate, LayerEstimate, SampleStatus
+from identification.estimate import Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.published.offline import read_column
+from identification.sample_check import STEPS_OF_A_GAP
 
-_LEAST_TRAVEL_M = 1e-3
-_LARGEST_DEPTH_M = 1.0
-_LEAST_FORCE_N = 0.02
-_LEAST_GAP_S = 0.25
+MIN_TRAVEL_M = 1e-3
+"""A recording whose depth moves by less holds nothing to identify."""
+MAX_DEPTH_M = 1.0
+"""No needle goes deeper: such a depth is in millimetres."""
+MIN_PULL_N = 0.02
+"""A mean force of an insertion that pulls by more has the wrong sign."""
+WITHDRAWN_FRACTION = 0.7
+"""Part of its span of depths that a recording of the wrong sign goes back at least."""
+FALLBACK_STEP_S = 1e-3
+"""Usual time step of a recording whose time never advances."""
+HEAD_ROWS = 200
+"""The usual time step is the median over so many first rows."""
+REPORTED_STATUSES = (
+    SampleStatus.FORCE_RANGE,
+    SampleStatus.MOTION_RANGE,
+    SampleStatus.DEPTH_JUMP,
+    SampleStatus.SPEED_SIGN,
+    SampleStatus.TIME_RANGE,
+)
+"""What nobody has reported of a row before; who read the log has reported a NaN or a
+late stamp."""
 
 
 class SignCheck:
-    """Checks for a flipped sign or a wrong unit in a recording, any number of rows
-    at a time.
-    """
+    """Search for a flipped sign or a wrong unit in a recording, piece by piece."""
 
     def __init__(self) -> None:
         self._last_m = np.empty(0)
         self._deepest_m = -np.inf
-        self._least_m = np.inf
+        self._shallowest_m = np.inf
         self._start_m: float | None = None
-        self._pushed_Nm = self._fresh_m = self._agreement = 0.0
-        self._least_N = np.inf
+        self._insertion_work_J = 0.0
+        self._insertion_m = 0.0
+        self._agreement = 0.0
+        self._smallest_N = np.inf
         self._largest_N = -np.inf
 
     def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
-        """Take further rows: columns of shape (n,), with gaps; a speed if one was
-        recorded.
-        """
-        before = self._last_m if self._last_m.size else depth_m[:1]
-        change = np.diff(depth_m, prepend=before)
+        """Use further rows: columns of shape (n,), with gaps; a speed if recorded."""
+        previous_m = self._last_m if self._last_m.size else depth_m[:1]
+        change_m = np.diff(depth_m, prepend=previous_m)
         self._last_m = depth_m[-1:]
-        good = np.isfinite(change) & np.isfinite(force_N)
-        change = np.where(good, change, 0.0)
-        force = np.where(good, force_N, 0.0)
-        known = depth_m[np.isfinite(depth_m)]
-        if known.size:
-            self._start_m = float(known[0]) if self._start_m is None else self._start_m
-            self._least_m = min(self._least_m, float(known.min()))
-        depth = np.where(np.isfinite(depth_m), depth_m, -np.inf)
-        deepest = np.maximum.accumulate(np.concatenate(([self._deepest_m], depth)))
-        fresh = change * ((change > 0.0) & (depth >= deepest[1:]))
-        self._deepest_m = float(deepest[-1])
-        self._pushed_Nm += float((force * fresh).sum())
-        self._fresh_m += float(fresh.sum())
-        self._least_N = min(self._least_N, float(force.min()))
-        self._largest_N = max(self._largest_N, float(force.max()))
+        is_good = np.isfinite(change_m) & np.isfinite(force_N)
+        change_m = np.where(is_good, change_m, 0.0)
+        force_N = np.where(is_good, force_N, 0.0)
+
+        finite_m = depth_m[np.isfinite(depth_m)]
+        if finite_m.size:
+            if self._start_m is None:
+                self._start_m = float(finite_m[0])
+            self._shallowest_m = min(self._shallowest_m, float(finite_m.min()))
+        depth_m = np.where(np.isfinite(depth_m), depth_m, -np.inf)
+        deepest_m = np.maximum.accumulate(np.concatenate(([self._deepest_m], depth_m)))
+        is_insertion = (change_m > 0.0) & (depth_m >= deepest_m[1:])
+        insertion_m = change_m * is_insertion
+        self._deepest_m = float(deepest_m[-1])
+        self._insertion_work_J += float((force_N * insertion_m).sum())
+        self._insertion_m += float(insertion_m.sum())
+        self._smallest_N = min(self._smallest_N, float(force_N.min()))
+        self._largest_N = max(self._largest_N, float(force_N.max()))
         if speed_m_s is not None:
-            self._agreement += float(
-                change @ np.where(np.isfinite(speed_m_s), speed_m_s, 0.0)
-            )
+            speed_m_s = np.where(np.isfinite(speed_m_s), speed_m_s, 0.0)
+            self._agreement += float(change_m @ speed_m_s)
 
     def hints(self) -> tuple[str, ...]:
-        """One sentence per suspicion; none for a recording that looks right."""
+        """Return one sentence per suspicion; none for a recording that looks right."""
+        start_m = self._start_m
+        span_m = 0.0 if start_m is None else self._deepest_m - self._shallowest_m
         hints: list[str] = []
-        start = self._start_m
-        span = 0.0 if start is None else self._deepest_m - self._least_m
-        if span > _LARGEST_DEPTH_M:
-            hints.append(f"depth spans {span:.3g} m; is it in millimetres?")
-        if start is None or span < _LEAST_TRAVEL_M:
-            still = (
-                f"depth moves by {span * 1e3:.3g} mm only; there is nothing to identify"
+        if span_m > MAX_DEPTH_M:
+            hints.append(f"depth spans {span_m:.3g} m; is it in millimetres?")
+        if start_m is None or span_m < MIN_TRAVEL_M:
+            hints.append(
+                f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to "
+                "identify"
             )
-            return (*hints, still)
-        if self._fresh_m > 0.0 and self._pushed_Nm / self._fresh_m < -_LEAST_FORCE_N:
+            return tuple(hints)
+        is_pulled = (
+            self._insertion_m > 0.0
+            and self._insertion_work_J / self._insertion_m < -MIN_PULL_N
+        )
+        if is_pulled:
             hints.append(
                 Message(
                     "the force is negative while the needle goes in; it must be positive "
@@ -81,7 +105,8 @@ class SignCheck:
                     SignAdvice.FLIP_FORCE,
                 )
             )
-        if start - self._least_m > 0.7 * span and self._largest_N > self._least_N:
+        is_withdrawn = start_m - self._shallowest_m > WITHDRAWN_FRACTION * span_m
+        if is_withdrawn and self._largest_N > self._smallest_N:
             hints.append(
                 Message(
                     "depth falls before it rises; it must grow into the tissue: ",
@@ -98,21 +123,8 @@ class SignCheck:
         return tuple(hints)
 
 
-_REPORTED = (
-    SampleStatus.FORCE_RANGE,
-    SampleStatus.MOTION_RANGE,
-    SampleStatus.DEPTH_JUMP,
-    SampleStatus.SPEED_SIGN,
-    SampleStatus.TIME_RANGE,
-)
-"""What nobody has reported of a row before; who read the log has reported a NaN or a
-late stamp."""
-
-HEAD_ROWS = 200  # the usual time step is the median over so many first rows
-
-
 class ReplayStream:
-    """Runs the identifier over a recording; results do not depend on how the rows come.
+    """An identifier run over a recording; results do not depend on how the rows come.
 
     Estimates, ruptures and layers are on the clock of the recording.
 
@@ -123,8 +135,8 @@ class ReplayStream:
     def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
-        # 0 s until rows have come
-        self._gap_s = 0.0
+        self._min_gap_s = float(config.check.gap_s)
+        self._gap_s = 0.0  # until rows have come
         self._gaps = 0
         self._rejected: Counter[SampleStatus] = Counter()
 
@@ -135,16 +147,20 @@ class ReplayStream:
 
     @property
     def hints(self) -> tuple[str, ...]:
-        """Suspicions about signs and units of all rows so far, how many were
-        rejected, and gaps.
-        """
-        rejected = (
-            f"rows that were rejected: {self._rejected[status]} ({status.value})"
-            for status in _REPORTED
-            if self._rejected[status]
-        )
-        gaps = f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; predictions restart"
-        return (*self._signs.hints(), *rejected, *[gaps] * (self._gaps > 0))
+        """Suspicions about signs and units of all rows so far; rejected rows; gaps."""
+        hints = list(self._signs.hints())
+        counts = {status: self._rejected[status] for status in REPORTED_STATUSES}
+        hints += [
+            f"rows that were rejected: {count} ({status.value})"
+            for status, count in counts.items()
+            if count
+        ]
+        if self._gaps > 0:
+            hints.append(
+                f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; "
+                "predictions restart"
+            )
+        return tuple(hints)
 
     def run(
         self,
@@ -155,28 +171,31 @@ class ReplayStream:
         speed_m_s: Array | None = None,
         force_std_N: Array | None = None,
     ) -> list[Estimate]:
-        """Estimates of further rows, columns as `replay` takes them, shape (n,).
+        """Return estimates of further rows, columns as `replay` takes them, shape (n,).
 
         The first call must bring `HEAD_ROWS` rows, or all that there are. The very
         first ``dt_s`` is not read.
         """
         dt_s = np.array(dt_s)
         if not self._gap_s:
-            steps_s = dt_s[1:HEAD_ROWS]
-            forward = steps_s[steps_s > 0.0]
-            begin = int(np.argmax(np.isfinite(t_s)))
-            usual_s = float(np.median(forward)) if forward.size else 1e-3
-            self._gap_s = max(_LEAST_GAP_S, 10.0 * usual_s)
-            dt_s[: begin + 1] = usual_s
+            head_s = dt_s[1:HEAD_ROWS]
+            forward_s = head_s[head_s > 0.0]
+            usual_s = float(np.median(forward_s)) if forward_s.size else FALLBACK_STEP_S
+            self._gap_s = max(self._min_gap_s, STEPS_OF_A_GAP * usual_s)
+            first = int(np.argmax(np.isfinite(t_s)))
+            dt_s[: first + 1] = usual_s
         self._gaps += int((dt_s > self._gap_s).sum())
         self._signs.update(depth_m, speed_m_s, force_N)
-        speeds = repeat(None) if speed_m_s is None else speed_m_s.tolist()
-        depths, forces, steps, times = (
-            each.tolist() for each in (depth_m, force_N, dt_s, t_s)
-        )
-        stds = repeat(0.0) if force_std_N is None else force_std_N.tolist()
         estimates = list(
-            map(self._identifier.update, depths, speeds, forces, steps, times, stds)
+            map(
+                self._identifier.update,
+                depth_m.tolist(),
+                repeat(None) if speed_m_s is None else speed_m_s.tolist(),
+                force_N.tolist(),
+                dt_s.tolist(),
+                t_s.tolist(),
+                repeat(0.0) if force_std_N is None else force_std_N.tolist(),
+            )
         )
         self._rejected.update(estimate.status for estimate in estimates)
         return estimates
@@ -228,16 +247,25 @@ def replay(
     Raises:
         InvalidLogError: Empty or ragged columns.
     """
-    t = read_column("t_s", t_s)
-    z = read_column("depth_m", depth_m, len(t))
-    f = read_column("force_N", force_N, len(t))
-    v = None if speed_m_s is None else read_column("speed_m_s", speed_m_s, len(t))
-    # A stamp that is no number spoils its own row only.
-    latest_s = np.fmax.accumulate(np.concatenate((t[:1], t[:-1])))
-    steps = t - latest_s if dt_s is None else read_column("dt_s", dt_s, len(t))
+    times_s = read_column("t_s", t_s)
+    rows = len(times_s)
+    depths_m = read_column("depth_m", depth_m, rows)
+    forces_N = read_column("force_N", force_N, rows)
+    speeds_m_s = None
+    if speed_m_s is not None:
+        speeds_m_s = read_column("speed_m_s", speed_m_s, rows)
+    if dt_s is None:
+        # A stamp that is no number spoils its own row only.
+        latest_s = np.fmax.accumulate(np.concatenate((times_s[:1], times_s[:-1])))
+        steps_s = times_s - latest_s
+    else:
+        steps_s = read_column("dt_s", dt_s, rows)
     stream = ReplayStream(config)
-    estimates = stream.run(t, steps, z, f, v)
-    t.setflags(write=False)
+    estimates = stream.run(times_s, steps_s, depths_m, forces_N, speeds_m_s)
+    times_s.setflags(write=False)
     return Replay(
-        t_s=t, estimates=tuple(estimates), layers=stream.layers, hints=stream.hints
+        t_s=times_s,
+        estimates=tuple(estimates),
+        layers=stream.layers,
+        hints=stream.hints,
     )

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
-from identification.estimate import Array, LayerEstimate, Rupture
+from identification.estimate import LayerEstimate, Rupture
 from identification.multilayer import force_model as law
 from identification.multilayer.force_split import (
     COULOMB,

@@ -9,15 +9,18 @@ One more may look for moving tissue.
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from identification.config import MultilayerConfig
 from identification.estimate import (
-    Array,
+    NO_EVENTS,
+    NO_SAMPLE,
     Events,
     LayerEstimate,
+    Outputs,
     Rupture,
     RuptureState,
     Sample,
@@ -47,7 +50,6 @@ _HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
 _RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twice that of presliding
 _TURNED = 0.3  # What a reversal leaves instead of 1, as a rest does: it is over in half the travel
 _SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
-_GAP_S = 0.25  # A longer block is a gap: what it says is not used
 _USUAL_S = 10.0
 _USUAL_MM = 3.0
 """The usual speed is the highest of so much time and travel: the approach may be
@@ -130,8 +132,6 @@ class SwitchingState(NamedTuple):
 class SwitchingMethod:
     """The switching filter, sample by sample."""
 
-    takes_filtered_travel = True
-
     def __init__(self, config: MultilayerConfig) -> None:
         self._config = config
         self.restore(SwitchingState(first_bank()))
@@ -162,7 +162,7 @@ class SwitchingMethod:
         self._bank = BankMemory(state.bank)
         self._memory = state.memory.copy()
         self._answer = state.answer.copy()
-        self._events = Events()
+        self._events = NO_EVENTS
         self._levels = state.levels
         self._tissue = state.tissue
         self._trend = state.trend
@@ -193,30 +193,41 @@ class SwitchingMethod:
             )
             row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
 
-    def report(self) -> tuple[Any, ...]:
-        """What there is to report without a sample."""
-        return self._outputs((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    @property
+    def rupture_state(self) -> RuptureState:
+        """Where it stands with respect to a rupture."""
+        return self._rupture_state
 
-    def update(self, sample: Sample) -> tuple[Any, ...]:
-        """Use one sample: what to report of it, from the rupture state to the
-        events.
-        """
-        arm_m_s = sample[3]
+    @property
+    def events(self) -> Events:
+        """What happened at the last sample."""
+        return self._events
+
+    def report(self) -> Outputs:
+        """Return what there is to report without a sample."""
+        return self._outputs(NO_SAMPLE)
+
+    def update(self, sample: Sample) -> Outputs:
+        """Use one sample; return what to report of it beside the events."""
+        arm_m_s = sample.speed_m_s
         if self._tissue.is_known:
-            time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s = sample
-            place_m, speed = (part / _MM for part in self._tissue.at(clock_s))
-            depth_m = depth_m - place_m
-            speed_m_s = speed_m_s - speed
-            raw_m = raw_m - place_m
+            place_m, speed_m_s = (
+                part / _MM for part in self._tissue.at(sample.clock_s)
+            )
             # As the tissue, which moves, meets the needle.
-            sample = time_s, dt_s, depth_m, speed_m_s, *others, raw_m, clock_s  # type: ignore
+            sample = sample._replace(
+                depth_m=sample.depth_m - place_m,
+                speed_m_s=sample.speed_m_s - speed_m_s,
+                raw_depth_m=sample.raw_depth_m - place_m,
+            )
         known = self._memory, self._answer, self._left
         is_full, outputs = samples.update_switching(
-            sample[2:9], arm_m_s, sample[1], *known
+            sample[2:9], arm_m_s, sample.dt_s, *known
         )
         if not is_full and self._stage == _NOTHING:
-            return (self._rupture_state, *outputs, None, None, None)
-        self._events = Events()
+            self._events = NO_EVENTS
+            return outputs
+        self._events = NO_EVENTS
         while self._stage != _NOTHING:
             self._work(sample)
             if not is_full:  # else blocks are of one or two samples
@@ -229,10 +240,11 @@ class SwitchingMethod:
                 self._report(sample)
         return self._outputs(sample)
 
-    def _outputs(self, sample: Sample) -> tuple[Any, ...]:
+    def _outputs(self, sample: Sample) -> Outputs:
         known = self._memory, self._answer, self._left
-        outputs = samples.switching_outputs(sample[2], sample[3], sample[6], *known)
-        return (self._rupture_state, *outputs, *self._events)
+        return samples.switching_outputs(
+            sample.depth_m, sample.speed_m_s, sample.force_N, *known
+        )
 
     def _work(self, sample: Sample) -> None:
         """Do the next part of what is left to do for a block."""
@@ -243,9 +255,9 @@ class SwitchingMethod:
         if self._stage >= _LAYERS:
             self._stage -= _LAYERS
             if self._alarm is not None:
-                self._report_layer(self._alarm, sample[7])
+                self._report_layer(self._alarm, sample.force_std_N)
             return
-        clock_s = sample[-1]
+        clock_s = sample.clock_s
         if self._stage != _FOLLOW:
             if self._stage == _BRANCH and self._bank.size <= KEPT:
                 self._branch()
@@ -282,7 +294,7 @@ class SwitchingMethod:
 
     def _use_block(self, sample: Sample) -> None:
         """Let every hypothesis predict the force of the block, and learn from it."""
-        clock_s = sample[-1]
+        clock_s = sample.clock_s
         last = self._place
         deepest = self._deepest
         bank = self._bank
@@ -295,7 +307,8 @@ class SwitchingMethod:
         fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
         faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
         usual = max(last.usual_speed * faded, v)
-        is_gap = dt_s > max(_GAP_S, 10.0 * last.dt_s)
+        # What a gap says is not used.
+        is_gap = dt_s > max(self._config.check.gap_s, 10.0 * last.dt_s)
         own = self._own_speed(place, (depth_std, speed_std), is_gap=is_gap)
         is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
         is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
@@ -330,10 +343,12 @@ class SwitchingMethod:
             self._texture = self._texture.with_force(force, fresh if is_met else 0.0, v)
         else:
             self._pause(place, fresh, is_gap=is_gap)
-        self._force_std_in_air = self._force_std_in_air if is_met else sample[7]
+        self._force_std_in_air = (
+            self._force_std_in_air if is_met else sample.force_std_N
+        )
         axial = place.force - bank.likeliest[0][law.OFFSET]
         self._place = place._replace(
-            law_error=self._texture.law_error(axial, sample[7])
+            law_error=self._texture.law_error(axial, sample.force_std_N)
         )
         if not is_gap:
             self._tissue = self._tissue.with_block(
@@ -423,7 +438,7 @@ class SwitchingMethod:
             found.more > self._config.alarm_probability
             and self._is_settled(evidence.bank, found.pick)
             and not reports.may_be_braking(
-                evidence.bank, found, place, sample[-1], self._tissue
+                evidence.bank, found, place, sample.clock_s, self._tissue
             )
         ):
             self._raise_alarm(evidence, sample, found)
@@ -468,7 +483,7 @@ class SwitchingMethod:
             identified = replace(layers[-1], is_final=True)
             self._keep((*layers[:-1], identified))
         number = layers_traversed(layers) + 1
-        at = (sample[0], sample[2], sample[-1])
+        at = (sample.time_s, sample.depth_m, sample.clock_s)
         self._alarm = reports.rupture_of(evidence, found.pick, number, found.more, at)
         self._ruptures = int(evidence.ruptures[found.pick])
         self._rupture_state = RuptureState.DETECTED
@@ -476,7 +491,7 @@ class SwitchingMethod:
         # Every beat may raise an alarm until it is known: then the window has to grow
         # across them.
         if not self._is_series or self._tissue.is_known:
-            self._tissue = self._tissue.restarted(sample[-1])
+            self._tissue = self._tissue.restarted(sample.clock_s)
 
     def _is_final(self, alarm: Rupture) -> bool:
         """Whether the layer left is final now, so far behind its rupture."""

@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
-from identification.estimate import Array
 from identification.multilayer import force_model as law
 
 STEP_MM = 0.02  # least travel between new hypotheses

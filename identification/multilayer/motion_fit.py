@@ -23,9 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
-from identification.estimate import Array
 from identification.multilayer.force_model import COULOMB_SPEED, FRACTION, FRACTION_STD
 from identification.multilayer.force_split import contact_along
 

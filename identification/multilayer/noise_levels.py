@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled
-from identification.estimate import Array
 from identification.multilayer.force_model import LAW_ERROR, LAW_MM
 from identification.multilayer.tissue_motion import TissueMotion
 

@@ -12,9 +12,8 @@ import math
 
 import numpy as np
 
-from foundation.arrays import Vector
+from foundation.arrays import Array, Vector
 from foundation.jit import compiled
-from identification.estimate import Array
 
 _JERK = 1e-4  # spectral density of the jerk [mm²/s⁵]
 _MEMORY_S = 0.2
@@ -46,7 +45,7 @@ def follow_speed(
 ) -> tuple[float, Array]:
     """Speed for the law at the next block's mean depth [mm] and filtered speed [mm/s].
 
-    `noise` holds the standard deviations that `sample_filter` leaves in both. It says
+    `noise` holds the standard deviations that `travel_filter` leaves in both. It says
     how noisy the depth is: of white noise of density r a steady filter of bandwidth w
     leaves the variances 1.06 r w in the depth and 0.354 r w³ in the speed.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from identification.estimate import Array
+from foundation.arrays import Array
 from identification.multilayer import motion_fit as windows
 from identification.multilayer.mixture import Place
 from identification.multilayer.motion_fit import Fit, Window, displacement, turned

@@ -1,31 +1,33 @@
-"""Offline identification of known layers (Section II): force models, regressors, least
-squares.
+"""Offline identification of known layers (Section II) by least squares.
 
 Resisting force is positive here; the paper's minus signs are part of that convention.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from foundation.arrays import Array
 from identification.config import Model
 from identification.errors import InvalidConfigError, InvalidLogError
-from identification.estimate import Array
 
 RANK_TOLERANCE = 1e-3
 """Singular values of the scaled columns below this fraction of the largest count as
 zero: a difference between columns under 0.1 % is smaller than any linear tissue model
 is right."""
-_FREE_FRACTION = 0.05
-_BLOCKS = 60
+MAX_FREE_FRACTION = 0.05
+"""A parameter counts as identified if no more of it than this fraction lies in the
+directions that the data leave free."""
+COVARIANCE_BLOCKS = 60
+"""Contiguous blocks of residuals that count as independent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerSpan:
-    """Where and when one layer acts on the needle, known beforehand in the offline
-    analysis.
+    """Where and when one layer acts on the needle, known beforehand.
 
     Without a membrane it ruptures as the tip leaves it; with one earlier or later.
 
@@ -42,9 +44,7 @@ class LayerSpan:
     rupture_s: float
 
     def __post_init__(self) -> None:
-        """Raise `InvalidConfigError` unless thickness is positive and times are
-        ordered.
-        """
+        """Raise `InvalidConfigError` unless thickness and duration are positive."""
         values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
         if not np.all(np.isfinite(values)):
             raise InvalidConfigError(f"layer span has non-finite values: {values}")
@@ -66,9 +66,9 @@ def regression_matrix(
     layers: Sequence[LayerSpan],
     model: Model = "ml",
 ) -> Array:
-    """Matrix Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5), the l layers as
-    entered.
+    """Return Phi = [phi_K1 phi_B1 ... phi_Kl phi_Bl] of equation (5).
 
+    The l layers stand in the order of entry.
     phi_K of equation (4) is dz_i between entry and rupture, zero elsewhere. phi_B is,
     from entry on, for `ml` embedded length times speed: dz_i inside the layer and d_i
     beyond it, which is (4); during withdrawal it shrinks, which (4) leaves open. For
@@ -100,41 +100,61 @@ def regression_matrix(
     return np.column_stack(columns)
 
 
-def solve_least_squares(
-    matrix: Array, target: Array
-) -> tuple[Array, Array, NDArray[np.bool_], int]:
+class LeastSquares(NamedTuple):
+    """Solution of a linear least-squares problem with p parameters.
+
+    Attributes:
+        parameters: Of minimum norm in scaled columns, shape (p,).
+        stds: Their standard deviations, infinite where the data leave one free, (p,).
+        are_identified: Whether the data determine each, shape (p,).
+        rank: Of the matrix with columns of unit length.
+    """
+
+    parameters: Array
+    stds: Array
+    are_identified: NDArray[np.bool_]
+    rank: int
+
+
+def solve_least_squares(matrix: Array, target: Array) -> LeastSquares:
     """Solve theta = Phi^# f, equation (6), on columns scaled to unit length.
 
     Autocorrelated residuals are allowed for in the standard deviations.
 
-    Returns:
-        The solution of minimum norm in scaled columns, shape (p,); standard deviations,
-        infinite where the data leave a parameter free; where they do not; rank of the
-        scaled matrix.
+    Args:
+        matrix: Phi, shape (n, p).
+        target: f, shape (n,).
     """
-    scale = np.linalg.norm(matrix, axis=0)
-    safe = np.where(scale > 0, scale, 1.0)
-    scaled = matrix / safe
+    norms = np.linalg.norm(matrix, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    scaled = matrix / scale
     inverse = np.linalg.pinv(scaled, rcond=RANK_TOLERANCE)
     solution = inverse @ target
     residual = target - scaled @ solution
     squared = inverse @ inverse.T
+
     # Sandwich covariance over contiguous blocks: residuals of tissue are far from
     # white.
-    edges = np.linspace(0, len(residual), min(_BLOCKS, len(residual)) + 1).astype(int)
+    blocks = min(COVARIANCE_BLOCKS, len(residual))
+    edges = np.linspace(0, len(residual), blocks + 1).astype(int)
     scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
     covariance = squared @ (scores.T @ scores) @ squared
+
     determined = np.diag(inverse @ scaled)  # of a projection, whose trace is the rank
-    identified = (1.0 - determined < _FREE_FRACTION**2) & (scale > 0)
-    deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / safe
-    std = np.where(identified, deviation, np.inf)
-    return solution / safe, std, identified, round(float(determined.sum()))
+    are_identified = (1.0 - determined < MAX_FREE_FRACTION**2) & (norms > 0)
+    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
+    return LeastSquares(
+        parameters=solution / scale,
+        stds=np.where(are_identified, deviations, np.inf),
+        are_identified=are_identified,
+        rank=round(float(determined.sum())),
+    )
 
 
 def read_column(
     name: str, values: ArrayLike, rows: int | None = None, *, finite: bool = False
 ) -> Array:
-    """A column as a float array of its own, shape (n,).
+    """Return a column as a float array of its own, shape (n,).
 
     Raises:
         InvalidLogError: Not a vector of real numbers, an empty one, or not as expected.
@@ -147,7 +167,8 @@ def read_column(
         raise InvalidLogError(f"{name} is not a vector of numbers: {error}") from error
     if column.ndim != 1 or column.size == 0:
         raise InvalidLogError(
-            f"{name} must be a non-empty vector, got shape {column.shape}; one value per row"
+            f"{name} must be a non-empty vector, got shape {column.shape}; "
+            "one value per row"
         )
     if rows is not None and len(column) != rows:
         raise InvalidLogError(f"{name} has {len(column)} rows where t_s has {rows}")
@@ -161,13 +182,17 @@ def read_column(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OfflineLayer:
-    """One layer identified offline; standard deviations are infinite where not
-    identified.
+    """One layer identified offline.
 
     Attributes:
         stiffness_N_per_m: K_i.
+        stiffness_std_N_per_m: Its standard deviation, infinite where not identified.
         stiffness_identified: Whether the data separate it from the other parameters.
         friction: B_i [Ns/m^2] for `ml`, [Ns/m] for `kv`.
+        friction_std: Its standard deviation, infinite where not identified.
+        friction_identified: Whether the data separate it from the other parameters.
+        cumulative_friction_Ns_per_m: B_i d_i for `ml` (the values of Table I), B_i for
+            `kv`.
     """
 
     stiffness_N_per_m: float
@@ -176,9 +201,7 @@ class OfflineLayer:
     friction: float
     friction_std: float
     friction_identified: bool
-    cumulative_friction_Ns_per_m: (
-        float  # B_i d_i for `ml` (the values of Table I), B_i for `kv`
-    )
+    cumulative_friction_Ns_per_m: float
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,6 +209,7 @@ class OfflineIdentification:
     """Result of equation (6) over one recording.
 
     Attributes:
+        model: Model of the force.
         layers: In order of entry.
         rank: Of the scaled regression matrix.
         rmse_N: Root mean square reconstruction error.
@@ -229,38 +253,44 @@ def identify_offline(
         InvalidLogError: Empty, ragged, non-finite or unordered columns.
         InvalidConfigError: No layer, or an unknown model.
     """
-    t = read_column("t_s", t_s, finite=True)
-    if np.any(np.diff(t) <= 0):
+    times_s = read_column("t_s", t_s, finite=True)
+    if np.any(np.diff(times_s) <= 0):
         raise InvalidLogError(
             "t_s must increase; sort the recording or drop repeated samples"
         )
-    others = {"depth_m": depth_m, "speed_m_s": speed_m_s, "force_N": force_N}
-    z, v, f = (read_column(name, others[name], len(t), finite=True) for name in others)
-    matrix = regression_matrix(t, z, v, layers, model)
-    *columns, rank = solve_least_squares(matrix, f)
-    predicted = matrix @ columns[0]
-    predicted.setflags(write=False)
-    found = []
-    for k, span in enumerate(layers):
-        (stiffness, friction), stds, known = (
-            each[2 * k : 2 * k + 2].tolist() for each in columns
-        )
-        found.append(
-            OfflineLayer(
-                stiffness_N_per_m=stiffness,
-                stiffness_std_N_per_m=stds[0],
-                stiffness_identified=known[0],
-                friction=friction,
-                friction_std=stds[1],
-                friction_identified=known[1],
-                cumulative_friction_Ns_per_m=friction
-                * (span.thickness_m if model == "ml" else 1),
-            )
-        )
+    rows = len(times_s)
+    depths_m = read_column("depth_m", depth_m, rows, finite=True)
+    speeds_m_s = read_column("speed_m_s", speed_m_s, rows, finite=True)
+    forces_N = read_column("force_N", force_N, rows, finite=True)
+    matrix = regression_matrix(times_s, depths_m, speeds_m_s, layers, model)
+    solution = solve_least_squares(matrix, forces_N)
+    predicted_N = matrix @ solution.parameters
+    predicted_N.setflags(write=False)
     return OfflineIdentification(
         model=model,
-        layers=tuple(found),
-        rank=rank,
-        rmse_N=float(np.sqrt(np.mean((f - predicted) ** 2))),
-        predicted_force_N=predicted,
+        layers=tuple(
+            _offline_layer(solution, number, span, model)
+            for number, span in enumerate(layers)
+        ),
+        rank=solution.rank,
+        rmse_N=float(np.sqrt(np.mean((forces_N - predicted_N) ** 2))),
+        predicted_force_N=predicted_N,
+    )
+
+
+def _offline_layer(
+    solution: LeastSquares, number: int, span: LayerSpan, model: Model
+) -> OfflineLayer:
+    """Return the layer of a number, from 0, out of the solution for all layers."""
+    stiffness = 2 * number  # index of K_i among the parameters
+    friction = stiffness + 1
+    value = float(solution.parameters[friction])
+    return OfflineLayer(
+        stiffness_N_per_m=float(solution.parameters[stiffness]),
+        stiffness_std_N_per_m=float(solution.stds[stiffness]),
+        stiffness_identified=bool(solution.are_identified[stiffness]),
+        friction=value,
+        friction_std=float(solution.stds[friction]),
+        friction_identified=bool(solution.are_identified[friction]),
+        cumulative_friction_Ns_per_m=value * (span.thickness_m if model == "ml" else 1),
     )

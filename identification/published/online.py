@@ -7,15 +7,19 @@ a layer (Section III-B) needs S and b of each window, not its samples.
 """
 
 import math
-from typing import Any, NamedTuple
+from dataclasses import astuple, dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Matrix, Vector, WrittenVector
+from foundation.arrays import Array, Matrix
 from foundation.jit import compiled
+from foundation.records import as_record, from_record, read_field
 from identification.config import PublishedConfig
 from identification.estimate import (
-    Array,
+    NO_EVENTS,
+    NO_SAMPLE,
+    Events,
     LayerEstimate,
     Outputs,
     Rupture,
@@ -23,48 +27,203 @@ from identification.estimate import (
     Sample,
 )
 
-_FULL = 1.0 - 1e-9  # length of a reset window in periods, but for rounding
-_MOST_LAYERS = 256  # layers kept: far more than a needle meets; the oldest go first
-_SMALLEST_RATIO = 1e-3
-_LEAST_THICKNESS_M = 1e-9
-_LEAST_SPEED_M_S = 1e-6
-_STATES = tuple(RuptureState)  # a new rupture is detected in the first two
-_NO_RUPTURE, _EXPECTED, _DETECTED, _MEASURING, _IDENTIFIED = range(5)
+FULL_WINDOW = 1.0 - 1e-9
+"""Length of a reset window in periods, but for rounding."""
+MAX_LAYERS = 256
+"""Layers kept, far more than a needle meets; the oldest go first."""
+MIN_RATIO = 1e-3
+"""Least elastic and least friction ratio: (12) must stay positive and finite."""
+MIN_THICKNESS_M = 1e-9
+"""Least thickness of a layer, against a division by zero."""
+MIN_MEAN_SPEED_M_S = 1e-6
+"""Least mean speed in a layer in (12), against a division by zero."""
+MAX_CORRELATION = 1.002
+"""Largest square of a correlation in a restored covariance: 1, but for rounding."""
 
-Motion = tuple[float, float, float, float]  # interval, depth, speed, force
-Pair = tuple[float, float]
-Rls = tuple[
-    float, float, float, float, float
-]  # K, B, covariance Psi[0, 0], Psi[0, 1], Psi[1, 1]
-Sums = tuple[float, float, float, float, float, float, float]
-"""Over the samples between two covariance resets: phi_K^2, phi_K phi_B, phi_B^2, phi_K
-f, phi_B f; and phi_K v, phi_B v, which with `kv` allow a later change of the cumulative
-friction."""
-NO_SUMS: Sums = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-_OF_FORCE = slice(3, 5)
-_OF_SPEED = slice(5, 7)
-Setting = tuple[bool, float, float, float, float, float]
-"""Whether `ml`; drift and threshold of (9), reset frequency, time constant and least
-speed."""
-# Places in the memory. What the samples change: an `Rls`; the `Sums` since the last
-# covariance reset and the time since; g_k of (9); time and mean speed in the layer;
-# filtered derivative; the last force, whether there is one, the one before; time since
-# the detection; phi' theta + B_d v before the last sample was used.
-_RLS = 0
-_COVARIANCE = 2
-_SUMS = 5
-_WINDOW_S = 12
-_DECISION = 13
-_TRAVEL_S = 14
-_MEAN_SPEED = 15
-_DERIVATIVE, _FORCE, _HAS_FORCE, _FORCE_BEFORE, _WAITED_S, _PREDICTED = range(16, 22)
-# What a rupture changes: start of the layer, sum of B_j d_j, threshold beta of the
-# derivative, T_drop, ruptures detected; number of the rupture machine's state.
-_START_M, _CUMULATIVE, _BETA, _DROP_S, _RUPTURES, _STATE, _SIZE = range(22, 29)
-NO_WINDOWS = np.empty(
-    (0, len(NO_SUMS))
-)  # sums of the windows of a layer, one row of `Sums` each
+STATES = tuple(RuptureState)
+"""In the order of the numbers that compiled code gives them."""
+NO_RUPTURE = STATES.index(RuptureState.NO_RUPTURE)
+EXPECTED = STATES.index(RuptureState.EXPECTED)
+DETECTED = STATES.index(RuptureState.DETECTED)
+FORCE_DROP_MEASURING = STATES.index(RuptureState.FORCE_DROP_MEASURING)
+FRICTION_IDENTIFIED = STATES.index(RuptureState.FRICTION_IDENTIFIED)
+
+
+class Regressor(NamedTuple):
+    """Columns of the force model: f = phi_K K + phi_B B.
+
+    Attributes:
+        stiffness: phi_K.
+        friction: phi_B.
+    """
+
+    stiffness: float
+    friction: float
+
+
+class Parameters(NamedTuple):
+    """Parameters of the layer that the tip is in.
+
+    Attributes:
+        stiffness: K [N/m].
+        friction: B, [Ns/m^2] for `ml`, [Ns/m] for `kv`.
+    """
+
+    stiffness: float
+    friction: float
+
+
+class InitialVariances(NamedTuple):
+    """Psi_0, to which the covariance is reset; it is diagonal.
+
+    Attributes:
+        stiffness: sigma^2_K,0.
+        friction: sigma^2_B,0.
+    """
+
+    stiffness: float
+    friction: float
+
+
+@dataclass(slots=True)
+class Rls:
+    """Estimate of the recursive least squares and its covariance Psi.
+
+    Attributes:
+        stiffness: K [N/m].
+        friction: B, [Ns/m^2] for `ml`, [Ns/m] for `kv`.
+        stiffness_variance: Psi[0, 0].
+        covariance: Psi[0, 1].
+        friction_variance: Psi[1, 1].
+    """
+
+    stiffness: float = 0.0
+    friction: float = 0.0
+    stiffness_variance: float = 0.0
+    covariance: float = 0.0
+    friction_variance: float = 0.0
+
+
+@dataclass(slots=True)
+class WindowSums:
+    """Sums over the samples between two covariance resets, f without known friction.
+
+    The last two allow, with `kv`, a later change of the cumulative friction.
+
+    Attributes:
+        stiffness_stiffness: Of phi_K^2.
+        stiffness_friction: Of phi_K phi_B.
+        friction_friction: Of phi_B^2.
+        stiffness_force: Of phi_K f.
+        friction_force: Of phi_B f.
+        stiffness_speed: Of phi_K v.
+        friction_speed: Of phi_B v.
+    """
+
+    stiffness_stiffness: float = 0.0
+    stiffness_friction: float = 0.0
+    friction_friction: float = 0.0
+    stiffness_force: float = 0.0
+    friction_force: float = 0.0
+    stiffness_speed: float = 0.0
+    friction_speed: float = 0.0
+
+
+class CusumConstants(NamedTuple):
+    """Constants of the CUSUM on the squared error, equation (9).
+
+    Attributes:
+        drift_N2: nu.
+        threshold_N2: gamma.
+    """
+
+    drift_N2: float
+    threshold_N2: float
+
+
+class ForceRatios(NamedTuple):
+    """Parts of the force of a layer just traversed, equation (11); their sum is 1.
+
+    Attributes:
+        elastic: r_K.
+        friction: r_B.
+    """
+
+    elastic: float
+    friction: float
+
+
+SUMS = tuple(field.name for field in fields(WindowSums))
+"""Names of the columns of an array of windows; its rows are `WindowSums`."""
+OF_FORCE = slice(SUMS.index("stiffness_force"), SUMS.index("friction_force") + 1)
+"""The columns that hold the force."""
+OF_SPEED = slice(SUMS.index("stiffness_speed"), SUMS.index("friction_speed") + 1)
+"""The columns that hold the speed in its place."""
+NO_WINDOWS = np.empty((0, len(SUMS)))
+"""Of a layer without closed windows."""
 NO_WINDOWS.setflags(write=False)
+
+
+@dataclass(slots=True)
+class Settings:
+    """What every sample needs of the configuration.
+
+    Attributes:
+        is_ml: Whether the model is the multi-layer one, equation (3).
+        cusum_drift_N2: nu of (9).
+        cusum_threshold_N2: gamma of (9).
+        reset_frequency_Hz: f_CR.
+        derivative_time_constant_s: Of the derivative's low-pass.
+        min_speed_m_s: Below it no rupture is detected.
+    """
+
+    is_ml: bool
+    cusum_drift_N2: float
+    cusum_threshold_N2: float
+    reset_frequency_Hz: float
+    derivative_time_constant_s: float
+    min_speed_m_s: float
+
+
+@dataclass(slots=True)
+class Tracker:
+    """What samples and ruptures change, apart from the closed windows.
+
+    Attributes:
+        window_s: Time since the last covariance reset.
+        cusum_N2: g_k of (9).
+        travel_s: Time in the layer.
+        mean_speed_m_s: Mean speed in the layer.
+        derivative_N_per_s: Filtered derivative of the force.
+        force_N: The last force.
+        has_force: Whether there is one.
+        force_before_N: The force before the last one.
+        waited_s: Time since the detection.
+        predicted_N: phi' theta + B_d v before the last sample was used.
+        start_depth_m: Start of the layer.
+        cumulative_friction: Sum of B_j d_j [Ns/m].
+        derivative_threshold_N_per_s: beta.
+        drop_s: T_drop.
+        ruptures: How many were detected.
+        machine: State of the rupture machine, an index in `STATES`.
+    """
+
+    window_s: float = 0.0
+    cusum_N2: float = 0.0
+    travel_s: float = 0.0
+    mean_speed_m_s: float = 0.0
+    derivative_N_per_s: float = 0.0
+    force_N: float = 0.0
+    has_force: bool = False
+    force_before_N: float = 0.0
+    waited_s: float = 0.0
+    predicted_N: float = 0.0
+    start_depth_m: float = 0.0
+    cumulative_friction: float = 0.0
+    derivative_threshold_N_per_s: float = 0.0
+    drop_s: float = 0.0
+    ruptures: int = 0
+    machine: int = NO_RUPTURE
 
 
 class RupturedLayer(NamedTuple):
@@ -72,7 +231,7 @@ class RupturedLayer(NamedTuple):
 
     Attributes:
         start_depth_m: Depth at which it begins.
-        windows: Sums of its reset windows.
+        windows: Sums of its reset windows, shape (n, 7).
         mean_speed_m_s: Average speed in it.
         rupture: How it ended.
     """
@@ -84,258 +243,99 @@ class RupturedLayer(NamedTuple):
 
     @property
     def damage(self) -> str:
-        """What is wrong with a restored one, if anything; checked before compiled
-        code reads it.
-        """
+        """What is wrong with a restored one, if anything."""
         shape = np.shape(self.windows)
-        return (
-            ""
-            if shape[1:] == NO_WINDOWS.shape[1:]
-            else f"its windows have the shape {shape}"
-        )
+        if shape[1:] == NO_WINDOWS.shape[1:]:
+            return ""
+        return f"its windows have the shape {shape}"
 
 
 class PublishedState(NamedTuple):
-    """All that the published method remembers; immutable.
+    """Everything that the published method remembers; nothing changes it.
 
     Attributes:
-        memory: What every sample changes, shape (28,).
-        windows: Sums of the closed reset windows of the current layer.
+        tracker: What samples and ruptures change.
+        rls: Estimate of the current layer.
+        sums: Sums of the reset window that is being filled.
+        windows: Sums of the closed reset windows of the current layer, shape (n, 7).
+        ruptured: The last layer, until its friction is subtracted.
         layers: Layers identified so far.
     """
 
-    memory: Array
+    tracker: Tracker
+    rls: Rls
+    sums: WindowSums = WindowSums()
     windows: Array = NO_WINDOWS
-    ruptured: RupturedLayer | None = (
-        None  # The last layer, until its friction is subtracted
-    )
+    ruptured: RupturedLayer | None = None
     layers: tuple[LayerEstimate, ...] = ()
 
     @property
     def damage(self) -> str:
-        """What is wrong with the covariance, if anything."""
-        first, both, second = np.ravel(self.memory)[_COVARIANCE:_SUMS].tolist()
-        is_definite = (
-            min(first, second) >= 0.0 and both * both <= 1.002 * first * second
-        )
-        return (
-            ""
-            if is_definite
-            else "the covariance in its memory is not positive semi-definite"
-        )
-
-
-class PublishedMethod:
-    """The published method, sample by sample."""
-
-    takes_filtered_travel = False
-    contact_depth_m = None  # a setting, nothing that is found
-
-    def __init__(self, config: PublishedConfig) -> None:
-        self._config = config
-        cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
-        rates = (
-            config.reset_frequency_Hz,
-            config.derivative_time_constant_s,
-            config.least_speed_m_s,
-        )
-        self._setting: Any = config.model == "ml", *map(float, (*cusum, *rates))
-        self._psi0 = float(config.var_stiffness), 0.0, float(config.var_friction)
-        memory = np.zeros(_SIZE)
-        memory[_COVARIANCE:_SUMS] = self._psi0
-        memory[[_START_M, _BETA]] = (
-            config.contact_depth_m,
-            config.derivative_threshold_N_per_s,
-        )
-        self.restore(PublishedState(memory))
-
-    @property
-    def state(self) -> PublishedState:
-        """All that it remembers."""
-        memory = np.array(self._memory)
-        return PublishedState(memory, self._windows, self._ruptured, self.layers)
-
-    def restore(self, state: PublishedState) -> None:
-        """Go on from there."""
-        self._memory = state.memory.copy()
-        _, self._windows, self._ruptured, self.layers = state
-
-    def report(
-        self, motion: Motion = (0.0, 0.0, 0.0, 0.0), *events: Any
-    ) -> tuple[Any, ...]:
-        """What there is to report without a sample, or of the last one."""
-        outputs = published_outputs(motion, self._memory, self._setting)
-        state = _STATES[int(self._memory[_STATE])]
-        return (state, *outputs, *(events or (None, None)), None)
-
-    def update(self, sample: Sample) -> tuple[Any, ...]:
-        """Use one sample: what to report of it, from the rupture state to the
-        events.
-        """
-        motion = sample[1], sample[2], sample[3], sample[6]
-        at, is_full, is_news, outputs = published_step(
-            motion, self._memory, self._setting
-        )
-        if not (is_full or is_news):
-            return (_STATES[at], *outputs, None, None, None)
-        rupture = layer = None
-        if is_news and at == _DETECTED:
-            rupture = self._open_layer(sample)
-        elif is_full:
-            self._windows = self._closed(self._windows)
-            self._reset_covariance()
-        if is_news and at == _IDENTIFIED and self._ruptured is not None:
-            layer = self._identify(self._ruptured, sample[6])
-        return self.report(motion, rupture, layer)
-
-    def _closed(self, windows: Array) -> Array:
-        return append_window(
-            windows, self._memory[_SUMS:_WINDOW_S], self._config.most_windows
-        )
-
-    def _reset_covariance(self) -> None:
-        self._memory[_COVARIANCE:_SUMS] = self._psi0
-        self._memory[_SUMS:_DECISION] = [0.0] * (_DECISION - _SUMS)
-
-    def _open_layer(self, sample: Sample) -> Rupture:
-        """A rupture is detected: the next layer begins here and now (d_i of Section
-        III).
-
-        f(t_r) of (10) is the last force before the alarming sample, which may have
-        dropped already. So may those of its whole reset window: the layer's re-run is
-        without it.
-        """
-        m = self._memory
-        config = self._config
-        time_s, _, depth_m, speed_m_s, *_ = sample
-        rupture = Rupture(
-            layer=int(m[_RUPTURES]) + 1,
-            alarm_s=time_s,
-            alarm_depth_m=depth_m,
-            time_s=time_s,
-            depth_m=depth_m,
-            force_N=float(m[_FORCE_BEFORE]),
-            speed_m_s=speed_m_s,
-            probability=1.0,
-            is_final=True,
-            contact_depth_m=float(config.contact_depth_m),
-        )
-        windows = self._windows if len(self._windows) else self._closed(NO_WINDOWS)
-        start_m = float(m[_START_M])
-        mean_m_s = float(m[_MEAN_SPEED])
-        self._ruptured = RupturedLayer(start_m, windows, mean_m_s, rupture)
-        self._windows = NO_WINDOWS
-        self._reset_covariance()
-        for k in (_RLS, _RLS + 1, _DECISION, _TRAVEL_S, _MEAN_SPEED, _WAITED_S):
-            m[k] = 0.0
-        m[_RUPTURES] = float(rupture.layer)
-        m[_START_M] = depth_m
-        rise_N_per_s = rupture.layer * config.derivative_rise_N_per_s
-        m[_BETA] = config.derivative_threshold_N_per_s + rise_N_per_s
-        m[_DROP_S] = config.drop_travel_m / max(speed_m_s, config.least_speed_m_s)
-        return rupture
-
-    def _identify(self, ruptured: RupturedLayer, force_N: float) -> LayerEstimate:
-        """After T_drop = k_v / v identify the layer, (10) to (12), and take its
-        friction out.
-
-        The sums of the layer after it are corrected for the friction now known, so its
-        estimate goes on as if that friction had been subtracted from the rupture
-        onwards.
-        """
-        m = self._memory
-        rupture = ruptured.rupture
-        known = float(self._memory[_CUMULATIVE])
-        drop = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
-        elastic, friction_ratio = force_ratios(
-            drop, rupture.force_N, known, rupture.speed_m_s
-        )
-        speed = max(abs(ruptured.mean_speed_m_s), _LEAST_SPEED_M_S)
-        stiff, _, damp = self._psi0
-        variance = reweighted_friction_variance(damp, elastic, friction_ratio, speed)
-        stiffness, friction = rerun_windows(ruptured.windows, (stiff, float(variance)))
-        thickness = max(rupture.depth_m - ruptured.start_depth_m, _LEAST_THICKNESS_M)
-        damping = friction * (thickness if self._config.model == "ml" else 1.0)
-        layer = LayerEstimate(
-            layer=rupture.layer,
-            is_final=True,
-            start_depth_m=ruptured.start_depth_m,
-            thickness_m=thickness,
-            rupture=rupture,
-            force_drop_N=drop,
-            stiffness_N_per_m=stiffness,
-            stiffness_identified=drop > 0.0,
-            friction_Ns_per_m2=friction,
-            friction_identified=drop > 0.0,
-            friction_N=damping * rupture.speed_m_s,
-        )
-        windows = np.vstack((self._windows, m[_SUMS:_WINDOW_S]))
-        windows[:, _OF_FORCE] -= (
-            damping * windows[:, _OF_SPEED]
-        )  # as if it were not felt
-        windows.setflags(write=False)
-        m[_RLS:_SUMS] = *rerun_windows(windows, (stiff, damp)), *self._psi0
-        m[_SUMS:_WINDOW_S] = windows[-1].tolist()
-        m[_WAITED_S] = 0.0
-        m[_CUMULATIVE] = known + damping
-        self._windows = windows[:-1]
-        self._ruptured = None
-        self.layers = (*self.layers, layer)[-_MOST_LAYERS:]
-        return layer
+        """What is wrong with a restored one, if anything."""
+        if self.tracker.machine not in range(len(STATES)):
+            return f"its tracker is in no state {self.tracker.machine!r:.80}"
+        smaller = min(self.rls.stiffness_variance, self.rls.friction_variance)
+        product = self.rls.stiffness_variance * self.rls.friction_variance
+        if smaller < 0.0 or self.rls.covariance**2 > MAX_CORRELATION * product:
+            return "the covariance of its rls is not positive semi-definite"
+        return ""
 
 
 @compiled
-def _regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Pair:
-    """Columns (phi_K, phi_B): (dz, dz v) for `ml`, equation (3); (dz, v) for `kv`,
-    (2).
+def regressor(layer_depth_m: float, speed_m_s: float, is_ml: bool) -> Regressor:
+    """Return (phi_K, phi_B): for `ml` (dz, dz v) of (3); for `kv` (dz, v) of (2)."""
+    return Regressor(layer_depth_m, layer_depth_m * speed_m_s if is_ml else speed_m_s)
+
+
+@compiled
+def update_rls(rls: Rls, phi: Regressor, force_N: float) -> float:
+    """Use one force sample; return the error e_k = f_k - phi_k' theta_{k-1}.
+
+    Equations (7) and (8) with lambda = 1, written out for two columns.
     """
-    return layer_depth_m, (layer_depth_m * speed_m_s if is_ml else speed_m_s)
+    error_N = force_N - (phi.stiffness * rls.stiffness + phi.friction * rls.friction)
+    stiffness_part = (
+        rls.stiffness_variance * phi.stiffness + rls.covariance * phi.friction
+    )
+    friction_part = (
+        rls.covariance * phi.stiffness + rls.friction_variance * phi.friction
+    )
+    scale = 1.0 + phi.stiffness * stiffness_part + phi.friction * friction_part
+    step = error_N / scale
+    rls.stiffness += stiffness_part * step
+    rls.friction += friction_part * step
+    rls.stiffness_variance -= stiffness_part * stiffness_part / scale
+    rls.covariance -= stiffness_part * friction_part / scale
+    rls.friction_variance -= friction_part * friction_part / scale
+    return error_N
 
 
 @compiled
-def rls_step(rls: Rls, phi: Pair, force_N: float) -> tuple[Rls, float]:
-    """Use one force sample: equations (7) and (8) with lambda = 1, written out for two
-    columns.
-
-    Returns the estimate after the sample, and the error e_k = f_k - phi_k' theta_{k-1}.
-    """
-    k, b, p11, p12, p22 = rls
-    x, y = phi
-    error = force_N - (x * k + y * b)
-    gx = p11 * x + p12 * y
-    gy = p12 * x + p22 * y
-    scale = 1.0 + x * gx + y * gy
-    step = error / scale
-    p11 = p11 - gx * gx / scale
-    p12 = p12 - gx * gy / scale
-    p22 = p22 - gy * gy / scale
-    return (k + gx * step, b + gy * step, p11, p12, p22), error
-
-
-@compiled
-def add_sample(sums: Sums, phi: Pair, force_N: float, speed_m_s: float) -> Sums:
+def add_sample(
+    sums: WindowSums, phi: Regressor, force_N: float, speed_m_s: float
+) -> None:
     """Add one sample to the sums of its window."""
-    kk, kb, bb, kf, bf, kv, bv = sums
-    x, y = phi
-    kf = kf + x * force_N
-    bf = bf + y * force_N
-    kv = kv + x * speed_m_s
-    bv = bv + y * speed_m_s
-    return kk + x * x, kb + x * y, bb + y * y, kf, bf, kv, bv
+    sums.stiffness_stiffness += phi.stiffness * phi.stiffness
+    sums.stiffness_friction += phi.stiffness * phi.friction
+    sums.friction_friction += phi.friction * phi.friction
+    sums.stiffness_force += phi.stiffness * force_N
+    sums.friction_force += phi.friction * force_N
+    sums.stiffness_speed += phi.stiffness * speed_m_s
+    sums.friction_speed += phi.friction * speed_m_s
 
 
-def cusum_constants(sigma0_N: float, sigma1_N: float) -> Pair:
-    """Drift nu and threshold gamma [N^2] of the CUSUM on the squared error, equation
-    (9).
-    """
-    var0 = sigma0_N * sigma0_N
-    var1 = sigma1_N * sigma1_N
-    return (var1 + var0) / 2.0, (var1 - var0) / 2.0
+def cusum_constants(sigma0_N: float, sigma1_N: float) -> CusumConstants:
+    """Return the constants of the CUSUM on the squared error, equation (9)."""
+    usual_N2 = sigma0_N * sigma0_N
+    abrupt_N2 = sigma1_N * sigma1_N
+    return CusumConstants(
+        drift_N2=(abrupt_N2 + usual_N2) / 2.0, threshold_N2=(abrupt_N2 - usual_N2) / 2.0
+    )
 
 
 @compiled
 def cusum_step(decision: float, error_N: float, drift: float) -> float:
-    """Decision function g_k = max(g_{k-1} + e_k^2 - nu, 0), equation (9)."""
+    """Return the decision function g_k = max(g_{k-1} + e_k^2 - nu, 0), equation (9)."""
     return max(decision + error_N * error_N - drift, 0.0)
 
 
@@ -343,88 +343,222 @@ def cusum_step(decision: float, error_N: float, drift: float) -> float:
 def derivative_step(
     derivative_N_per_s: float, change_N: float, dt_s: float, time_constant_s: float
 ) -> float:
-    """First-order low-pass of df/dt (Section III-B); exact for a force linear over
-    the step.
+    """Return df/dt after a first-order low-pass (Section III-B).
+
+    It is exact for a force that is linear over the step.
     """
-    keep = math.exp(-dt_s / time_constant_s)
-    return keep * derivative_N_per_s + (1.0 - keep) * change_N / dt_s
+    memory = math.exp(-dt_s / time_constant_s)
+    return memory * derivative_N_per_s + (1.0 - memory) * change_N / dt_s
 
 
 @compiled
-def published_outputs(motion: Motion, m: Vector, setting: Setting) -> Outputs:
-    """Enhanced force f - sum(B_j d_j) v and its companions, from ``in_contact`` to
-    the events.
-    """
-    _, depth_m, speed_m_s, force_N = motion
-    cumulative = m[_CUMULATIVE]
-    depth = max(depth_m - m[_START_M], 0.0)
-    friction = m[_RLS + 1]
-    in_contact = depth > 0.0 or m[_RUPTURES] > 0.0
-    earlier = cumulative * speed_m_s
-    own = friction * _regressor(depth, speed_m_s, setting[0])[1] if in_contact else 0.0
-    enhanced = force_N - earlier
-    number = int(m[_RUPTURES]) + 1 if in_contact else 0
-    forces = (enhanced, None, enhanced - own, None, earlier + own, None, m[_PREDICTED])
-    found = (m[_RLS], None, False, friction, None, False, cumulative, None)
-    # Numba knows no starred parts of a tuple.
-    return (in_contact, number) + forces + found  # noqa: RUF005
+def next_machine_state(tracker: Tracker, settings: Settings, is_watching: bool) -> int:
+    """Return the state of the rupture machine after a sample, an index in `STATES`."""
+    machine = tracker.machine
+    if machine in (NO_RUPTURE, EXPECTED):
+        if tracker.cusum_N2 > settings.cusum_threshold_N2:
+            return DETECTED
+        is_falling = tracker.derivative_N_per_s < -tracker.derivative_threshold_N_per_s
+        return EXPECTED if is_watching and is_falling else NO_RUPTURE
+    if machine == DETECTED:
+        return FORCE_DROP_MEASURING
+    if machine == FRICTION_IDENTIFIED:
+        is_reset = tracker.waited_s * settings.reset_frequency_Hz >= 1.0
+        return NO_RUPTURE if is_reset else machine
+    return FRICTION_IDENTIFIED if tracker.waited_s >= tracker.drop_s else machine
 
 
 @compiled
-def _next_state(m: Vector, threshold: float, reset_Hz: float, is_watching: bool) -> int:
-    """Number of the rupture machine's state after a sample."""
-    at = int(m[_STATE])
-    if at <= _EXPECTED:
-        if m[_DECISION] > threshold:
-            return _DETECTED
-        return _EXPECTED if is_watching and m[_DERIVATIVE] < -m[_BETA] else _NO_RUPTURE
-    if at == _DETECTED:
-        return _MEASURING
-    if at == _IDENTIFIED:
-        return _NO_RUPTURE if m[_WAITED_S] * reset_Hz >= 1.0 else at
-    return _IDENTIFIED if m[_WAITED_S] >= m[_DROP_S] else at
+def published_outputs(
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    settings: list[Settings],
+    trackers: list[Tracker],
+    estimates: list[Rls],
+) -> Outputs:
+    """Return the enhanced force f - sum(B_j d_j) v and its companions.
 
-
-@compiled
-def published_step(
-    motion: Motion, m: WrittenVector, setting: Setting
-) -> tuple[int, bool, bool, Outputs]:
-    """Use one sample: RLS (7)(8), CUSUM (9), the derivative criterion, the state
-    machine.
-
-    Returns the number of the rupture machine's state, whether the reset window is full,
-    whether that state is a new one, and what to report if neither is.
+    The three records are lists of one each (see `foundation.records`).
     """
-    dt_s, depth_m, speed_m_s, force_N = motion
-    before = int(m[_STATE])
-    is_ml, drift, threshold, reset_Hz, constant_s, least_m_s = setting
-    before_N = m[_FORCE] if m[_HAS_FORCE] > 0.0 else force_N
-    m[_FORCE] = force_N
-    m[_FORCE_BEFORE] = before_N
-    m[_HAS_FORCE] = 1.0
-    if depth_m <= m[_START_M] and m[_RUPTURES] == 0.0:
-        m[_PREDICTED] = 0.0
-        return before, False, False, published_outputs(motion, m, setting)
-    is_watching = before <= _EXPECTED and speed_m_s >= least_m_s
-    phi = _regressor(max(depth_m - m[_START_M], 0.0), speed_m_s, is_ml)
-    earlier = m[_CUMULATIVE] * speed_m_s
-    own = force_N - earlier
-    rls, error = rls_step((m[0], m[1], m[2], m[3], m[4]), phi, own)
-    m[0], m[1], m[2], m[3], m[4] = rls
-    sums = add_sample((m[5], m[6], m[7], m[8], m[9], m[10], m[11]), phi, own, speed_m_s)
-    m[5], m[6], m[7], m[8], m[9], m[10], m[11] = sums
-    for k in (_WINDOW_S, _TRAVEL_S, _WAITED_S):
-        m[k] += dt_s
-    m[_MEAN_SPEED] += (speed_m_s - m[_MEAN_SPEED]) * dt_s / m[_TRAVEL_S]
-    m[_DECISION] = cusum_step(m[_DECISION], error, drift) if is_watching else 0.0
-    m[_DERIVATIVE] = derivative_step(
-        m[_DERIVATIVE], force_N - before_N, dt_s, constant_s
+    tracker = trackers[0]
+    rls = estimates[0]
+    layer_depth_m = max(depth_m - tracker.start_depth_m, 0.0)
+    in_contact = layer_depth_m > 0.0 or tracker.ruptures > 0
+    layer = tracker.ruptures + 1 if in_contact else 0
+    traversed_N = tracker.cumulative_friction * speed_m_s
+    phi = regressor(layer_depth_m, speed_m_s, settings[0].is_ml)
+    own_N = rls.friction * phi.friction if in_contact else 0.0
+    enhanced_N = force_N - traversed_N
+    # The published method states no standard deviations, and identifies no value of the
+    # current layer.
+    return (
+        in_contact,
+        layer,
+        enhanced_N,
+        None,
+        enhanced_N - own_N,
+        None,
+        traversed_N + own_N,
+        None,
+        tracker.predicted_N,
+        rls.stiffness,
+        None,
+        False,
+        rls.friction,
+        None,
+        False,
+        tracker.cumulative_friction,
+        None,
     )
-    m[_PREDICTED] = own - error + earlier
-    at = _next_state(m, threshold, reset_Hz, is_watching)
-    is_full = m[_WINDOW_S] * reset_Hz >= _FULL
-    m[_STATE] = float(at)
-    return at, is_full, at != before, published_outputs(motion, m, setting)
+
+
+NOTHING = 0
+"""Nothing is to be done after a sample."""
+WINDOW_IS_FULL = 1
+"""The reset window is full."""
+STATE_HAS_CHANGED = 2
+"""The rupture machine has another state; the window may be full as well."""
+
+
+@compiled
+def update_tracker(
+    dt_s: float,
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    settings: Settings,
+    tracker: Tracker,
+    rls: Rls,
+    sums: WindowSums,
+) -> None:
+    """Use one sample: RLS (7) and (8), CUSUM (9), the derivative, the state machine."""
+    force_before_N = tracker.force_N if tracker.has_force else force_N
+    tracker.force_N = force_N
+    tracker.force_before_N = force_before_N
+    tracker.has_force = True
+    if depth_m <= tracker.start_depth_m and tracker.ruptures == 0:
+        tracker.predicted_N = 0.0
+        return
+    is_before_rupture = tracker.machine in (NO_RUPTURE, EXPECTED)
+    is_watching = is_before_rupture and speed_m_s >= settings.min_speed_m_s
+    layer_depth_m = max(depth_m - tracker.start_depth_m, 0.0)
+    phi = regressor(layer_depth_m, speed_m_s, settings.is_ml)
+    traversed_N = tracker.cumulative_friction * speed_m_s
+    own_N = force_N - traversed_N
+    error_N = update_rls(rls, phi, own_N)
+    add_sample(sums, phi, own_N, speed_m_s)
+
+    tracker.window_s += dt_s
+    tracker.travel_s += dt_s
+    tracker.waited_s += dt_s
+    excess_m_s = speed_m_s - tracker.mean_speed_m_s
+    tracker.mean_speed_m_s += excess_m_s * dt_s / tracker.travel_s
+    tracker.cusum_N2 = (
+        cusum_step(tracker.cusum_N2, error_N, settings.cusum_drift_N2)
+        if is_watching
+        else 0.0
+    )
+    tracker.derivative_N_per_s = derivative_step(
+        tracker.derivative_N_per_s,
+        force_N - force_before_N,
+        dt_s,
+        settings.derivative_time_constant_s,
+    )
+    tracker.predicted_N = own_N - error_N + traversed_N
+    tracker.machine = next_machine_state(tracker, settings, is_watching)
+
+
+@compiled
+def update_published(
+    dt_s: float,
+    depth_m: float,
+    speed_m_s: float,
+    force_N: float,
+    settings: list[Settings],
+    trackers: list[Tracker],
+    estimates: list[Rls],
+    windows: list[WindowSums],
+) -> tuple[int, Outputs]:
+    """Use one sample; return what is to be done now, and what to report otherwise.
+
+    The last four are records, lists of one each (see `foundation.records`).
+    """
+    tracker = trackers[0]
+    machine = tracker.machine
+    update_tracker(
+        dt_s,
+        depth_m,
+        speed_m_s,
+        force_N,
+        settings[0],
+        tracker,
+        estimates[0],
+        windows[0],
+    )
+    due = NOTHING
+    if tracker.machine != machine:
+        due = STATE_HAS_CHANGED
+    if tracker.window_s * settings[0].reset_frequency_Hz >= FULL_WINDOW:
+        due += WINDOW_IS_FULL
+    outputs = published_outputs(
+        depth_m, speed_m_s, force_N, settings, trackers, estimates
+    )
+    return due, outputs
+
+
+@compiled
+def close_window(
+    stiffness_variance: float,
+    friction_variance: float,
+    trackers: list[Tracker],
+    estimates: list[Rls],
+    windows: list[WindowSums],
+) -> Array:
+    """Reset the covariance, begin a new window; return the sums of the old one.
+
+    They are in the order of `SUMS`, shape (7,). The three records are lists of one
+    each.
+    """
+    rls = estimates[0]
+    rls.stiffness_variance = stiffness_variance
+    rls.covariance = 0.0
+    rls.friction_variance = friction_variance
+    trackers[0].window_s = 0.0
+    sums = windows[0]
+    row = np.array(
+        [
+            sums.stiffness_stiffness,
+            sums.stiffness_friction,
+            sums.friction_friction,
+            sums.stiffness_force,
+            sums.friction_force,
+            sums.stiffness_speed,
+            sums.friction_speed,
+        ]
+    )
+    sums.stiffness_stiffness = 0.0
+    sums.stiffness_friction = 0.0
+    sums.friction_friction = 0.0
+    sums.stiffness_force = 0.0
+    sums.friction_force = 0.0
+    sums.stiffness_speed = 0.0
+    sums.friction_speed = 0.0
+    return row
+
+
+def append_window(windows: Array, row: Array, max_windows: int) -> Array:
+    """Return windows with one more; beyond a maximum neighbours are added up.
+
+    That halves their number and bounds memory in an endless layer: the re-run then
+    resets half as often over that stretch. An odd last window stays alone.
+    """
+    grown = np.vstack((windows, row))
+    if len(grown) > max_windows:
+        even = len(grown) // 2 * 2
+        grown = np.concatenate((grown[0:even:2] + grown[1:even:2], grown[even:]))
+    grown.setflags(write=False)
+    return grown
 
 
 def force_ratios(
@@ -432,62 +566,51 @@ def force_ratios(
     force_at_rupture_N: float,
     cumulative_friction_Ns_per_m: float,
     speed_m_s: float,
-) -> Pair:
-    """Elastic and friction ratio (r_K, r_B) of the layer just traversed, equation (11).
+) -> ForceRatios:
+    """Return the elastic and the friction ratio of the layer just traversed, (11).
 
     A drop below zero or above the whole force has no physical ratio; r_K is kept inside
     (0, 1) by a thousandth so that (12) stays positive and finite.
     """
     own_N = force_at_rupture_N - cumulative_friction_Ns_per_m * speed_m_s
-    raw = drop_N / own_N if own_N > 0.0 else 1.0
-    elastic = min(max(raw, _SMALLEST_RATIO), 1.0 - _SMALLEST_RATIO)
-    return elastic, 1.0 - elastic
+    ratio = drop_N / own_N if own_N > 0.0 else 1.0
+    elastic = min(max(ratio, MIN_RATIO), 1.0 - MIN_RATIO)
+    return ForceRatios(elastic=elastic, friction=1.0 - elastic)
 
 
 def reweighted_friction_variance(
-    var_friction: float,
-    elastic_ratio: float,
-    friction_ratio: float,
-    mean_speed_m_s: float,
+    var_friction: float, ratios: ForceRatios, mean_speed_m_s: float
 ) -> float:
-    """sigma'^2_B,0 = (1 / v^2) (r_B / r_K) sigma^2_B,0, equation (12).
+    """Return sigma'^2_B,0 = (1 / v^2) (r_B / r_K) sigma^2_B,0, equation (12).
 
     With collinear columns least squares moves the estimate along Psi phi, so that
     (B v dz) / (K dz) settles at sigma'^2_B v^2 / sigma^2_K = r_B / r_K.
     """
     return (
         var_friction
-        * friction_ratio
-        / (elastic_ratio * mean_speed_m_s * mean_speed_m_s)
+        * ratios.friction
+        / (ratios.elastic * mean_speed_m_s * mean_speed_m_s)
     )
 
 
-def append_window(windows: Array, sums: Sums | Array, most: int) -> Array:
-    """Add a closed window; beyond ``most`` neighbours are added up.
-
-    That halves their number and bounds memory in an endless layer: the re-run then
-    resets half as often over that stretch. An odd last window stays alone.
-    """
-    grown = np.vstack((windows, sums))
-    if len(grown) > most:
-        even = len(grown) // 2 * 2
-        grown = np.concatenate((grown[0:even:2] + grown[1:even:2], grown[even:]))
-    grown.setflags(write=False)
-    return grown
-
-
 @compiled
-def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
-    """The estimate after all windows, as by a re-run from zero over their samples up to
-    rounding.
+def rerun_windows(windows: Matrix, variances: InitialVariances) -> Parameters:
+    """Return the parameters after all windows, as a re-run over the samples would.
 
-    Each window begins with covariance diag(variances). Its map is written without an
-    inverse of that or of S, so collinear columns and zero variances are harmless: theta
-    + Psi_0 (I + S Psi_0)^-1 (b - S theta).
+    Each window begins with covariance Psi_0 = diag(variances). Its map is written
+    without an inverse of that or of S, so collinear columns and zero variances are
+    harmless: theta + Psi_0 (I + S Psi_0)^-1 (b - S theta).
+
+    Args:
+        windows: Sums, columns in the order of `SUMS`, shape (n, 7).
+        variances: Psi_0.
     """
-    k = b = 0.0
-    p, q = variances
+    stiffness = 0.0
+    friction = 0.0
+    p = variances.stiffness
+    q = variances.friction
     for i in range(len(windows)):
+        # S = [[kk, kb], [kb, bb]], b = [kf, bf]
         kk = windows[i, 0]
         kb = windows[i, 1]
         bb = windows[i, 2]
@@ -499,8 +622,251 @@ def rerun_windows(windows: Matrix, variances: Pair) -> Pair:
         second = 1.0 + p * kk
         excitation = max(kk * bb - kb * kb, 0.0)
         scale = 1.0 / (second + q * bb + (p * q) * excitation)
-        own_k = p * (first * kf - qb * bf) * scale
-        own_b = q * (second * bf - pb * kf) * scale
-        k_before, k = k, own_k + first * scale * k - pb * scale * b
-        b = own_b - qb * scale * k_before + second * scale * b
-    return float(k), float(b)
+        own_stiffness = p * (first * kf - qb * bf) * scale
+        own_friction = q * (second * bf - pb * kf) * scale
+        earlier = stiffness
+        stiffness = own_stiffness + first * scale * earlier - pb * scale * friction
+        friction = own_friction - qb * scale * earlier + second * scale * friction
+    return Parameters(stiffness, friction)
+
+
+class PublishedMethod:
+    """The published method, sample by sample; it takes depth and speed as measured.
+
+    Attributes:
+        contact_depth_m: None: a setting, nothing that is identified.
+        layers: Layers identified so far.
+        rupture_state: State of the rupture machine.
+        events: What happened at the last sample.
+    """
+
+    contact_depth_m = None
+    layers: tuple[LayerEstimate, ...]
+    rupture_state: RuptureState
+    events: Events
+
+    def __init__(self, config: PublishedConfig) -> None:
+        self._config = config
+        cusum = cusum_constants(config.sigma0_N, config.sigma1_N)
+        self._settings = as_record(
+            Settings(
+                is_ml=config.model == "ml",
+                cusum_drift_N2=cusum.drift_N2,
+                cusum_threshold_N2=cusum.threshold_N2,
+                reset_frequency_Hz=config.reset_frequency_Hz,
+                derivative_time_constant_s=config.derivative_time_constant_s,
+                min_speed_m_s=config.least_speed_m_s,
+            )
+        )
+        self._variances = InitialVariances(
+            stiffness=float(config.var_stiffness), friction=float(config.var_friction)
+        )
+        self.restore(
+            PublishedState(
+                tracker=Tracker(
+                    start_depth_m=float(config.contact_depth_m),
+                    derivative_threshold_N_per_s=float(
+                        config.derivative_threshold_N_per_s
+                    ),
+                ),
+                rls=Rls(
+                    stiffness_variance=self._variances.stiffness,
+                    friction_variance=self._variances.friction,
+                ),
+            )
+        )
+
+    @property
+    def state(self) -> PublishedState:
+        """Everything that it remembers."""
+        return PublishedState(
+            tracker=from_record(Tracker, self._tracker),
+            rls=from_record(Rls, self._rls),
+            sums=from_record(WindowSums, self._sums),
+            windows=self._windows,
+            ruptured=self._ruptured,
+            layers=self.layers,
+        )
+
+    def restore(self, state: PublishedState) -> None:
+        """Resume from a state, bit for bit."""
+        self._tracker = as_record(state.tracker)
+        self._rls = as_record(state.rls)
+        self._sums = as_record(state.sums)
+        self._windows = state.windows
+        self._ruptured = state.ruptured
+        self.layers = state.layers
+        self.rupture_state = STATES[state.tracker.machine]
+        self.events = NO_EVENTS
+
+    def report(self, sample: Sample = NO_SAMPLE) -> Outputs:
+        """Return what there is to report of a sample that has been used, or of none."""
+        return published_outputs(
+            sample.raw_depth_m,
+            sample.raw_speed_m_s,
+            sample.force_N,
+            self._settings,
+            self._tracker,
+            self._rls,
+        )
+
+    def update(self, sample: Sample) -> Outputs:
+        """Use one sample; return what to report of it beside the events."""
+        due, outputs = update_published(
+            sample.dt_s,
+            sample.raw_depth_m,
+            sample.raw_speed_m_s,
+            sample.force_N,
+            self._settings,
+            self._tracker,
+            self._rls,
+            self._sums,
+        )
+        self.events = NO_EVENTS
+        if due == NOTHING:
+            return outputs
+        rupture = None
+        layer = None
+        is_new_state = due >= STATE_HAS_CHANGED
+        self.rupture_state = STATES[read_field(self._tracker, "machine")]
+        if is_new_state and self.rupture_state is RuptureState.DETECTED:
+            rupture = self._open_layer(sample)
+        elif due != STATE_HAS_CHANGED:
+            self._windows = self._close_window(self._windows)
+        is_identified = self.rupture_state is RuptureState.FRICTION_IDENTIFIED
+        if is_new_state and is_identified and self._ruptured is not None:
+            layer = self._identify(self._ruptured, sample.force_N)
+        if rupture is not None or layer is not None:
+            self.events = Events(rupture=rupture, identified_layer=layer)
+        return self.report(sample)
+
+    def _close_window(self, windows: Array) -> Array:
+        """Reset the covariance; return the windows with the one that has ended."""
+        row = close_window(
+            self._variances.stiffness,
+            self._variances.friction,
+            self._tracker,
+            self._rls,
+            self._sums,
+        )
+        return append_window(windows, row, self._config.most_windows)
+
+    def _open_layer(self, sample: Sample) -> Rupture:
+        """Begin the next layer at a detected rupture, here and now (d_i, Section III).
+
+        f(t_r) of (10) is the last force before the alarming sample, which may have
+        dropped already. So may those of its whole reset window: the layer's re-run is
+        without it.
+        """
+        config = self._config
+        closed = self._close_window(NO_WINDOWS)
+        tracker = from_record(Tracker, self._tracker)
+        rupture = Rupture(
+            layer=tracker.ruptures + 1,
+            alarm_s=sample.time_s,
+            alarm_depth_m=sample.raw_depth_m,
+            time_s=sample.time_s,
+            depth_m=sample.raw_depth_m,
+            force_N=tracker.force_before_N,
+            speed_m_s=sample.raw_speed_m_s,
+            probability=1.0,
+            is_final=True,
+            contact_depth_m=float(config.contact_depth_m),
+        )
+        self._ruptured = RupturedLayer(
+            start_depth_m=tracker.start_depth_m,
+            windows=self._windows if len(self._windows) else closed,
+            mean_speed_m_s=tracker.mean_speed_m_s,
+            rupture=rupture,
+        )
+        self._windows = NO_WINDOWS
+        self._rls = as_record(
+            Rls(
+                stiffness_variance=self._variances.stiffness,
+                friction_variance=self._variances.friction,
+            )
+        )
+        rise_N_per_s = rupture.layer * config.derivative_rise_N_per_s
+        speed_m_s = max(sample.raw_speed_m_s, config.least_speed_m_s)
+        self._tracker = as_record(
+            replace(
+                tracker,
+                cusum_N2=0.0,
+                travel_s=0.0,
+                mean_speed_m_s=0.0,
+                waited_s=0.0,
+                ruptures=rupture.layer,
+                start_depth_m=sample.raw_depth_m,
+                derivative_threshold_N_per_s=config.derivative_threshold_N_per_s
+                + rise_N_per_s,
+                drop_s=config.drop_travel_m / speed_m_s,
+            )
+        )
+        return rupture
+
+    def _identify(self, ruptured: RupturedLayer, force_N: float) -> LayerEstimate:
+        """Identify the ruptured layer after T_drop = k_v / v, (10) to (12).
+
+        Its friction is taken out of the sums of the layer after it, so that its
+        estimate goes on as if that friction had been subtracted from the rupture
+        onwards.
+        """
+        rupture = ruptured.rupture
+        tracker = from_record(Tracker, self._tracker)
+        drop_N = rupture.force_N - force_N  # (10): f(t_r) - f(t_r + T_drop)
+        ratios = force_ratios(
+            drop_N, rupture.force_N, tracker.cumulative_friction, rupture.speed_m_s
+        )
+        mean_m_s = max(abs(ruptured.mean_speed_m_s), MIN_MEAN_SPEED_M_S)
+        friction_variance = reweighted_friction_variance(
+            self._variances.friction, ratios, mean_m_s
+        )
+        parameters = rerun_windows(
+            ruptured.windows,
+            InitialVariances(self._variances.stiffness, float(friction_variance)),
+        )
+        thickness_m = max(rupture.depth_m - ruptured.start_depth_m, MIN_THICKNESS_M)
+        is_ml = self._config.model == "ml"
+        damping = parameters.friction * (thickness_m if is_ml else 1.0)
+        layer = LayerEstimate(
+            layer=rupture.layer,
+            is_final=True,
+            start_depth_m=ruptured.start_depth_m,
+            thickness_m=thickness_m,
+            rupture=rupture,
+            force_drop_N=drop_N,
+            stiffness_N_per_m=parameters.stiffness,
+            stiffness_identified=drop_N > 0.0,
+            friction_Ns_per_m2=parameters.friction,
+            friction_identified=drop_N > 0.0,
+            friction_N=damping * rupture.speed_m_s,
+        )
+        self._subtract_friction(damping)
+        self._tracker = as_record(
+            replace(
+                tracker,
+                waited_s=0.0,
+                cumulative_friction=tracker.cumulative_friction + damping,
+            )
+        )
+        self._ruptured = None
+        self.layers = (*self.layers, layer)[-MAX_LAYERS:]
+        return layer
+
+    def _subtract_friction(self, damping: float) -> None:
+        """Correct the sums and the estimate of this layer for a friction now known."""
+        sums = astuple(from_record(WindowSums, self._sums))
+        windows = np.vstack((self._windows, sums))
+        windows[:, OF_FORCE] -= damping * windows[:, OF_SPEED]
+        windows.setflags(write=False)
+        parameters = rerun_windows(windows, self._variances)
+        self._rls = as_record(
+            Rls(
+                stiffness=parameters.stiffness,
+                friction=parameters.friction,
+                stiffness_variance=self._variances.stiffness,
+                friction_variance=self._variances.friction,
+            )
+        )
+        self._sums = as_record(WindowSums(*windows[-1].tolist()))
+        self._windows = windows[:-1]

@@ -2,6 +2,7 @@
 come."""
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,19 +15,28 @@ from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
 from needleforce.recordings.time_stamps import RowClock
 
 
+class Columns(NamedTuple):
+    """A recording in the order of the arguments of `replay`, each of shape (n,)."""
+
+    t_s: np.ndarray
+    depth_m: np.ndarray
+    force_N: np.ndarray
+    speed_m_s: np.ndarray
+
+
 @pytest.fixture(scope="module")
 def columns():
     """An insertion from the end of the free motion until it has left the gel, one
     depth missing."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
     ends_s = run.tare_end_s, run.truth.rupture_s[0] + 3.0
-    part = slice(*np.searchsorted(run.t_s, ends_s))
-    depth_m = run.depth_m[part].copy()
+    rows = slice(*np.searchsorted(run.t_s, ends_s))
+    depth_m = run.depth_m[rows].copy()
     depth_m[300] = np.nan
-    return run.t_s[part], depth_m, run.force_N[part], run.speed_m_s[part]
+    return Columns(run.t_s[rows], depth_m, run.force_N[rows], run.speed_m_s[rows])
 
 
-def test_with_recorded_speed_it_is_a_loop_over_update(columns):
+def test_a_replay_is_a_loop_over_update(columns):
     t_s, depth_m, force_N, speed_m_s = columns
     result = replay(*columns)
     identifier = Identifier()
@@ -46,25 +56,25 @@ def test_with_recorded_speed_it_is_a_loop_over_update(columns):
 
 @settings(max_examples=2)
 @given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
-def test_pieces_give_what_the_whole_gives_bit_for_bit(columns, cuts, has_speed):
+def test_pieces_give_what_the_whole_gives(columns, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
     speed_m_s = speed_m_s if has_speed else None
     whole = replay(t_s, depth_m, force_N, speed_m_s)
     stream = ReplayStream()
     dt_s = np.diff(t_s, prepend=t_s[0])
     edges = [0, *sorted(set(cuts)), len(t_s)]  # the first piece is the head at least
-    found = [
+    runs = [
         stream.run(
             t_s[p], dt_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None
         )
         for p in (slice(a, b) for a, b in pairwise(edges) if b > a)
     ]
-    assert [e for estimates in found for e in estimates] == list(whole.estimates)
+    assert [e for estimates in runs for e in estimates] == list(whole.estimates)
     assert stream.layers == whole.layers
     assert stream.hints == whole.hints
 
 
-def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
+def test_a_mostly_still_clock_has_a_usual_step():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
@@ -73,7 +83,7 @@ def test_a_clock_that_mostly_stands_still_has_a_usual_step_all_the_same():
     )
 
 
-def test_a_wrong_sign_of_the_speed_and_a_depth_that_stands_still_get_a_hint(columns):
+def test_wrong_speed_sign_and_still_depth_get_hints(columns):
     _, depth_m, force_N, speed_m_s = columns
     for depth, speed, words in (
         (depth_m, np.append(np.inf, -speed_m_s[1:]), "speed has the sign opposite"),
@@ -92,30 +102,28 @@ def test_repeated_rows_change_no_layer(columns):
 
 
 @pytest.mark.parametrize("has_speed", [True, False])
-def test_late_rows_shift_and_a_clock_that_was_set_back_hides_no_event(
-    columns, has_speed
-):
+def test_late_rows_and_clock_steps_hide_no_event(columns, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
     late_s = t_s.copy()
     back_s = t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
     back_s[int(np.nanargmax(depth_m > 0.004)) :] -= 20.0
-    given = (depth_m, force_N, speed_m_s if has_speed else None)
-    clean, late = (replay(t, *given) for t in (t_s, late_s))
-    followed = replay(back_s, *given, dt_s=RowClock().update(back_s))
-    rejected = [k for k, e in enumerate(followed.estimates) if not e.status.is_used]
+    signals = (depth_m, force_N, speed_m_s if has_speed else None)
+    clean = replay(t_s, *signals)
+    late = replay(late_s, *signals)
+    set_back = replay(back_s, *signals, dt_s=RowClock().update(back_s))
+    rejected = [k for k, e in enumerate(set_back.estimates) if not e.status.is_used]
     assert len([k for k in rejected if k != 300]) <= 12
-    expected_s, kept_s, moved_s = (
-        r.layers[0].rupture.time_s for r in (clean, late, followed)
-    )
-    assert kept_s == pytest.approx(expected_s, abs=0.02)
+    rupture_s = clean.layers[0].rupture.time_s
+    assert late.layers[0].rupture.time_s == pytest.approx(rupture_s, abs=0.02)
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
-    assert moved_s == pytest.approx(expected_s - 20.0, abs=0.03)
-    assert len(clean.layers) == len(late.layers) == len(followed.layers) == 1
+    back_rupture_s = set_back.layers[0].rupture.time_s
+    assert back_rupture_s == pytest.approx(rupture_s - 20.0, abs=0.03)
+    assert len(clean.layers) == len(late.layers) == len(set_back.layers) == 1
 
 
-def test_a_stamp_that_is_no_number_spoils_its_own_row_only(columns):
+def test_a_bad_stamp_spoils_its_own_row_only(columns):
     t_s, depth_m, force_N, speed_m_s = columns
     t_s = t_s.copy()
     t_s[[0, 500, 501, 502, 503, 800]] = np.nan

@@ -6,10 +6,12 @@ import pickle
 import warnings
 from dataclasses import fields, replace
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from foundation.records import as_record, read_field
 from identification.config import (
     MULTILAYER,
     PUBLISHED,
@@ -21,14 +23,8 @@ from identification.config import (
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import SampleStatus
 from identification.identifier import Identifier
-from identification.sample_filter import (
-    LAST_USED,
-    SAMPLE_MEMORY,
-    STATUSES,
-    TIME,
-    check_limits,
-    take_sample,
-)
+from identification.sample_check import STATUSES, CheckState
+from identification.travel_filter import TravelState, process_sample
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -89,21 +85,19 @@ BAD_ANYWHERE = [
         (0, 0.1, SampleStatus.DEPTH_JUMP),
     ],
 )
-def test_a_bad_sample_is_reported_without_a_warning_and_not_used(
-    config, place, value, status
-):
+def test_a_bad_sample_is_reported_and_not_used(config, place, value, status):
     identifier = Identifier(config)
-    before = identifier.update(*GOOD)
+    good = identifier.update(*GOOD)
     state = pickle.dumps(identifier.snapshot().state)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = identifier.update(*GOOD[:place], value, *GOOD[place + 1 :])
-    assert found.status is status
+        bad = identifier.update(*GOOD[:place], value, *GOOD[place + 1 :])
+    assert bad.status is status
     assert pickle.dumps(identifier.snapshot().state) == state
-    assert found.enhanced_force_N == before.enhanced_force_N
+    assert bad.enhanced_force_N == good.enhanced_force_N
     # Time passes if it is given: a missing force does not shift the clock of what
     # follows.
-    assert found.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
+    assert bad.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
     if status is not SampleStatus.DEPTH_JUMP:
         assert identifier.update(*GOOD).status is SampleStatus.OK
 
@@ -121,15 +115,17 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 @pytest.mark.parametrize("dt_s", [1e308, 1e-13])
-def test_an_absurd_interval_is_rejected_and_every_number_stays_finite(config, dt_s):
+def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
     identifier = Identifier(config)
     for k in range(300):
-        found = identifier.update(
+        estimate = identifier.update(
             1e-5 * k, 0.01, 0.1 + 1e-3 * k, dt_s if k % 3 else 1e-3
         )
-        assert found.status is (SampleStatus.TIME_RANGE if k % 3 else SampleStatus.OK)
-        assert all(math.isfinite(value) for value in found if isinstance(value, float))
-    assert found.time_s == pytest.approx(0.1)
+        expected = SampleStatus.TIME_RANGE if k % 3 else SampleStatus.OK
+        assert estimate.status is expected
+        numbers = [value for value in estimate if isinstance(value, float)]
+        assert all(map(math.isfinite, numbers))
+    assert estimate.time_s == pytest.approx(0.1)
 
 
 def test_events_are_on_the_clock_of_the_caller():
@@ -138,30 +134,31 @@ def test_events_are_on_the_clock_of_the_caller():
     for k in range(8000):
         depth = 2.5e-6 * k - 2e-3
         force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.1
-        found = summed.update(depth, 2.5e-3, force, 1e-3)
-        other = absolute.update(depth, 2.5e-3, force, 1e-3, time_s=5e4 + 1e-3 * k)
-        assert found.time_s == pytest.approx(1e-3 * (k + 1))
-        assert other.time_s == 5e4 + 1e-3 * k
-        assert (other.rupture is None) == (found.rupture is None)
-    one = summed.layers[0].rupture
-    two = absolute.layers[0].rupture
-    assert two.time_s - one.time_s == pytest.approx(5e4 - 1e-3)
-    assert two.alarm_s - one.alarm_s == pytest.approx(5e4 - 1e-3)
-    assert two.depth_m == one.depth_m
+        on_own_clock = summed.update(depth, 2.5e-3, force, 1e-3)
+        time_s = 5e4 + 1e-3 * k
+        on_callers_clock = absolute.update(depth, 2.5e-3, force, 1e-3, time_s=time_s)
+        assert on_own_clock.time_s == pytest.approx(1e-3 * (k + 1))
+        assert on_callers_clock.time_s == time_s
+        assert (on_callers_clock.rupture is None) == (on_own_clock.rupture is None)
+    own = summed.layers[0].rupture
+    callers = absolute.layers[0].rupture
+    assert callers.time_s - own.time_s == pytest.approx(5e4 - 1e-3)
+    assert callers.alarm_s - own.alarm_s == pytest.approx(5e4 - 1e-3)
+    assert callers.depth_m == own.depth_m
 
 
 @pytest.mark.parametrize("time_s", [math.nan, "now", [1.0]])
 def test_a_sample_without_a_usable_time_is_rejected(time_s):
     identifier = Identifier()
     identifier.update(0.0, 0.0, 0.0, 1e-3, 7.0)
-    found = identifier.update(0.0, 0.0, 0.0, 1e-3, time_s)
-    assert not found.status.is_used
-    assert found.time_s == 7.0
+    rejected = identifier.update(0.0, 0.0, 0.0, 1e-3, time_s)
+    assert not rejected.status.is_used
+    assert rejected.time_s == 7.0
     assert identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0)).time_s == 8.0
 
 
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
-def test_events_count_depth_from_the_zero_of_the_caller(config):
+def test_events_count_depth_from_the_callers_zero(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
     plain = Identifier(config)
     moved = Identifier(config)
@@ -169,98 +166,117 @@ def test_events_count_depth_from_the_zero_of_the_caller(config):
     for k in range(9000):
         depth = 2.5e-6 * k
         force = 60.0 * max(depth - 3e-3, 0.0) if depth < 0.013 else 0.1
-        found = plain.update(depth, 2.5e-3, force, 1e-3)
-        other = moved.update(depth + (0.05 if k > 500 else 0.0), 2.5e-3, force, 1e-3)
-        assert (other.rupture is None) == (found.rupture is None)
-    one = plain.layers[0]
-    two = moved.layers[0]
+        estimate = plain.update(depth, 2.5e-3, force, 1e-3)
+        moved_depth = depth + (0.05 if k > 500 else 0.0)
+        moved_estimate = moved.update(moved_depth, 2.5e-3, force, 1e-3)
+        assert (moved_estimate.rupture is None) == (estimate.rupture is None)
+    layer = plain.layers[0]
+    moved_layer = moved.layers[0]
+    rupture = layer.rupture
+    moved_rupture = moved_layer.rupture
     shift_m = pytest.approx(0.05, abs=1e-5)
-    assert two.rupture.depth_m - one.rupture.depth_m == shift_m
-    assert two.rupture.contact_depth_m - one.rupture.contact_depth_m == shift_m
-    assert two.start_depth_m - one.start_depth_m == shift_m
+    assert moved_rupture.depth_m - rupture.depth_m == shift_m
+    assert moved_rupture.contact_depth_m - rupture.contact_depth_m == shift_m
+    assert moved_layer.start_depth_m - layer.start_depth_m == shift_m
     if config is MULTILAYER:
         assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
         assert moved.contact_depth_m - plain.contact_depth_m == shift_m
     else:
         assert moved.contact_depth_m is None
-    assert two.thickness_m == pytest.approx(one.thickness_m, abs=1e-5)
+    assert moved_layer.thickness_m == pytest.approx(layer.thickness_m, abs=1e-5)
+
+
+class CheckedRows(NamedTuple):
+    """Statuses of rows, time after the last, and the depth of the last one used."""
+
+    statuses: list[SampleStatus]
+    time_s: float
+    depth_m: float | None
 
 
 def check_rows(rows):
-    """Statuses, memory after each row, and the depth of the last one used."""
-    memory = np.zeros(SAMPLE_MEMORY)
-    seen = []
-    depth_m = None
+    limits = as_record(CheckConfig())
+    check = as_record(CheckState())
+    travel = as_record(TravelState())
+    statuses = []
+    last_depth_m = None
     used_s = 0.0
     for row in rows:
-        taken = take_sample(*row, True, memory, check_limits(CheckConfig()))
-        number, dt_s, _, depth, _ = taken
-        seen.append(STATUSES[number])
-        if number <= LAST_USED:
-            depth_m = depth
-            used_s = used_s + dt_s
+        number, elapsed_s, time_s, depth_m, *_ = process_sample(
+            *row, True, limits, check, travel
+        )
+        statuses.append(STATUSES[number])
+        if statuses[-1].is_used:
+            last_depth_m = depth_m
+            used_s += elapsed_s
             # What has passed over rejected samples is in the interval of the next one
             # used.
-            assert memory[TIME] == pytest.approx(used_s)
-    return seen, memory[TIME], depth_m
+            assert time_s == pytest.approx(used_s)
+    return CheckedRows(statuses, read_field(check, "time_s"), last_depth_m)
 
 
 def test_a_jump_of_depth_is_removed_for_good():
     places = (0.0, 0.05, 0.050001)
-    seen, _, depth_m = check_rows([(place, 0.001, 0.0, 1e-3) for place in places])
-    assert seen == [SampleStatus.OK, SampleStatus.DEPTH_JUMP, SampleStatus.OK]
-    assert depth_m == pytest.approx(2e-6)
+    checked = check_rows([(place, 0.001, 0.0, 1e-3) for place in places])
+    assert checked.statuses == [
+        SampleStatus.OK,
+        SampleStatus.DEPTH_JUMP,
+        SampleStatus.OK,
+    ]
+    assert checked.depth_m == pytest.approx(2e-6)
 
 
-def test_travel_before_a_stop_within_a_gap_is_no_jump():
+def test_travel_before_a_gap_ends_is_no_jump():
     rows = [(8e-6 * k, 8e-3, 0.0, 1e-3) for k in range(500)]
-    seen, _, depth_m = check_rows(
-        [*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)]
-    )
-    assert seen[-2:] == [SampleStatus.TIME_GAP, SampleStatus.OK]
-    assert depth_m == pytest.approx(8e-3)
+    checked = check_rows([*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)])
+    assert checked.statuses[-2:] == [SampleStatus.TIME_GAP, SampleStatus.OK]
+    assert checked.depth_m == pytest.approx(8e-3)
 
 
-def test_travel_within_a_gap_is_no_jump_but_a_new_zero_of_the_depth_is():
+def test_in_a_gap_only_a_new_zero_jumps():
     rows = [(0.0, 0.0, 0.0, 1e-3)] * 50
     for there_m, kept_m, status in ((8e-3, 8e-3, "TIME_GAP"), (0.5, 0.0, "DEPTH_JUMP")):
-        seen, _, depth_m = check_rows(
+        checked = check_rows(
             [*rows, (there_m, 0.0, 0.0, 3.0), (there_m, 0.0, 0.0, 1e-3)]
         )
-        assert (seen[-2], seen[-1].is_used) == (SampleStatus[status], True)
-        assert depth_m == pytest.approx(kept_m)
+        assert checked.statuses[-2] is SampleStatus[status]
+        assert checked.statuses[-1].is_used
+        assert checked.depth_m == pytest.approx(kept_m)
 
 
-def test_a_gap_does_not_make_the_next_one_usual():
+def test_a_gap_makes_no_gap_usual():
     rows = [(0.0, 0.0, 0.0, dt_s) for dt_s in (*[1e-3] * 50, 100.0, *[1e-3] * 20, 10.0)]
-    seen, _, _ = check_rows(rows)
-    assert [each for each in seen if each is not SampleStatus.OK] == [
-        SampleStatus.TIME_GAP
-    ] * 2
+    statuses = [
+        status for status in check_rows(rows).statuses if status is not SampleStatus.OK
+    ]
+    assert statuses == [SampleStatus.TIME_GAP] * 2
 
 
 @pytest.mark.parametrize(
     "std", [None, "x", np.zeros(2), math.nan, math.inf, -1.0, 1e200, 10**400]
 )
-def test_a_deviation_that_is_none_counts_as_not_stated(std):
-    found = Identifier()
-    other = Identifier()
+def test_an_impossible_deviation_counts_as_not_stated(std):
+    with_std = Identifier()
+    without = Identifier()
     for k in range(300):
         row = (1e-5 * k, 1e-2, 0.01 * (k % 3), 1e-3, 0.001 * k)
-        assert found.update(*row, std) == other.update(*row)
+        assert with_std.update(*row, std) == without.update(*row)
 
 
-def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
+def test_wrong_speed_sign_is_reported_and_time_passes():
     rows = [
         (2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)
     ]
-    seen, time_s, _ = check_rows(rows)
-    rejected = [k for k, status in enumerate(seen) if status is SampleStatus.SPEED_SIGN]
+    checked = check_rows(rows)
+    statuses = checked.statuses
+    rejected = [
+        k for k, status in enumerate(statuses) if status is SampleStatus.SPEED_SIGN
+    ]
     assert len(rejected) > 2000
-    assert seen[max(rejected) + 1] is SampleStatus.TIME_GAP
-    assert seen.count(SampleStatus.TIME_GAP) == 1
-    assert SampleStatus.DEPTH_JUMP not in seen
-    assert time_s == pytest.approx(3.5)
+    assert statuses[max(rejected) + 1] is SampleStatus.TIME_GAP
+    assert statuses.count(SampleStatus.TIME_GAP) == 1
+    assert SampleStatus.DEPTH_JUMP not in statuses
+    assert checked.time_s == pytest.approx(3.5)
 
 
 @pytest.mark.parametrize(
@@ -268,12 +284,12 @@ def test_speed_of_the_wrong_sign_is_reported_and_time_passes_over_it():
 )
 def test_time_passes_over_jumps_of_depth(jumps, after):
     places = [0.05 * min(max(k - 99, 0), jumps) for k in range(500)]
-    seen, _, _ = check_rows(
+    statuses = check_rows(
         [(z + 2e-6 * k, 0.002, 0.0, 1e-3) for k, z in enumerate(places)]
-    )
-    assert seen[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
-    assert seen[100 + jumps] is after
-    assert set(seen[101 + jumps :]) == {SampleStatus.OK}
+    ).statuses
+    assert statuses[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
+    assert statuses[100 + jumps] is after
+    assert set(statuses[101 + jumps :]) == {SampleStatus.OK}
 
 
 def test_unknown_configuration_and_foreign_snapshots_are_refused():

@@ -1,6 +1,7 @@
 """Snapshots resume bit for bit; memory stays bounded however long the insertion."""
 
 import pickle
+from dataclasses import is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -39,49 +40,56 @@ def test_memory_is_bounded(config):
 
 
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
-def test_every_state_of_an_insertion_is_accepted_and_resumes_bit_for_bit(
-    config, least, tmp_path
-):
+def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
     """Each seventh one, and from a file each fifth one that is taken while work is
     left."""
     whole = Identifier(config)
-    part = Identifier(config)
+    resumed = Identifier(config)
     files = 0
-    found = []
-    taken = []
+    estimates = []
+    snapshots = []
     for k, row in enumerate(samples()):
-        found.append(whole.update(*row))
-        assert part.update(*row) == found[-1]
-        kept = part.snapshot()
+        estimates.append(whole.update(*row))
+        assert resumed.update(*row) == estimates[-1]
+        snapshot = resumed.snapshot()
         # Whether the work of a block or the wait for a force drop has begun and not
         # ended.
         is_at_work = (
-            kept.state.stage != 0 if config is MULTILAYER else bool(kept.state.ruptured)
+            snapshot.state.stage != 0
+            if config is MULTILAYER
+            else bool(snapshot.state.ruptured)
         )
         files += is_at_work
         if is_at_work and files % 5 == 1:
-            write_snapshot(kept, tmp_path / "kept.json")
-            kept = read_snapshot(tmp_path / "kept.json")
+            write_snapshot(snapshot, tmp_path / "state")
+            snapshot = read_snapshot(tmp_path / "state")
         elif k % 7:
             continue
-        taken += [(kept, pickle.dumps(kept))] if k % 70 == 0 else []
-        part = Identifier(config)
-        part.restore(kept)
+        if k % 70 == 0:
+            snapshots.append((snapshot, pickle.dumps(snapshot)))
+        resumed = Identifier(config)
+        resumed.restore(snapshot)
     assert files >= least
-    assert all(
-        pickle.dumps(kept) == before for kept, before in taken
-    )  # nothing changes one
-    part.reset()
-    assert run(part, samples()) == found
+    # Nothing changes a snapshot.
+    assert all(pickle.dumps(snapshot) == pickled for snapshot, pickled in snapshots)
+    resumed.reset()
+    assert run(resumed, samples()) == estimates
 
 
 @pytest.fixture(scope="module")
 def in_tissue():
     """An identifier of each method in tissue."""
-    found = {config: Identifier(config) for config in (MULTILAYER, PUBLISHED)}
-    for identifier in found.values():
+    identifiers = {config: Identifier(config) for config in (MULTILAYER, PUBLISHED)}
+    for identifier in identifiers.values():
         run(identifier, samples(5600))
-    return found
+    return identifiers
+
+
+def copy_with(state, name, value):
+    """A named tuple or a data class, one field changed."""
+    if is_dataclass(state):
+        return replace(state, **{name: value})
+    return state._replace(**{name: value})
 
 
 @pytest.mark.parametrize(
@@ -95,7 +103,9 @@ def in_tissue():
         (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
         (MULTILAYER, "tissue.unit", lambda _: 10**6),
         (MULTILAYER, "stage", lambda _: 10**9),
-        (PUBLISHED, "memory", lambda memory: np.append(memory[:4], -memory[4:])),
+        (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
+        (PUBLISHED, "tracker.machine", lambda _: 5),
+        (PUBLISHED, "sums", lambda _: None),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )
@@ -103,14 +113,25 @@ def test_a_damaged_state_is_refused_and_changes_nothing(
     in_tissue, config, place, change
 ):
     identifier = in_tissue[config]
-    whole, *names = identifier.snapshot(), *place.split(".")
-    parts = [whole.state]
+    snapshot = identifier.snapshot()
+    names = place.split(".")
+    nodes = [snapshot.state]
     for name in names[:-1]:
-        parts.append(getattr(parts[-1], name))
-    value = change(getattr(parts[-1], names[-1]))
-    for part, name in zip(reversed(parts), reversed(names), strict=True):
-        value = part._replace(**{name: value})
-    before = pickle.dumps(identifier.snapshot())
+        nodes.append(getattr(nodes[-1], name))
+    value = change(getattr(nodes[-1], names[-1]))
+    for node, name in zip(reversed(nodes), reversed(names), strict=True):
+        value = copy_with(node, name, value)
+    pickled = pickle.dumps(snapshot)
     with pytest.raises(InvalidSnapshotError, match=names[0]):
-        identifier.restore(whole._replace(state=value))
-    assert pickle.dumps(identifier.snapshot()) == before
+        identifier.restore(snapshot._replace(state=value))
+    assert pickle.dumps(identifier.snapshot()) == pickled
+
+
+@pytest.mark.parametrize("name", ["check", "travel"])
+def test_damaged_numbers_of_the_samples_are_refused(in_tissue, name):
+    identifier = in_tissue[MULTILAYER]
+    snapshot = identifier.snapshot()
+    damaged = replace(getattr(snapshot, name), depth_m=float("nan"))
+    for value in (damaged, None):
+        with pytest.raises(InvalidSnapshotError, match=name):
+            identifier.restore(snapshot._replace(**{name: value}))

@@ -93,7 +93,7 @@ def test_membrane_ends_elastic_column_at_its_own_rupture():
 @pytest.mark.parametrize(
     ("model", "columns"), [("kv", (0.5, 0.1)), ("ml", (0.5, 0.5 * 0.1))]
 )
-def test_a_row_inside_a_layer_is_that_of_its_equation(model, columns):
+def test_a_row_is_that_of_its_equation(model, columns):
     span = LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=1.0, rupture_s=9.0)
     row = regression_matrix(
         np.zeros(1), np.array([0.5]), np.array([0.1]), [span], model

@@ -1,17 +1,24 @@
 """The published method: its equations one by one, the re-run by windows, and its own
 model (3)."""
 
+from dataclasses import astuple, replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from foundation.records import as_record, from_record
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.identifier import Identifier
 from identification.published.online import (
-    NO_SUMS,
     NO_WINDOWS,
+    ForceRatios,
+    InitialVariances,
+    Regressor,
+    Rls,
+    WindowSums,
     add_sample,
     append_window,
     cusum_constants,
@@ -20,7 +27,7 @@ from identification.published.online import (
     force_ratios,
     rerun_windows,
     reweighted_friction_variance,
-    rls_step,
+    update_rls,
 )
 
 number = st.floats(-2.0, 2.0)
@@ -29,29 +36,32 @@ number = st.floats(-2.0, 2.0)
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
 def test_rls_equals_ridge_regression(rows):
-    state = (0.0, 0.0, 4.0, 0.0, 9.0)
+    record = as_record(Rls(stiffness_variance=4.0, friction_variance=9.0))
     for x, y, f in rows:
-        innovation = f - x * state[0] - y * state[1]
-        state, error = rls_step(state, (x, y), f)
+        rls = from_record(Rls, record)
+        innovation = f - x * rls.stiffness - y * rls.friction
+        error = update_rls(record[0], Regressor(x, y), f)
         assert error == pytest.approx(innovation)
+    rls = from_record(Rls, record)
     table = np.array(rows)
     phi = table[:, :2]
     f = table[:, 2]
     information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
     expected = np.linalg.solve(information, phi.T @ f)
-    assert np.allclose(state[:2], expected, atol=1e-8)
+    assert np.allclose((rls.stiffness, rls.friction), expected, atol=1e-8)
     covariance = np.linalg.inv(information)
-    assert np.allclose(
-        state[2:], [covariance[0, 0], covariance[0, 1], covariance[1, 1]], atol=1e-8
-    )
+    assert rls.stiffness_variance == pytest.approx(covariance[0, 0], abs=1e-8, rel=1e-5)
+    assert rls.covariance == pytest.approx(covariance[0, 1], abs=1e-8, rel=1e-5)
+    assert rls.friction_variance == pytest.approx(covariance[1, 1], abs=1e-8, rel=1e-5)
 
 
 def test_cusum_is_that_of_equation_9():
-    drift, threshold = cusum_constants(0.01, 0.08)
-    assert drift == pytest.approx((0.08**2 + 0.01**2) / 2)
-    assert threshold == pytest.approx((0.08**2 - 0.01**2) / 2)
-    assert cusum_step(0.0, 0.01, drift) == 0.0
-    assert cusum_step(0.5, 0.08, drift) == pytest.approx(0.5 + 0.08**2 - drift)
+    constants = cusum_constants(0.01, 0.08)
+    drift_N2 = constants.drift_N2
+    assert drift_N2 == pytest.approx((0.08**2 + 0.01**2) / 2)
+    assert constants.threshold_N2 == pytest.approx((0.08**2 - 0.01**2) / 2)
+    assert cusum_step(0.0, 0.01, drift_N2) == 0.0
+    assert cusum_step(0.5, 0.08, drift_N2) == pytest.approx(0.5 + 0.08**2 - drift_N2)
 
 
 @given(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
@@ -65,26 +75,28 @@ def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
 
 def test_ratios_are_those_of_equation_11():
     assert force_ratios(1.4, 2.6, 0.0, 2.3e-3) == pytest.approx((1.4 / 2.6, 1.2 / 2.6))
-    elastic, _ = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
-    assert elastic == pytest.approx(1.0 / 2.0)
+    ratios = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
+    assert ratios.elastic == pytest.approx(1.0 / 2.0)
 
 
 @given(number, st.floats(-1.0, 3.0))
 def test_ratios_stay_physical_whatever_was_measured(drop, force):
-    elastic, friction = force_ratios(drop, force, 100.0, 2e-3)
-    assert 0.0 < elastic < 1.0
-    assert elastic + friction == pytest.approx(1.0)
+    ratios = force_ratios(drop, force, 100.0, 2e-3)
+    assert 0.0 < ratios.elastic < 1.0
+    assert ratios.elastic + ratios.friction == pytest.approx(1.0)
 
 
-def test_reweighting_is_equation_12_and_splits_the_force_by_the_ratios():
+def test_reweighting_splits_the_force_by_the_ratios():
     speed = 2.3e-3
     ratio = 0.4
-    variance = reweighted_friction_variance(1e6, 1 - ratio, ratio, speed)
+    ratios = ForceRatios(elastic=1 - ratio, friction=ratio)
+    variance = reweighted_friction_variance(1e6, ratios, speed)
     assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)
-    state = (0.0, 0.0, 1e6, 0.0, variance)
+    record = as_record(Rls(stiffness_variance=1e6, friction_variance=variance))
     for depth in np.linspace(1e-4, 0.03, 200):
-        state, _ = rls_step(state, (depth, depth * speed), 80.0 * depth)
-    assert state[1] * speed / 80.0 == pytest.approx(ratio, rel=1e-3)
+        update_rls(record[0], Regressor(depth, depth * speed), 80.0 * depth)
+    friction = from_record(Rls, record).friction
+    assert friction * speed / 80.0 == pytest.approx(ratio, rel=1e-3)
 
 
 @settings(deadline=None, max_examples=40)
@@ -106,23 +118,39 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     )
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
-    variances = (1e6, 1e6 * ratio / 2.3e-3**2)
-    fresh = (variances[0], 0.0, variances[1])
-    state = (0.0, 0.0, *fresh)
-    sums = NO_SUMS
-    history = NO_WINDOWS
+    variances = InitialVariances(1e6, 1e6 * ratio / 2.3e-3**2)
+    rls = as_record(
+        Rls(
+            stiffness_variance=variances.stiffness,
+            friction_variance=variances.friction,
+        )
+    )
+    sums = as_record(WindowSums())
+    windows = NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
-            state = (*state[:2], *fresh)
-            history = append_window(history, sums, 4096)
-            sums = NO_SUMS
-        phi = (depth[k], depth[k] * speed[k])
-        state, _ = rls_step(state, phi, force[k])
-        sums = add_sample(sums, phi, force[k], speed[k])
-    history = append_window(history, sums, 4096)
-    scale = np.abs(state[:2]) + np.sqrt(variances) * 1e-6
-    gap = np.abs(np.array(rerun_windows(history, variances)) - state[:2])
-    assert np.all(gap < 1e-6 * scale)
+            reset = replace(
+                from_record(Rls, rls),
+                stiffness_variance=variances.stiffness,
+                covariance=0.0,
+                friction_variance=variances.friction,
+            )
+            rls = as_record(reset)
+            windows = append_window(windows, row_of(sums), 4096)
+            sums = as_record(WindowSums())
+        phi = Regressor(depth[k], depth[k] * speed[k])
+        update_rls(rls[0], phi, force[k])
+        add_sample(sums[0], phi, force[k], speed[k])
+    windows = append_window(windows, row_of(sums), 4096)
+    parameters = from_record(Rls, rls)
+    expected = np.array([parameters.stiffness, parameters.friction])
+    scale = np.abs(expected) + np.sqrt(variances) * 1e-6
+    difference = np.abs(np.array(rerun_windows(windows, variances)) - expected)
+    assert np.all(difference < 1e-6 * scale)
+
+
+def row_of(sums):
+    return np.array(astuple(from_record(WindowSums, sums)))
 
 
 DT_S = 1e-3
@@ -168,10 +196,10 @@ def test_finds_ruptures_and_friction_of_its_own_model():
         assert layer.thickness_m == pytest.approx(thickness, rel=0.02)
         assert layer.friction_Ns_per_m2 == pytest.approx(friction, rel=0.25)
         assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=0.25)
-    last = abs(np.mean([e.enhanced_force_N for e in estimates[-500:]]))
-    assert last < 0.2 * np.mean(f[-500:])
+    remaining_N = abs(np.mean([e.enhanced_force_N for e in estimates[-500:]]))
+    assert remaining_N < 0.2 * np.mean(f[-500:])
     kelvin_voigt = run(z, f, PUBLISHED_KV)[1][-500:]
-    assert last < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
+    assert remaining_N < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
 
 
 def test_compensation_leaves_no_jump_in_the_prediction():
@@ -182,7 +210,7 @@ def test_compensation_leaves_no_jump_in_the_prediction():
     assert max(abs(e.predicted_force_N - y) for e, y in rows) < 0.15
 
 
-def test_a_layer_is_subtracted_in_the_sample_that_identifies_it():
+def test_a_layer_is_subtracted_once_it_is_identified():
     z, f = ml_insertion(LAYERS[:1])
     identifier = Identifier(PUBLISHED)
     for a, b in zip(z, f, strict=True):
@@ -201,9 +229,7 @@ def test_a_layer_is_subtracted_in_the_sample_that_identifies_it():
 
 @pytest.mark.parametrize("swing_m_s", [0.0, 1.5e-3])
 @pytest.mark.parametrize("stiffness", [15.0, 60.0])
-def test_a_layer_of_equation_3_without_noise_is_identified_exactly(
-    swing_m_s, stiffness
-):
+def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     """The re-run is without the alarming sample: with it the friction erred by 2 to
     225 %."""
     t_s = np.arange(0.0, 15.0, DT_S)
@@ -216,14 +242,14 @@ def test_a_layer_of_equation_3_without_noise_is_identified_exactly(
     assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
 
 
-def test_the_alarming_sample_is_left_out_also_where_it_is_the_last_of_its_window():
+def test_the_alarming_sample_is_never_in_the_rerun():
     for more in range(26):  # a window has 25 samples
         layers = [(5e-3 + more * SPEED * DT_S, 60.0, 9000.0)]
         (layer,) = run(*ml_insertion(layers, noise_N=0.0))[0].layers
         assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
 
 
-def test_without_a_measured_speed_it_takes_the_one_estimated_from_depth():
+def test_an_unmeasured_speed_is_estimated_from_depth():
     z, f = ml_insertion(LAYERS[:1])
     (layer,) = run(z, f, speed_m_s=None)[0].layers
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)

@@ -1,0 +1,64 @@
+"""Records: states with named fields that compiled functions read and write.
+
+The type of a state is a dataclass whose fields are ``float``, ``int``, ``bool``, or a
+tuple of a fixed number of states of one other type. A compiled function that Python
+calls takes ``list[State]`` and works on ``states[0]``; one that only compiled functions
+call takes ``State``. Compiled, the list is a structured array of one element; where
+compiling is disabled (see `foundation.jit`) it is a list.
+"""
+
+from typing import Any, TypeVar, cast, get_args
+
+import numpy as np
+
+from foundation.jit import COMPILER, SCALARS, record_dtype, state_fields
+
+State = TypeVar("State")
+
+
+def as_record(state: State) -> list[State]:
+    """Return a copy of a state in the form that compiled functions write into."""
+    if not COMPILER:
+        return [_copy(state)]
+    record = np.zeros(1, record_dtype(type(state)))
+    _write(record[0], state)
+    return cast(list[State], record)
+
+
+def from_record(kind: type[State], record: list[State]) -> State:
+    """Return a copy of what compiled functions have written, as a state of a type."""
+    return _read(kind, record[0]) if COMPILER else _copy(record[0])
+
+
+def read_field(record: list[Any], name: str) -> Any:
+    """Return the present value of one field of a record."""
+    return record[0][name] if COMPILER else getattr(record[0], name)
+
+
+def _copy(state: State) -> State:
+    values = {}
+    for name, hint in state_fields(type(state)).items():
+        value = getattr(state, name)
+        values[name] = hint(value) if hint in SCALARS else tuple(map(_copy, value))
+    return type(state)(**values)
+
+
+def _read(kind: Any, record: Any) -> Any:
+    values = {}
+    for name, hint in state_fields(kind).items():
+        value = record[name]
+        if hint in SCALARS:
+            values[name] = hint(value)
+        else:
+            values[name] = tuple(_read(get_args(hint)[0], inner) for inner in value)
+    return kind(**values)
+
+
+def _write(record: Any, state: Any) -> None:
+    for name, hint in state_fields(type(state)).items():
+        value = getattr(state, name)
+        if hint in SCALARS:
+            record[name] = value
+        else:
+            for place, inner in zip(record[name], value, strict=True):
+                _write(place, inner)
