@@ -18,13 +18,22 @@ from needleforce.scene.state_ring import Closing, SceneError, StateRing, view_ro
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-# timers wake late: thirty a second are promised
-UPDATES_HZ = 34.0
-START_s = 60.0
+UPDATE_RATE_HZ = 34.0
+"""Thirty updates a second are promised, and timers wake late."""
+
+START_S = 60.0
+"""So long the page's process may take to start on a busy machine."""
+
+END_S = 5.0
+"""So long it may take to end."""
 
 
 class LiveView(Closing):
-    """A page in another process, to be found at `url`; made by `open_viewer`."""
+    """A page in another process; made by `open_viewer`.
+
+    Attributes:
+        url: Where the page is.
+    """
 
     def __init__(
         self, ring: StateRing, process: Any, pipe: Connection, url: str
@@ -34,37 +43,49 @@ class LiveView(Closing):
         self._pipe = pipe
         self.url = url
 
-    def put(self, now: Any, q_rad: ArrayLike) -> None:
-        """Hand over a tick: the session's estimate and the joint positions. Never
-        waits.
+    def put(self, estimate: Any, q_rad: ArrayLike) -> None:
+        """Hand over a tick; never waits.
+
+        Args:
+            estimate: A `SessionEstimate`.
+            q_rad: Joint positions, shape (n,).
         """
-        self._ring.put(view_row(now, q_rad))
+        self._ring.put(view_row(estimate, q_rad))
 
     def close(self) -> None:
         """End the page and its process."""
         with suppress(OSError):
             self._pipe.send("stop")
-        self._process.join(5.0)
+        self._process.join(END_S)
         self._process.kill()
         self._ring.close()
 
 
 def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveView:
-    """Open a page beside a loop; arguments and keywords as of `Viewer`.
+    """Open a page beside a loop.
+
+    Args:
+        robot: The arm with its tool.
+        plan: Anatomy and plan, if any.
+        settings: Keywords of `Viewer`.
 
     Raises:
         SceneError: The page could not be opened.
     """
     context = multiprocessing.get_context("spawn")
     ring = StateRing(robot.nv)
-    pipe, other = context.Pipe()
-    given = (other, ring.name, robot, plan, settings)
-    process = context.Process(target=_serve, args=given, daemon=True)
+    pipe, other_end = context.Pipe()
+    process = context.Process(
+        target=_serve,
+        args=(other_end, ring.name, robot, plan, settings),
+        daemon=True,
+    )
     process.start()
-    other.close()
+    other_end.close()
     answer = "its process has not started"
     with suppress(EOFError, OSError):
-        answer = pipe.recv() if pipe.poll(START_s) else answer
+        if pipe.poll(START_S):
+            answer = pipe.recv()
     if not answer.startswith("http"):
         process.kill()
         ring.close()
@@ -79,7 +100,11 @@ def _serve(
     plan: PlanScene,
     settings: dict[str, Any],
 ) -> None:
-    """The page's process: thirty times a second, or more, what has come."""
+    """Run the page's process: show what has come, thirty times a second or more.
+
+    It sends the address of the page, or why there is none, and ends when something
+    comes back.
+    """
     with suppress(OSError, AttributeError):
         # A child inherits real-time priority, and would take it from the loop.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -89,11 +114,12 @@ def _serve(
         pipe.send(str(error))
         return
     ring = StateRing(robot.nv, ring_name)
+    period_s = 1.0 / UPDATE_RATE_HZ
     count = 0
     due_s = monotonic()
     pipe.send(viewer.url)
     while not pipe.poll(max(due_s - monotonic(), 0.0)):
-        due_s = max(due_s, monotonic() - 1.0 / UPDATES_HZ) + 1.0 / UPDATES_HZ
+        due_s = max(due_s, monotonic() - period_s) + period_s
         count, rows = ring.since(count)
         viewer.append(rows)
         viewer.follow()

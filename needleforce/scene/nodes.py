@@ -1,5 +1,4 @@
-"""What stands in the scene: the arm and its needle, structures, planned boundaries,
-ruptures.
+"""What stands in the scene: the arm and its needle, structures, boundaries, ruptures.
 
 Everything is in the robot's base; anatomy comes through a registration. Surfaces and
 layers are those of `needleforce.anatomy`, or anything with the same names.
@@ -13,19 +12,107 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from needleforce.scene.state_ring import Array, SceneError
+from foundation.arrays import Array
+from needleforce.scene.state_ring import SceneError
 from urdf import Robot
 
-PLANNED = (235, 235, 235)
-FOUND = (255, 205, 0)
-OBSTACLE = (220, 60, 40)
-EXPECTED = (90, 200, 250)  # the next boundary, moved by what the ruptures have shown
-CAMERA_m = np.array([0.29, -0.35, 0.16])  # from the tip, at first
+
+class Color(NamedTuple):
+    """A colour, each part from 0 to 255."""
+
+    red: int
+    green: int
+    blue: int
+
+
+class RingStyle(NamedTuple):
+    """How a ring about the needle's line looks.
+
+    Attributes:
+        color: Of the ring.
+        label_offset_m: Of its label along x: planned rings have it on one side, the
+            others on the other.
+    """
+
+    color: Color
+    label_offset_m: float
+
+
+class Ring(NamedTuple):
+    """A ring in the scene.
+
+    Attributes:
+        line: Its node.
+        label: The node of its label.
+    """
+
+    line: Any
+    label: Any
+
+    def set_visible(self, is_visible: bool) -> None:
+        """Show the ring with its label, or hide it."""
+        self.line.visible = is_visible
+        self.label.visible = is_visible
+
+    def move(self, position_m: Array, axis: Array) -> None:
+        """Move the ring to a place, about an axis."""
+        self.line.position = tuple(position_m)
+        self.line.wxyz = quaternion_of_axis(axis)
+
+
+class NeedlePose(NamedTuple):
+    """Where the needle is, in axes of the robot's base.
+
+    Attributes:
+        tip_m: Position of its tip, shape (3,).
+        axis: Its direction, shape (3,).
+    """
+
+    tip_m: Array
+    axis: Array
+
+
+RING_RADIUS_M = 6e-3
+"""Of a boundary or a rupture."""
+
+RING_POINTS = 33
+"""Of the line that draws a ring."""
+
+_PLANNED_LABEL_M = -6.0 * RING_RADIUS_M
+_FOUND_LABEL_M = 2.0 * RING_RADIUS_M
+
+PATH_COLOR = Color(235, 235, 235)
+PLANNED = RingStyle(PATH_COLOR, _PLANNED_LABEL_M)
+OBSTACLE = RingStyle(Color(220, 60, 40), _PLANNED_LABEL_M)
+DETECTED = RingStyle(Color(255, 205, 0), _FOUND_LABEL_M)
+
+EXPECTED = RingStyle(Color(90, 200, 250), _FOUND_LABEL_M)
+"""Of the next boundary, moved by what the ruptures have shown."""
+
+NEEDLE_COLOR = Color(200, 200, 210)
+BONE_COLOR = Color(90, 100, 120)
+TARGET_COLOR = Color(80, 220, 120)
+
+CAMERA_M = np.array([0.29, -0.35, 0.16])
+"""Where the camera stands at first, from the tip."""
+
 RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
-OPACITY = 0.35
-RING_m = 6e-3
-NEEDLE_m = 0.2
-NEEDLE_RADIUS_m = 0.8e-3
+"""Direction to the right of the first view, where labels stand."""
+
+MAX_RIGHT_COSINE = 0.9
+"""An axis closer to that direction has its labels along z instead."""
+
+SURFACE_OPACITY = 0.35
+NEEDLE_LENGTH_M = 0.2
+NEEDLE_RADIUS_M = 0.8e-3
+TARGET_RADIUS_M = 3e-3
+
+PATH_LEAD_M = 0.03
+"""The planned path begins so far before the entry."""
+
+BONE_WIDTH = 6.0  # pixels
+PATH_WIDTH = 2.0  # pixels
+RING_WIDTH = 4.0  # pixels
 
 
 class PlanScene(NamedTuple):
@@ -34,8 +121,10 @@ class PlanScene(NamedTuple):
     Attributes:
         surfaces: With `name`, `colour`, `vertices_m`, `triangles`, in the model.
         layers: With `name`, `exit_m`, `is_obstacle`.
-        entry_m: In the model.
-        rotation: From the model to the robot's base.
+        entry_m: In the model, shape (3,); None without a plan.
+        target_m: In the model, shape (3,); None without a plan.
+        rotation: From the model to the robot's base, shape (3, 3).
+        translation_m: Of the model's origin in the robot's base, shape (3,).
     """
 
     surfaces: Sequence[Any] = ()
@@ -46,16 +135,22 @@ class PlanScene(NamedTuple):
     translation_m: Array = np.zeros(3)
 
     def to_robot(self, points_m: ArrayLike) -> Array:
-        """Points of the model in the robot's base."""
+        """Return points of the model in the robot's base, shape (3,) or (n, 3)."""
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
 
 
-EMPTY = PlanScene()  # neither anatomy nor plan
+EMPTY = PlanScene()
+"""Neither anatomy nor plan."""
 
 
 class ArmNodes:
-    """The arm: its URDF's own shapes, else a line through its joints; z of its tool:
-    the needle.
+    """The arm and its needle, which is the z axis of its tool.
+
+    Args:
+        server: Of the page.
+        robot: The arm.
+        urdf_path: The description with the arm's own shapes; without one a line through
+            its joints is drawn.
     """
 
     def __init__(
@@ -69,112 +164,133 @@ class ArmNodes:
             from viser.extras import ViserUrdf
 
             self._shapes = ViserUrdf(server, urdf_path, root_node_name="/arm")
-            shown = self._shapes.get_actuated_joint_names()
-            names = robot.joint_names
-            self._order = [shown.index(name) for name in names]
-            self._shown_rad = np.zeros(
-                len(shown)
-            )  # what the robot lacks, it holds at zero
+            shown_names = self._shapes.get_actuated_joint_names()
+            self._shown_joints = [shown_names.index(name) for name in robot.joint_names]
+            # What the robot lacks, it holds at zero.
+            self._shown_rad = np.zeros(len(shown_names))
         self._needle = server.scene.add_cylinder(
-            "/needle", radius=NEEDLE_RADIUS_m, height=NEEDLE_m, color=(200, 200, 210)
+            "/needle",
+            radius=NEEDLE_RADIUS_M,
+            height=NEEDLE_LENGTH_M,
+            color=NEEDLE_COLOR,
         )
 
-    def update(self, q_rad: ArrayLike) -> tuple[Array, Array]:
-        """Move it; returns the tip and the needle's direction, base axes."""
+    def update(self, q_rad: ArrayLike) -> NeedlePose:
+        """Move the arm to joint positions, shape (n,); return where the needle is."""
         q = np.asarray(q_rad, dtype=float)
-        model = self._robot.model
         data = self._data
-        pin.framesForwardKinematics(model, data, q)
+        pin.framesForwardKinematics(self._robot.model, data, q)
         pose = data.oMf[self._robot.tool_frame_id]
-        tip = pose.translation.copy()
+        tip_m = pose.translation.copy()
         axis = pose.rotation[:, 2].copy()
         if self._shapes is not None:
-            self._shown_rad[self._order] = q
+            self._shown_rad[self._shown_joints] = q
             self._shapes.update_cfg(self._shown_rad)
         else:
-            places = np.array(
-                [data.oMi[k].translation for k in range(model.njoints)] + [tip]
-            )
-            _add_lines(self._server, "/bones", places, (90, 100, 120), 6.0)
-        self._needle.position = tuple(tip - 0.5 * NEEDLE_m * axis)
-        self._needle.wxyz = turned_to(axis)
-        return tip, axis
+            joints = range(self._robot.model.njoints)
+            points_m = [data.oMi[joint].translation for joint in joints]
+            bones = np.array([*points_m, tip_m])
+            _add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
+        self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
+        self._needle.wxyz = quaternion_of_axis(axis)
+        return NeedlePose(tip_m, axis)
 
 
-def turned_to(axis: Array) -> tuple[float, ...]:
-    """Quaternion (w, x, y, z) that turns the z axis to a direction."""
-    # x to the right of the first view, where labels stand.
-    right = RIGHT if abs(axis @ RIGHT) < 0.9 else np.array([0.0, 0.0, 1.0])
+def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
+    """Return the quaternion (w, x, y, z) that turns the z axis to a direction.
+
+    x is turned to the right of the first view, as far as it can be.
+    """
+    is_along_right = abs(axis @ RIGHT) >= MAX_RIGHT_COSINE
+    right = np.array([0.0, 0.0, 1.0]) if is_along_right else RIGHT
     side = right - (right @ axis) * axis
     side /= np.linalg.norm(side)
-    found = pin.Quaternion(np.column_stack([side, np.cross(axis, side), axis]))
-    return float(found.w), float(found.x), float(found.y), float(found.z)
+    rotation = np.column_stack([side, np.cross(axis, side), axis])
+    quaternion = pin.Quaternion(rotation)
+    return (
+        float(quaternion.w),
+        float(quaternion.x),
+        float(quaternion.y),
+        float(quaternion.z),
+    )
 
 
 def add_anatomy(server: Any, plan: PlanScene) -> None:
-    """Translucent structures, the planned way, and a ring with a name at every
-    boundary.
+    """Add translucent structures, and the plan if there is one.
+
+    Raises:
+        SceneError: The plan has no length.
     """
     for surface in plan.surfaces:
-        vertices = plan.to_robot(surface.vertices_m).astype(np.float32)
-        faces = np.asarray(surface.triangles, dtype=np.uint32)
-        look = {"opacity": OPACITY, "side": "double"}
-        look["color"] = tuple(round(255 * part) for part in surface.colour)
         server.scene.add_mesh_simple(
-            f"/anatomy/{surface.name}", vertices, faces, **look
+            f"/anatomy/{surface.name}",
+            plan.to_robot(surface.vertices_m).astype(np.float32),
+            np.asarray(surface.triangles, dtype=np.uint32),
+            color=Color(*(round(255 * value) for value in surface.colour)),
+            opacity=SURFACE_OPACITY,
+            side="double",
         )
-    if plan.entry_m is None or plan.target_m is None:
-        return
-    entry = plan.to_robot(plan.entry_m)
-    target = plan.to_robot(plan.target_m)
-    length_m = float(np.linalg.norm(target - entry))
+    if plan.entry_m is not None and plan.target_m is not None:
+        _add_path(server, plan, plan.entry_m, plan.target_m)
+
+
+def _add_path(
+    server: Any, plan: PlanScene, model_entry_m: Array, model_target_m: Array
+) -> None:
+    """Add the planned path, its target, and a ring with a name at every boundary."""
+    entry_m = plan.to_robot(model_entry_m)
+    target_m = plan.to_robot(model_target_m)
+    length_m = float(np.linalg.norm(target_m - entry_m))
     if not length_m > 0.0:
         raise SceneError(
             f"a plan from {plan.entry_m} to {plan.target_m}: expected two points"
         )
-    axis = (target - entry) / length_m
-    _add_lines(
-        server, "/plan/way", np.array([entry - 0.03 * axis, target]), PLANNED, 2.0
-    )
+    axis = (target_m - entry_m) / length_m
+    line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
+    _add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)
     server.scene.add_icosphere(
-        "/plan/target", 3e-3, color=(80, 220, 120), position=tuple(target)
+        "/plan/target", TARGET_RADIUS_M, color=TARGET_COLOR, position=tuple(target_m)
     )
-    for k, (layer, behind) in enumerate(
-        zip(plan.layers[:-1], plan.layers[1:], strict=True)
-    ):
-        color = OBSTACLE if behind.is_obstacle else PLANNED
-        name = f"/plan/boundary {k + 1}"
-        add_ring(server, name, entry + layer.exit_m * axis, axis, color, behind.name)
+    for number, layer in enumerate(plan.layers[:-1], 1):
+        next_layer = plan.layers[number]
+        add_ring(
+            server,
+            f"/plan/boundary {number}",
+            NeedlePose(entry_m + layer.exit_m * axis, axis),
+            OBSTACLE if next_layer.is_obstacle else PLANNED,
+            next_layer.name,
+        )
 
 
 def add_ring(
-    server: Any,
-    name: str,
-    place: Array,
-    axis: Array,
-    color: tuple[int, int, int],
-    text: str,
-) -> list[Any]:
-    """A ring about the needle's line with a label: on one side if planned, else on
-    the other.
+    server: Any, name: str, pose: NeedlePose, style: RingStyle, text: str
+) -> Ring:
+    """Add a ring about the needle's line with a label.
+
+    Args:
+        server: Of the page.
+        name: Of its node.
+        pose: Where the ring is, and about which axis.
+        style: How it looks.
+        text: Of the label.
     """
-    angle = np.linspace(0.0, 2.0 * np.pi, 33)
-    ring = RING_m * np.stack([np.cos(angle), np.sin(angle), np.zeros(33)], axis=1)
-    line = _add_lines(server, name, ring, color, 4.0)
-    line.position = tuple(place)
-    line.wxyz = turned_to(axis)
-    away = (2.0 if color in (FOUND, EXPECTED) else -6.0) * RING_m
-    return [
-        line,
-        server.scene.add_label(f"{name}/label", text, position=(away, 0.0, 0.0)),
-    ]
+    angle_rad = np.linspace(0.0, 2.0 * np.pi, RING_POINTS)
+    circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros(RING_POINTS)]
+    points_m = RING_RADIUS_M * np.stack(circle, axis=1)
+    line = _add_lines(server, name, points_m, style.color, RING_WIDTH)
+    label = server.scene.add_label(
+        f"{name}/label", text, position=(style.label_offset_m, 0.0, 0.0)
+    )
+    ring = Ring(line, label)
+    ring.move(pose.tip_m, pose.axis)
+    return ring
 
 
 def _add_lines(
-    server: Any, name: str, points: Array, color: tuple[int, ...], width: float
+    server: Any, name: str, points_m: Array, color: Color, width: float
 ) -> Any:
-    """A line through points, (n, 3), so many pixels wide."""
-    pairs = np.stack([points[:-1], points[1:]], axis=1)
+    """Add a line through points, shape (n, 3), so many pixels wide."""
+    segments = np.stack([points_m[:-1], points_m[1:]], axis=1)
     return server.scene.add_line_segments(
-        name, points=pairs, colors=color, thickness=width, thickness_units="screen"
+        name, points=segments, colors=color, thickness=width, thickness_units="screen"
     )

@@ -14,21 +14,31 @@ from numpy.typing import ArrayLike
 from needleforce.scene.state_ring import Closing, SceneError
 
 PORT = 18944
-MOST_HZ = 50.0
+"""Where Slicer connects, unless it is told otherwise."""
+
+MAX_RATE_HZ = 50.0
+"""So many updates are sent a second, at most."""
+
+M_TO_MM = 1e3
+
 LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""From axes to the left and to the back to axes to the right and to the front."""
 
 
-def _json(values: dict[str, float]) -> str:
-    return msgspec.json.encode(values, enc_hook=float).decode()  # a NaN becomes null
+def _to_json(values: dict[str, float]) -> str:
+    """Return numbers as JSON; a NaN becomes null."""
+    return msgspec.json.encode(values, enc_hook=float).decode()
 
 
 class SlicerOutput(Closing):
-    """A server that sends at most `MOST_HZ` updates a second; `SceneError` if the port
-    is no use.
+    """A server that sends at most `MAX_RATE_HZ` updates a second.
 
     Args:
         port: Where Slicer connects.
         any_address: Listen on every address of this machine, not on loopback only.
+
+    Raises:
+        SceneError: The port cannot be used.
     """
 
     def __init__(self, port: int = PORT, *, any_address: bool = False) -> None:
@@ -51,31 +61,52 @@ class SlicerOutput(Closing):
         """Whether Slicer listens."""
         return bool(self._server.is_connected())
 
-    def put(self, now: Any, pose_m: ArrayLike) -> bool:
-        """Send a tick: the session's estimate, the needle's pose in the model, shape
-        (4, 4).
+    def put(self, estimate: Any, pose_m: ArrayLike) -> bool:
+        """Send a tick, unless the latest one was just before; ruptures are always sent.
 
-        Ruptures are sent whenever they come. Returns whether anything was sent.
+        Args:
+            estimate: A `SessionEstimate`.
+            pose_m: The needle's pose in the model, shape (4, 4).
+
+        Returns:
+            Whether anything was sent.
         """
-        rupture = now.identification.rupture
+        rupture = estimate.identification.rupture
         if rupture is not None:
-            known = {"layer": rupture.layer, "depth_mm": 1e3 * rupture.depth_m}
-            known |= {"probability": rupture.probability, "time_s": rupture.time_s}
-            self._send(self._igtl.StringMessage(_json(known), device_name="Rupture"))
+            self._send_rupture(rupture)
         # A time before that of the last tick is that of a session which has begun anew.
-        if self._next_s - 1.0 / MOST_HZ <= now.time_s < self._next_s:
+        if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
-        self._next_s = now.time_s + 1.0 / MOST_HZ
-        matrix = LPS_TO_RAS @ np.array(pose_m, dtype=float)
-        matrix[:3, 3] *= 1e3
-        self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
-        forces = {"force_N": now.wrench.axial, "force_std_N": now.wrench.axial_std}
-        forces |= {
-            "tip_force_N": now.identification.tip_force_N,
-            "depth_mm": 1e3 * now.depth_m,
-        }
-        self._send(self._igtl.StringMessage(_json(forces), device_name="Force"))
+        self._next_s = estimate.time_s + 1.0 / MAX_RATE_HZ
+        self._send_pose(pose_m)
+        self._send_forces(estimate)
         return True
+
+    def _send_rupture(self, rupture: Any) -> None:
+        """Send a detected rupture."""
+        values = {
+            "layer": rupture.layer,
+            "depth_mm": M_TO_MM * rupture.depth_m,
+            "probability": rupture.probability,
+            "time_s": rupture.time_s,
+        }
+        self._send(self._igtl.StringMessage(_to_json(values), device_name="Rupture"))
+
+    def _send_pose(self, pose_m: ArrayLike) -> None:
+        """Send the needle's pose in the model, shape (4, 4)."""
+        matrix = LPS_TO_RAS @ np.array(pose_m, dtype=float)
+        matrix[:3, 3] *= M_TO_MM
+        self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
+
+    def _send_forces(self, estimate: Any) -> None:
+        """Send the axial force, the tip force and the depth."""
+        values = {
+            "force_N": estimate.wrench.axial,
+            "force_std_N": estimate.wrench.axial_std,
+            "tip_force_N": estimate.identification.tip_force_N,
+            "depth_mm": M_TO_MM * estimate.depth_m,
+        }
+        self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
 
     def close(self) -> None:
         """End the connection."""

@@ -1,58 +1,126 @@
-"""What a control loop hands to a viewer in another process: a ring of rows in shared
-memory.
+"""What a control loop hands to a viewer in another process: rows in shared memory.
 
-One writer, which never waits: it writes a row, then raises the count. A reader that was
-too slow finds the rows it missed overwritten, and goes on with the newest.
+The memory is a ring with one writer, which never waits: it writes a row, then raises
+the count. A reader that was too slow finds the rows it missed overwritten, and goes on
+with the newest.
 """
 
+import math
 import struct
 from contextlib import AbstractContextManager
 from multiprocessing.shared_memory import SharedMemory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from foundation.arrays import Array
 
-PLAN_FIELDS = (
-    *("layer", "probability", "offset_m", "offset_std_m", "next_m", "next_std_m"),
-    *("matched", "matched_probability"),
-)  # of a `PlanState`, nan without a plan
-FIELDS = (
-    *("time_s", "depth_m", "speed_m_s", "force_N", "force_std_N", "tip_N", "tip_std_N"),
-    *("friction_N", "layer", "rupture", "rupture_depth_m", "retracted", "is_good"),
-    *(f"plan_{name}" for name in PLAN_FIELDS),
-)
-"""Of a row, before the joint positions. `rupture` and `retracted` are the number of the
-layer that ruptured, or did not after all, else 0; `is_good`: 1 if the force is tared
-and of this tick."""
 ROWS = 4096
+"""How many rows the ring has, four seconds at 1 kHz."""
+
+READABLE_ROWS = 3 * ROWS // 4
+"""So many may be read; a quarter is left for what the writer does meanwhile."""
+
 _COUNT = struct.Struct("<Q")
+"""How many rows were written, at the beginning of the memory."""
 
 
-def view_row(now: Any, q_rad: ArrayLike) -> tuple[float, ...]:
-    """A row of a `SessionEstimate` and the joint positions [rad], shape (n,), behind
-    `FIELDS`.
+class ViewRow(NamedTuple):
+    """A tick of a session as it is shown, before the joint positions.
+
+    The fields of the plan are those of a `PlanState`, NaN without a plan.
+
+    Attributes:
+        time_s: Of the session.
+        depth_m: Of the tip.
+        speed_m_s: Of the tip.
+        force_N: Axial force.
+        force_std_N: Standard deviation of the axial force.
+        tip_N: Tip force.
+        tip_std_N: Standard deviation of the tip force.
+        friction_N: Shaft friction.
+        layer: Number of the layer that the tip is in.
+        rupture: Number of the layer that ruptured in this tick, else 0.
+        rupture_depth_m: Depth of that rupture.
+        retracted: Number of the layer that did not rupture after all, else 0.
+        is_good: 1 if the force is tared and of this tick, else 0.
+        plan_layer: Number of the planned layer that the tip is in.
+        plan_probability: Of being in that layer.
+        plan_offset_m: How much deeper all lies than planned.
+        plan_offset_std_m: Standard deviation of the offset.
+        plan_next_m: Expected depth of the next boundary.
+        plan_next_std_m: Standard deviation of that depth.
+        plan_matched: Number of the planned layer that the latest rupture led into.
+        plan_matched_probability: Of that match.
     """
-    wrench = now.wrench
-    found = now.identification
-    plan = now.plan
-    rupture = found.rupture
-    retracted = found.retracted
-    return (
-        *(now.time_s, now.depth_m, now.speed_m_s, wrench.axial, wrench.axial_std),
-        *(
-            found.tip_force_N,
-            found.tip_force_std_N or 0.0,
-            found.shaft_friction_N,
-            found.layer,
-        ),
-        *((0.0, 0.0) if rupture is None else (rupture.layer, rupture.depth_m)),
-        *(0.0 if retracted is None else retracted.layer, now.status.value == "ok"),
-        *(np.nan if plan is None else getattr(plan, name) for name in PLAN_FIELDS),
-        *np.asarray(q_rad, dtype=float).tolist(),
+
+    time_s: float
+    depth_m: float
+    speed_m_s: float
+    force_N: float
+    force_std_N: float
+    tip_N: float
+    tip_std_N: float
+    friction_N: float
+    layer: float
+    rupture: float
+    rupture_depth_m: float
+    retracted: float
+    is_good: float
+    plan_layer: float = math.nan
+    plan_probability: float = math.nan
+    plan_offset_m: float = math.nan
+    plan_offset_std_m: float = math.nan
+    plan_next_m: float = math.nan
+    plan_next_std_m: float = math.nan
+    plan_matched: float = math.nan
+    plan_matched_probability: float = math.nan
+
+
+FIELDS = ViewRow._fields
+"""Names of the numbers of a row, before the joint positions."""
+
+_PLAN_PREFIX = "plan_"
+
+PLAN_FIELDS = tuple(
+    name.removeprefix(_PLAN_PREFIX) for name in FIELDS if name.startswith(_PLAN_PREFIX)
+)
+"""Names of the fields of a `PlanState` that a row has."""
+
+
+def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
+    """Return a tick as numbers: the fields of a `ViewRow`, then the joint positions.
+
+    Args:
+        estimate: A `SessionEstimate`.
+        q_rad: Joint positions, shape (n,).
+    """
+    wrench = estimate.wrench
+    identification = estimate.identification
+    rupture = identification.rupture
+    retracted = identification.retracted
+    plan = estimate.plan
+    plan_values: dict[str, float] = {}
+    if plan is not None:
+        plan_values = {_PLAN_PREFIX + name: getattr(plan, name) for name in PLAN_FIELDS}
+    row = ViewRow(
+        time_s=estimate.time_s,
+        depth_m=estimate.depth_m,
+        speed_m_s=estimate.speed_m_s,
+        force_N=wrench.axial,
+        force_std_N=wrench.axial_std,
+        tip_N=identification.tip_force_N,
+        tip_std_N=identification.tip_force_std_N or 0.0,
+        friction_N=identification.shaft_friction_N,
+        layer=identification.layer,
+        rupture=0.0 if rupture is None else rupture.layer,
+        rupture_depth_m=0.0 if rupture is None else rupture.depth_m,
+        retracted=0.0 if retracted is None else retracted.layer,
+        is_good=estimate.status.value == "ok",
+        **plan_values,
     )
+    return (*row, *np.asarray(q_rad, dtype=float).tolist())
 
 
 class SceneError(Exception):
@@ -66,6 +134,7 @@ class Closing(AbstractContextManager[Any]):
         """End it."""
 
     def __exit__(self, *error: object) -> None:
+        """Close it."""
         self.close()
 
 
@@ -81,11 +150,12 @@ class StateRing(Closing):
     """
 
     def __init__(self, joints: int, name: str | None = None) -> None:
-        self._row = struct.Struct(f"<{len(FIELDS) + joints}d")
+        self._width = len(FIELDS) + joints
+        self._row = struct.Struct(f"<{self._width}d")
         self._is_owner = name is None
         size = _COUNT.size + ROWS * self._row.size
         self._memory = SharedMemory(
-            name, create=self._is_owner, size=size if name is None else 0
+            name, create=self._is_owner, size=size if self._is_owner else 0
         )
         self._buffer: Any = self._memory.buf
         self.name = self._memory.name
@@ -93,26 +163,28 @@ class StateRing(Closing):
 
     def put(self, row: tuple[float, ...]) -> None:
         """Write a `view_row`; takes microseconds and never waits."""
-        at = _COUNT.size + (self._count % ROWS) * self._row.size
-        self._row.pack_into(self._buffer, at, *row)
+        offset = _COUNT.size + (self._count % ROWS) * self._row.size
+        self._row.pack_into(self._buffer, offset, *row)
         self._count += 1
         _COUNT.pack_into(self._buffer, 0, self._count)
 
     def since(self, count: int) -> tuple[int, Array]:
-        """Rows written after the first `count`, as far as they are still there: (n,
-        fields).
+        """Return rows written after the first `count`, as far as they are still there.
+
+        Returns:
+            How many rows were written so far, and the rows, shape (n, fields and
+            joints).
         """
-        (now,) = _COUNT.unpack_from(self._buffer, 0)
-        # A quarter of the ring is left for what the writer does meanwhile.
-        first = max(count, now - 3 * ROWS // 4)
-        width = self._row.size // 8
-        table = np.frombuffer(self._buffer, "<f8", ROWS * width, _COUNT.size).reshape(
-            ROWS, width
+        (written_count,) = _COUNT.unpack_from(self._buffer, 0)
+        first = max(count, written_count - READABLE_ROWS)
+        numbers = np.frombuffer(
+            self._buffer, "<f8", ROWS * self._width, offset=_COUNT.size
         )
-        return now, table[np.arange(first, now) % ROWS].copy()
+        table = numbers.reshape(ROWS, self._width)
+        return written_count, table[np.arange(first, written_count) % ROWS].copy()
 
     def close(self) -> None:
-        """Let go of it; its owner also removes it."""
+        """Let go of the memory; its owner also removes it."""
         self._buffer = None
         self._memory.close()
         if self._is_owner:

@@ -9,99 +9,116 @@ import errno
 import socket
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.scene import nodes
-from needleforce.scene.state_ring import FIELDS, Array, SceneError
+from needleforce.scene.row_text import (
+    layer_names,
+    next_layer_name,
+    rupture_text,
+    state_lines,
+)
+from needleforce.scene.state_ring import FIELDS, SceneError, ViewRow
 from urdf import Robot
 
-MOST_N = 4.0  # force at which the bar is full
-POINTS = 500  # of a curve; older ones are thinned
-KEPT_HZ = 50.0
-MOST_ROWS = 30_000
-FRAME_s = 0.05
 NOTE = "Simulation and research only: not a medical device."
-CURVES = {
-    "force": ("force_N", "force_std_N", "42, 157, 111"),
-    "tip force": ("tip_N", "tip_std_N", "138, 58, 185"),
-}  # name, fields of the rows, colour
-AT = {name: column for column, name in enumerate(FIELDS)}
+
+FULL_BAR_N = 4.0
+"""Tip force at which the bar is full."""
+
+MAX_CURVE_POINTS = 500
+"""Of a curve; longer ones are thinned."""
+
+KEPT_RATE_HZ = 50.0
+"""So many rows a second are kept, and those with ruptures."""
+
+MAX_ROWS = 30_000
+"""When more are kept, every second one is dropped."""
+
+FRAME_S = 0.05
+"""Time from picture to picture when a recording is played."""
+
+TIME_STEP_S = 0.01
+"""Of the time line."""
+
+MIN_SPAN_S = 0.01
+"""The time line is never shorter."""
+
+MAX_PORT = 65535
+
+M_TO_MM = 1e3
+
+TIME_LABEL = "time [s]"
+DEPTH_LABEL = "depth [mm]"
+
+
+class Curve(NamedTuple):
+    """A force in the plots.
+
+    Attributes:
+        name: In the legend.
+        field: Of a row, with its values.
+        std_field: Of a row, with their standard deviations.
+        color: Red, green and blue.
+    """
+
+    name: str
+    field: str
+    std_field: str
+    color: str
+
+
+CURVES = (
+    Curve("force", "force_N", "force_std_N", "42, 157, 111"),
+    Curve("tip force", "tip_N", "tip_std_N", "138, 58, 185"),
+)
+
+LINE_WIDTH = 2.0  # pixels
+BAND_WIDTH = 0.3  # pixels, of the two lines that bound a band
+
+COLUMN = {name: column for column, name in enumerate(FIELDS)}
+"""Columns of rows by the names of their fields."""
 
 
 class Mark(NamedTuple):
     """A detected rupture in the scene.
 
     Attributes:
+        time_s: When it was detected.
         number: Of the layer that ruptured.
-        until_s: When it was taken back.
+        text: Of its label.
+        ring: In the scene.
+        until_s: When the alarm was retracted.
     """
 
     time_s: float
     number: float
     text: str
-    handles: list[Any]
+    ring: nodes.Ring
     until_s: float = np.inf
 
 
-class _Seen(SimpleNamespace):
-    """A row by the names of its fields, in words; behind ± stand two standard
-    deviations.
-    """
-
-    def __init__(self, row: Array, plan: nodes.PlanScene) -> None:
-        super().__init__(**dict(zip(FIELDS, row.tolist(), strict=False)))
-        self.names = {-1: "outside"} | {
-            k: layer.name for k, layer in enumerate(plan.layers)
-        }
-        self.next_name = self.names.get(self.plan_layer + 1.0, "")
-
-    def event(self) -> str:
-        """The rupture of this row."""
-        text = f"rupture {self.rupture:.0f} at {1e3 * self.rupture_depth_m:.1f} mm"
-        if np.isnan(self.plan_matched):
-            return text
-        into = self.names.get(self.plan_matched, "")
-        where = f"into {into}" if self.plan_matched >= 0.0 else "a false alarm"
-        return f"{text}: {where} ({100.0 * self.plan_matched_probability:.0f} %)"
-
-    def lines(self) -> Iterator[str]:
-        """What is known."""
-        tared = "" if self.is_good else " (not tared, or doubtful)"
-        place = f"at {1e3 * self.depth_m:.1f} mm, layer {self.layer:.0f}"
-        yield f"**{self.time_s:.1f} s** {place}"
-        yield f"force {self.force_N:.2f} ± {2.0 * self.force_std_N:.2f} N{tared}"
-        tip = f"**tip force {self.tip_N:.2f} ± {2.0 * self.tip_std_N:.2f} N**"
-        yield f"{tip}, shaft friction {self.friction_N:.2f} N; the bar is full at {MOST_N:g} N"
-        if np.isnan(self.plan_layer):
-            return
-        name = self.names.get(self.plan_layer, "")
-        certain = 100.0 * self.plan_probability
-        here = f"in **{name}** ({certain:.0f} %)"
-        next_mm = f"{1e3 * self.plan_next_m:.1f} ± {2e3 * self.plan_next_std_m:.1f} mm"
-        yield f"{here}, {self.next_name} at {next_mm}" if self.next_name else here
-        off = f"{1e3 * self.plan_offset_m:+.1f} ± {2e3 * self.plan_offset_std_m:.1f} mm"
-        yield f"all lies {off} deeper than planned"
-
-
 def check_address(host: str, port: int) -> None:
-    """Raise `SceneError` where nothing can listen: viser would wait for ever. Busy
-    is no fault.
+    """Raise `SceneError` where nothing can listen: viser would wait for ever.
+
+    That another program listens there is no fault: viser takes the next port.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port), family=family).close()
     except (OSError, OverflowError, UnicodeError) as error:
-        # Of a busy port viser takes the next; behind the last it would wait for ever,
-        # too.
-        if getattr(error, "errno", None) != errno.EADDRINUSE or port == 65535:
-            how = "expected an address of this machine, and a port of 0 to 65535"
-            raise SceneError(f"{host}, port {port}: {error}; {how}") from error
+        is_busy = getattr(error, "errno", None) == errno.EADDRINUSE
+        # Behind the last port viser would wait for ever, too.
+        if not is_busy or port == MAX_PORT:
+            raise SceneError(
+                f"{host}, port {port}: {error}; expected an address of this machine, "
+                f"and a port of 0 to {MAX_PORT}"
+            ) from error
 
 
 class Viewer:
@@ -141,54 +158,66 @@ class Viewer:
             host=host, port=port, label="needleforce", verbose=False
         )
         self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
-        self._server.scene.set_up_direction("+z")
-        self._rows = np.empty((0, len(FIELDS) + robot.nv))
-        self._plan = plan
         self.marks: list[Mark] = []
+        self._rows = np.empty((0, len(FIELDS) + robot.nv))
+        self._names = layer_names(plan)
         self._lock = threading.Lock()
-        self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
-        nodes.add_anatomy(self._server, plan)
-        at = np.zeros(3)
-        up = np.array([0.0, 0.0, 1.0])
-        self._ahead = nodes.add_ring(self._server, "/ahead", at, up, nodes.EXPECTED, "")
-        self._server.scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
-        self._shown_s = -1.0
+        self._shown_s: float | None = None  # time of the row that is shown
+        self._add_scene(robot, plan, urdf_path)
         self._add_panel()
 
+    def _add_scene(
+        self, robot: Robot, plan: nodes.PlanScene, urdf_path: Path | None
+    ) -> None:
+        """Add the arm, anatomy and plan, and the ring at the next boundary."""
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
+        nodes.add_anatomy(self._server, plan)
+        upright = nodes.NeedlePose(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+        self._ahead = nodes.add_ring(
+            self._server, "/ahead", upright, nodes.EXPECTED, ""
+        )
+        scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
+
     def _add_panel(self) -> None:
+        """Add the state in words, the time line and the plots beside the scene."""
         gui = self._server.gui
         gui.add_markdown(f"**needleforce** – {NOTE}")
         self._text = gui.add_markdown("waiting for the first sample")
         self._bar = gui.add_progress_bar(0.0, color="violet")
         self._events = gui.add_markdown("")
         with gui.add_folder("Time"):
-            self._slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+            self._slider = gui.add_slider(TIME_LABEL, 0.0, 1.0, TIME_STEP_S, 0.0)
             self._live = gui.add_checkbox("live", True)
             self._play = gui.add_button("Play")
         self._plots = {
-            name: self._add_plot(name) for name in ("time [s]", "depth [mm]")
+            label: self._add_plot(label) for label in (TIME_LABEL, DEPTH_LABEL)
         }
-        self._slider.on_update(self._scrubbed)
+        self._slider.on_update(self._show_slider_time)
         self._play.on_click(
             lambda _: threading.Thread(target=self._replay, daemon=True).start()
         )
 
     def _add_plot(self, x_label: str) -> Any:
+        """Add a plot of the curves, each with a band of two standard deviations."""
         from viser import uplot
 
         series = [uplot.Series(label=x_label)]
         bands = []
-        for name, (_, _, color) in CURVES.items():
-            pair = (len(series) + 1, len(series) + 2)
-            bands.append(uplot.Band(series=pair, fill=f"rgba({color}, 0.18)"))
-            for label, width in (
-                (f"{name} [N]", 2.0),
-                ("+ 2 std", 0.3),
-                ("- 2 std", 0.3),
-            ):
-                series.append(
-                    uplot.Series(label=label, stroke=f"rgb({color})", width=width)
-                )
+        for curve in CURVES:
+            stroke = f"rgb({curve.color})"
+            upper = len(series) + 1
+            bands.append(
+                uplot.Band(series=(upper, upper + 1), fill=f"rgba({curve.color}, 0.18)")
+            )
+            series += [
+                uplot.Series(
+                    label=f"{curve.name} [N]", stroke=stroke, width=LINE_WIDTH
+                ),
+                uplot.Series(label="+ 2 std", stroke=stroke, width=BAND_WIDTH),
+                uplot.Series(label="- 2 std", stroke=stroke, width=BAND_WIDTH),
+            ]
         return self._server.gui.add_uplot(
             tuple(np.zeros(1) for _ in series),
             tuple(series),
@@ -202,123 +231,156 @@ class Viewer:
         )
 
     def append(self, rows: Array) -> None:
-        """Take further rows, (n, fields and joints), in the order of time."""
+        """Add further rows of `view_row`, shape (n, k), in the order of time."""
         rows = np.asarray(rows, dtype=float)
         if not len(rows):
             return
         with self._lock:
-            events = (rows[:, [AT["rupture"], AT["retracted"]]] > 0.0).any(axis=1)
-            for row in rows[events]:
+            events = rows[:, [COLUMN["rupture"], COLUMN["retracted"]]]
+            has_event = (events > 0.0).any(axis=1)
+            for row in rows[has_event]:
                 self._mark(row)
-            slots = np.floor(rows[:, 0] * KEPT_HZ)
-            last = np.floor(self._rows[-1, 0] * KEPT_HZ) if len(self._rows) else -np.inf
-            fresh = events | (np.diff(slots, prepend=last) > 0.0)
-            self._rows = np.vstack([self._rows, rows[fresh]])
-            if len(self._rows) > MOST_ROWS:
+            # Of rows without an event the first of each slot of time is kept.
+            slots = np.floor(rows[:, COLUMN["time_s"]] * KEPT_RATE_HZ)
+            is_kept = has_event | (np.diff(slots, prepend=self._latest_slot()) > 0.0)
+            self._rows = np.vstack([self._rows, rows[is_kept]])
+            if len(self._rows) > MAX_ROWS:
                 self._rows = self._rows[::2]
 
-    def _mark(self, row: Array) -> None:
-        """Mark the rupture of a row, or take the last one back."""
-        seen = _Seen(row, self._plan)
-        if self.marks and self.marks[-1].number == seen.retracted:
-            self.marks[-1] = self.marks[-1]._replace(until_s=seen.time_s)
-        if not seen.rupture:
+    def _latest_slot(self) -> float:
+        """Return the slot of time of the latest row kept."""
+        if not len(self._rows):
+            return -np.inf
+        return float(np.floor(self._rows[-1, COLUMN["time_s"]] * KEPT_RATE_HZ))
+
+    def _mark(self, row_values: Array) -> None:
+        """Mark the rupture of a row, or retract the latest one."""
+        row = _view_row_of(row_values)
+        if self.marks and self.marks[-1].number == row.retracted:
+            self.marks[-1] = self.marks[-1]._replace(until_s=row.time_s)
+        if not row.rupture:
             return
-        tip, axis = self._arm.update(row[len(FIELDS) :])
-        place = tip + (seen.rupture_depth_m - seen.depth_m) * axis
-        text = seen.event()
-        name = f"/ruptures/{len(self.marks)}"
-        handles = nodes.add_ring(self._server, name, place, axis, nodes.FOUND, text)
-        for handle in handles:
-            handle.visible = False  # until its time is shown
-        self.marks.append(Mark(seen.time_s, seen.rupture, text, handles))
+        needle = self._arm.update(_joints_of(row_values))
+        rupture_m = needle.tip_m + (row.rupture_depth_m - row.depth_m) * needle.axis
+        text = rupture_text(row, self._names)
+        ring = nodes.add_ring(
+            self._server,
+            f"/ruptures/{len(self.marks)}",
+            nodes.NeedlePose(rupture_m, needle.axis),
+            nodes.DETECTED,
+            text,
+        )
+        ring.set_visible(False)  # until its time is shown
+        self.marks.append(Mark(row.time_s, row.rupture, text, ring))
 
     def show(self, time_s: float | None = None) -> None:
         """Show the state at a time, by default the newest."""
         with self._lock:
             if not len(self._rows):
                 return
-            times = self._rows[:, 0]
-            now_s = float(times[-1]) if time_s is None else float(time_s)
-            at = int(
-                np.clip(np.searchsorted(times, now_s, "right") - 1, 0, len(times) - 1)
-            )
-            if times[at] == self._shown_s:
+            times_s = self._rows[:, COLUMN["time_s"]]
+            shown_s = times_s[-1] if time_s is None else time_s
+            index = int(np.searchsorted(times_s, shown_s, "right")) - 1
+            index = max(index, 0)
+            if times_s[index] == self._shown_s:
                 return
-            self._draw(at)
-            self._shown_s = float(times[at])
+            self._draw(index)
+            self._shown_s = float(times_s[index])
 
     def follow(self) -> None:
         """Show the newest, unless somebody has moved the time line."""
         if self._live.value:
             self.show()
 
-    def _draw(self, at: int) -> None:
-        row = self._rows[at]
-        ring, label = self._ahead
-        seen = _Seen(row, self._plan)
+    def _draw(self, index: int) -> None:
+        """Draw the row of an index, and what had happened until then."""
+        row_values = self._rows[index]
+        row = _view_row_of(row_values)
         with self._server.atomic():
-            tip, axis = self._arm.update(row[len(FIELDS) :])
-            past = [
-                mark for mark in self.marks if mark.time_s <= seen.time_s < mark.until_s
-            ]
-            for mark in self.marks:
-                for handle in mark.handles:
-                    handle.visible = mark in past
-            ring.visible = label.visible = bool(np.isfinite(seen.plan_next_m))
-            if ring.visible:
-                ring.position = tuple(tip + (seen.plan_next_m - seen.depth_m) * axis)
-                ring.wxyz = nodes.turned_to(axis)
-                label.text = f"{seen.next_name}, expected"
-            self._slider.max = max(float(self._rows[-1, 0]), 0.01)
+            needle = self._arm.update(_joints_of(row_values))
+            self._draw_marks(row)
+            self._draw_expected(row, needle)
+            latest_s = float(self._rows[-1, COLUMN["time_s"]])
+            self._slider.max = max(latest_s, MIN_SPAN_S)
             if self._live.value:
-                self._slider.value = round(seen.time_s, 2)
-            self._text.content = "\n\n".join(seen.lines())
-            self._events.content = "\n".join(f"- {mark.text}" for mark in past)
-            self._bar.value = float(np.clip(100.0 * seen.tip_N / MOST_N, 0.0, 100.0))
-            self._draw_curves(at)
-        if self._shown_s < 0.0:  # the first
-            self._server.initial_camera.look_at = tuple(tip)
-            self._server.initial_camera.position = tuple(tip + nodes.CAMERA_m)
+                self._slider.value = round(row.time_s, 2)
+            lines = state_lines(row, self._names, FULL_BAR_N)
+            self._text.content = "\n\n".join(lines)
+            percent = 100.0 * row.tip_N / FULL_BAR_N
+            self._bar.value = float(np.clip(percent, 0.0, 100.0))
+            self._draw_curves(index)
+        if self._shown_s is None:
+            camera = self._server.initial_camera
+            camera.look_at = tuple(needle.tip_m)
+            camera.position = tuple(needle.tip_m + nodes.CAMERA_M)
 
-    def _draw_curves(self, at: int) -> None:
-        rows = self._rows[: at + 1]
-        good = rows[rows[:, AT["is_good"]] > 0.0]
-        good = good[:: max(len(good) // POINTS, 1)]
+    def _draw_marks(self, row: ViewRow) -> None:
+        """Show the ruptures known at a row, and hide the others."""
+        texts = []
+        for mark in self.marks:
+            is_known = mark.time_s <= row.time_s < mark.until_s
+            mark.ring.set_visible(is_known)
+            if is_known:
+                texts.append(f"- {mark.text}")
+        self._events.content = "\n".join(texts)
+
+    def _draw_expected(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
+        """Show where the next boundary is expected, if one is."""
+        is_expected = bool(np.isfinite(row.plan_next_m))
+        self._ahead.set_visible(is_expected)
+        if is_expected:
+            distance_m = row.plan_next_m - row.depth_m
+            self._ahead.move(needle.tip_m + distance_m * needle.axis, needle.axis)
+            next_name = next_layer_name(row, self._names)
+            self._ahead.label.text = f"{next_name}, expected"
+
+    def _draw_curves(self, index: int) -> None:
+        """Draw the forces until a row, where they were good."""
+        rows = self._rows[: index + 1]
+        rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
+        rows = rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
         curves = []
-        for value, std, _ in CURVES.values():
-            middle = good[:, AT[value]]
-            band = 2.0 * good[:, AT[std]]
-            curves += [middle, middle + band, middle - band]
-        self._plots["time [s]"].data = (good[:, 0], *curves)
+        for curve in CURVES:
+            force_N = rows[:, COLUMN[curve.field]]
+            band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
+            curves += [force_N, force_N + band_N, force_N - band_N]
+        time_s = rows[:, COLUMN["time_s"]]
+        self._plots[TIME_LABEL].data = (time_s, *curves)
+
         # A curve over depth runs forth and back: only what is deeper than all before.
-        depth = good[:, AT["depth_m"]]
-        deeper = depth >= np.maximum.accumulate(depth)
-        self._plots["depth [mm]"].data = tuple(
-            values[deeper] for values in (1e3 * depth, *curves)
+        depth_m = rows[:, COLUMN["depth_m"]]
+        is_deepest = depth_m >= np.maximum.accumulate(depth_m)
+        self._plots[DEPTH_LABEL].data = tuple(
+            values[is_deepest] for values in (M_TO_MM * depth_m, *curves)
         )
 
-    def _scrubbed(self, event: Any) -> None:
+    def _show_slider_time(self, event: Any) -> None:
+        """Show the time that somebody has moved the time line to."""
         if event.client is not None:  # by hand, not by the program
             self._live.value = False
             self.show(self._slider.value)
 
     def _replay(self) -> None:
-        """From where the time line stands to its end, in real time."""
+        """Play from where the time line stands to its end, in real time."""
         self._live.value = False
         self._play.disabled = True
-        now_s = float(self._slider.value)
-        last_s = self._slider.max
-        begin_s = time.monotonic() - (0.0 if now_s >= last_s - FRAME_s else now_s)
-        while (now_s := time.monotonic() - begin_s) < last_s + FRAME_s:
-            self._slider.value = round(min(now_s, last_s), 2)
-            self.show(now_s)
-            time.sleep(FRAME_s)
+        start_s = float(self._slider.value)
+        end_s = self._slider.max
+        if start_s >= end_s - FRAME_S:
+            start_s = 0.0
+        begin_s = time.monotonic() - start_s
+        while (shown_s := time.monotonic() - begin_s) < end_s + FRAME_S:
+            self._slider.value = round(min(shown_s, end_s), 2)
+            self.show(shown_s)
+            time.sleep(FRAME_S)
         self._play.disabled = False
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
-        """Write the scene as one page that needs nothing else, with the insertion as a
-        film.
+        """Write the scene as one page that needs nothing else, with a film.
+
+        Args:
+            path: Of the page.
+            frames: Pictures of the film, from the first row to the last.
 
         Raises:
             SceneError: Nothing was shown yet, or the file cannot be written.
@@ -326,12 +388,12 @@ class Viewer:
         if not len(self._rows):
             raise SceneError("nothing to export: no rows have come")
         serializer = self._server.get_scene_serializer()
-        first_s, last_s = self._rows[[0, -1], 0].tolist()
-        times, step_s = np.linspace(
-            first_s, max(last_s, first_s + FRAME_s), frames, retstep=True
-        )
-        for now_s in times.tolist():
-            self.show(now_s)
+        times_s = self._rows[:, COLUMN["time_s"]]
+        start_s = float(times_s[0])
+        end_s = max(float(times_s[-1]), start_s + FRAME_S)
+        frame_times_s, step_s = np.linspace(start_s, end_s, frames, retstep=True)
+        for shown_s in frame_times_s.tolist():
+            self.show(shown_s)
             serializer.insert_sleep(float(step_s))
         try:
             with whole_file(path) as file:
@@ -343,3 +405,13 @@ class Viewer:
     def stop(self) -> None:
         """Close the page."""
         self._server.stop()
+
+
+def _view_row_of(row_values: Array) -> ViewRow:
+    """Return the fields of a row of numbers."""
+    return ViewRow(*row_values[: len(FIELDS)].tolist())
+
+
+def _joints_of(row_values: Array) -> Array:
+    """Return the joint positions of a row of numbers, shape (n,) [rad]."""
+    return row_values[len(FIELDS) :]

@@ -99,6 +99,12 @@ def plan():
     )
 
 
+def is_shown(mark):
+    """Whether a mark is visible with its label; they are shown and hidden together."""
+    assert mark.ring.line.visible == mark.ring.label.visible
+    return mark.ring.line.visible
+
+
 @pytest.fixture
 def viewer():
     page = Viewer(load_lwr(payload=NeedleTool()), plan(), port=8231)
@@ -134,20 +140,20 @@ def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(v
     (mark,) = viewer.marks
     assert mark.text == "rupture 1 at 12.0 mm"
     assert mark.time_s == pytest.approx(6.0)
-    assert all(handle.visible for handle in mark.handles)
+    assert is_shown(mark)
     viewer.show(3.0)
-    assert not any(handle.visible for handle in mark.handles)
+    assert not is_shown(mark)
     viewer.show(7.0)
-    assert all(handle.visible for handle in mark.handles)
+    assert is_shown(mark)
     viewer.show(1.0)
     later = insertion(260)[200:]
     later[30, FIELDS.index("rupture")] = 2.0
     viewer.append(later)  # while somebody looks at the past
     viewer.show(1.0)
-    assert not any(handle.visible for handle in viewer.marks[1].handles)
+    assert not is_shown(viewer.marks[1])
     viewer.append(np.array([row(13.001), row(13.002, 0.03, 3.0)]))  # in one slot
     viewer.show()
-    assert all(handle.visible for handle in viewer.marks[2].handles)
+    assert is_shown(viewer.marks[2])
 
 
 def test_before_the_tare_no_curve_is_shown(viewer):
@@ -180,7 +186,7 @@ def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
     assert [mark.text for mark in viewer.marks] == texts
     for time_s, shown in ((1.9, [0, 0]), (2.5, [1, 0]), (3.5, [0, 0]), (4.0, [0, 1])):
         viewer.show(time_s)
-        assert [mark.handles[0].visible for mark in viewer.marks] == shown
+        assert [is_shown(mark) for mark in viewer.marks] == shown
     assert "in **rib** (93 %)\n" in viewer._text.content
     assert not ring.visible
 

@@ -1,0 +1,74 @@
+"""A row of the page in words; behind ± stand two standard deviations."""
+
+import math
+from collections.abc import Iterator, Mapping
+
+from needleforce.scene.nodes import PlanScene
+from needleforce.scene.state_ring import ViewRow
+
+M_TO_MM = 1e3
+OUTSIDE = -1
+"""Number of the place before the first planned layer."""
+
+
+def layer_names(plan: PlanScene) -> dict[float, str]:
+    """Return the names of planned layers by their numbers."""
+    names: dict[float, str] = {OUTSIDE: "outside"}
+    names |= {number: layer.name for number, layer in enumerate(plan.layers)}
+    return names
+
+
+def next_layer_name(row: ViewRow, names: Mapping[float, str]) -> str:
+    """Return the name of the planned layer behind the present one; empty for none."""
+    return names.get(row.plan_layer + 1.0, "")
+
+
+def rupture_text(row: ViewRow, names: Mapping[float, str]) -> str:
+    """Return the rupture of a row, and the planned layer that it led into."""
+    depth_mm = M_TO_MM * row.rupture_depth_m
+    text = f"rupture {row.rupture:.0f} at {depth_mm:.1f} mm"
+    if math.isnan(row.plan_matched):
+        return text
+    is_boundary = row.plan_matched >= 0.0
+    next_name = names.get(row.plan_matched, "")
+    meaning = f"into {next_name}" if is_boundary else "a false alarm"
+    return f"{text}: {meaning} ({100.0 * row.plan_matched_probability:.0f} %)"
+
+
+def state_lines(
+    row: ViewRow, names: Mapping[float, str], full_bar_N: float
+) -> Iterator[str]:
+    """Yield where the needle is, the forces, and what they say of the plan.
+
+    Args:
+        row: The tick.
+        names: Of the planned layers, by number.
+        full_bar_N: Tip force at which the bar of the page is full.
+    """
+    doubt = "" if row.is_good else " (not tared, or doubtful)"
+    yield (
+        f"**{row.time_s:.1f} s** at {M_TO_MM * row.depth_m:.1f} mm, "
+        f"layer {row.layer:.0f}"
+    )
+    yield f"force {row.force_N:.2f} ± {2.0 * row.force_std_N:.2f} N{doubt}"
+    yield (
+        f"**tip force {row.tip_N:.2f} ± {2.0 * row.tip_std_N:.2f} N**, "
+        f"shaft friction {row.friction_N:.2f} N; the bar is full at {full_bar_N:g} N"
+    )
+    if not math.isnan(row.plan_layer):
+        yield from _plan_lines(row, names)
+
+
+def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
+    """Yield in which planned layer the needle is, and how far the plan is off."""
+    name = names.get(row.plan_layer, "")
+    place = f"in **{name}** ({100.0 * row.plan_probability:.0f} %)"
+    next_name = next_layer_name(row, names)
+    if next_name:
+        next_mm = M_TO_MM * row.plan_next_m
+        next_band_mm = 2.0 * M_TO_MM * row.plan_next_std_m
+        place += f", {next_name} at {next_mm:.1f} ± {next_band_mm:.1f} mm"
+    yield place
+    offset_mm = M_TO_MM * row.plan_offset_m
+    offset_band_mm = 2.0 * M_TO_MM * row.plan_offset_std_m
+    yield f"all lies {offset_mm:+.1f} ± {offset_band_mm:.1f} mm deeper than planned"
