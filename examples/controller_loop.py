@@ -14,32 +14,46 @@ arm = simulate("gel-25-constant", "clean")  # one gel, a well-kept LWR 4+
 
 
 def read_arm():
-    """Time [s], positions [rad], velocities [rad/s] (or None) and torques [Nm] of
-    every tick."""
-    sent = arm.signals
+    """Yield the signals of every tick.
+
+    They are time [s], positions [rad], velocities [rad/s] (or None) and torques [Nm].
+    """
+    signals = arm.signals
     yield from zip(
-        sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True
+        signals.t_s.tolist(),
+        signals.q_rad,
+        signals.dq_rad_s,
+        signals.tau_Nm,
+        strict=True,
     )
 
 
 session = InsertionSession(arm.robot)
-last_s = 0.0
+previous_s = 0.0
 worst_N = 0.0
+
 for t_s, q, dq, tau in read_arm():
-    now = session.update(q, dq, tau, t_s - last_s)  # never raises for a bad sample
-    last_s = t_s
-    if not session.tared and t_s > arm.tare_end_s:  # the needle is still in free air
+    # A bad sample does not raise: the status reports it.
+    estimate = session.update(q, dq, tau, t_s - previous_s)
+    previous_s = t_s
+
+    # Tare once, while the needle is still in free air.
+    if not session.tared and t_s > arm.tare_end_s:
         session.tare()
         gc.freeze()  # what lives until now lives on: the garbage collector may skip it
-    if now.status is not Status.OK or now.warnings:
-        continue  # no force of this tick, or an uncertain one: hold the last command
-    if now.wrench.axial + 2.0 * now.wrench.axial_std > LIMIT_N:
+
+    # Without a force of this tick, or with a doubtful one, hold the last command.
+    if estimate.status is not Status.OK or estimate.warnings:
+        continue
+
+    wrench = estimate.wrench
+    if wrench.axial + 2.0 * wrench.axial_std > LIMIT_N:
         pass  # slow down or stop
-    worst_N = max(worst_N, now.identification.tip_force_N)
-    if (rupture := now.identification.rupture) is not None:
-        print(
-            f"{t_s:6.2f} s: layer {rupture.layer} ruptured at "
-            f"{1e3 * rupture.depth_m:.1f} mm"
-        )
+    worst_N = max(worst_N, estimate.identification.tip_force_N)
+
+    rupture = estimate.identification.rupture
+    if rupture is not None:
+        depth_mm = 1e3 * rupture.depth_m
+        print(f"{t_s:6.2f} s: layer {rupture.layer} ruptured at {depth_mm:.1f} mm")
 
 print(f"at most {worst_N:.2f} N at the tip; {session.rejected} samples rejected")

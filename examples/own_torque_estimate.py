@@ -1,33 +1,32 @@
-"""A robot that estimates external torque itself: tare, wrench and layers from that
-torque."""
+"""A robot that estimates the external torque itself: tare, wrench and layers from it."""
 
 import numpy as np
 
 from groundtruth import simulate
 from needleforce import InsertionSession
 
-arm = simulate("gel-25-constant", "ideal")
-rng = np.random.default_rng(0)
+OFFSET_Nm = 0.2
+NOISE_Nm = 0.02
+TICK_s = 1e-3
+
 # What such a robot sends: the external torque, with an offset and some noise.
-estimates = (
-    arm.truth.external_torque_Nm
-    + 0.2
-    + 0.02 * rng.standard_normal((len(arm.truth.t_s), 7))
-)
+arm = simulate("gel-25-constant", "ideal")
+true_Nm = arm.truth.external_torque_Nm
+noise = np.random.default_rng(0).standard_normal(true_Nm.shape)
+external_torque_Nm = true_Nm + OFFSET_Nm + NOISE_Nm * noise
 
 session = InsertionSession(arm.robot)
-forces = []
-for t_s, q, external_torque in zip(
-    arm.signals.t_s, arm.signals.q_rad, estimates, strict=True
+forces_N = []
+for t_s, q, torque in zip(
+    arm.signals.t_s, arm.signals.q_rad, external_torque_Nm, strict=True
 ):
-    now = session.update_external_torque(
-        q, None, external_torque, 1e-3
-    )  # None: no velocities
+    # This robot sends no velocities: None.
+    estimate = session.update_external_torque(q, None, torque, TICK_s)
     if not session.tared and t_s > arm.tare_end_s:
         session.tare()
-    forces.append(now.wrench.axial)
-    if now.identification.identified_layer is not None:
-        break  # the gel is known
+    forces_N.append(estimate.wrench.axial)
+    if estimate.identification.identified_layer is not None:
+        break
 
-(layer,) = session.layers
-print(f"at most {max(forces):.2f} N; the gel is {1e3 * layer.thickness_m:.1f} mm thick")
+(gel,) = session.layers
+print(f"at most {max(forces_N):.2f} N; the gel is {1e3 * gel.thickness_m:.1f} mm thick")

@@ -6,37 +6,41 @@ medical device.
 
 import math
 
+import numpy as np
+
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Trocar
 from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
 
-# entry above the tip, circle, time for one turn
-ENTRY_m = 0.08
-RADIUS_m = 0.01
-TURN_s = 2.0
+ENTRY_m = 0.08  # height of the entry above the tip
+RADIUS_m = 0.01  # of the circle
+TURN_s = 2.0  # time for one turn
+
 trocar = Trocar(behind_tip_m=ENTRY_m)
 arm = SimulatedArm(plant="clean", contacts=[trocar], duration_s=TURN_s + 0.5)
+
 control = Controller(arm.robot, Limits(arm.robot))
 tool = control.tool
 tool.update(next(arm).q_rad)
 start_m = tool.tip_m
 
-entry = RemoteCentre(
-    start_m - ENTRY_m * tool.axis
-)  # first: whatever comes below, it holds
+# The first task has priority: whatever comes below, the entry holds.
+entry = RemoteCentre(start_m - ENTRY_m * tool.axis)
 tip = TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=10.0)
-stack = [entry, tip, Posture(arm.home_rad)]
+tasks = [entry, tip, Posture(arm.home_rad)]
 
 worst_m = 0.0
 for sample in arm:
     angle = 2.0 * math.pi * min(arm.time_s / TURN_s, 1.0)
-    offset = RADIUS_m * (1.0 - math.cos(angle)), RADIUS_m * math.sin(angle), 0.0
-    tip.goal_m = start_m + offset
-    command = control.update(sample, stack)  # never raises; within all limits
+    x_m = RADIUS_m * (1.0 - math.cos(angle))
+    y_m = RADIUS_m * math.sin(angle)
+    tip.goal_m = start_m + np.array([x_m, y_m, 0.0])
+
+    command = control.update(sample, tasks)  # never raises; within all limits
     arm.send(command.dq_rad_s)
     worst_m = max(worst_m, arm.distance_to_axis_m(trocar.point_m))
 
-back_m = math.dist(arm.truth.tip_m, start_m)
+missed_m = math.dist(arm.truth.tip_m, start_m)
 print(
-    f"entry held within {1e3 * worst_m:.3f} mm; tip back within {1e3 * back_m:.2f} mm"
+    f"entry held within {1e3 * worst_m:.3f} mm; tip back within {1e3 * missed_m:.2f} mm"
 )

@@ -6,34 +6,46 @@ from pathlib import Path
 from groundtruth import simulate
 from needleforce import InsertionSession, read_snapshot, write_snapshot
 
+TICK_s = 1e-3
+FIVE_SECONDS = 5000  # ticks
+
 arm = simulate("gel-25-constant", "clean")
-sent = arm.signals
+signals = arm.signals
 ticks = list(
-    zip(sent.t_s.tolist(), sent.q_rad, sent.dq_rad_s, sent.tau_Nm, strict=True)
+    zip(
+        signals.t_s.tolist(),
+        signals.q_rad,
+        signals.dq_rad_s,
+        signals.tau_Nm,
+        strict=True,
+    )
 )
 middle = len(ticks) // 2
 
 
-def feed(session, part):
-    for t_s, q, dq, tau in part:
+def feed(session, ticks):
+    """Update a session with some ticks, and return the last estimate."""
+    for t_s, q, dq, tau in ticks:
         if not session.tared and t_s > arm.tare_end_s:
             session.tare()
-        now = session.update(q, dq, tau, 1e-3)
-    return now
+        estimate = session.update(q, dq, tau, TICK_s)
+    return estimate
 
 
 with tempfile.TemporaryDirectory() as folder:
-    file = Path(folder) / "insertion.json"
-    one = InsertionSession(arm.robot)
-    feed(one, ticks[:middle])
-    write_snapshot(one.snapshot(), file)
+    file = Path(folder) / "insertion.snapshot"
 
-    other = InsertionSession(arm.robot)  # the same robot and settings, another process
-    other.restore(read_snapshot(file))
+    stopped = InsertionSession(arm.robot)
+    feed(stopped, ticks[:middle])
+    write_snapshot(stopped.snapshot(), file)
 
-rest = ticks[middle : middle + 5000]
-here = feed(one, rest)
-there = feed(other, rest)
+    # In another process: the same robot and the same settings.
+    resumed = InsertionSession(arm.robot)
+    resumed.restore(read_snapshot(file))
+
+following = ticks[middle : middle + FIVE_SECONDS]
+here = feed(stopped, following)
+there = feed(resumed, following)
 assert here.wrench.axial == there.wrench.axial
 assert here.identification == there.identification
 print(f"both read {here.wrench.axial:.6f} N five seconds later")

@@ -5,8 +5,8 @@ records, enumerations, numbers, texts, tuples and arrays of float64. What a stat
 is said by its types:
 
 - Every value is of the type that its field is annotated with.
-- Every number is finite and at most `MAX_NUMBER`, except in fields that the record
-  names in a class attribute ``MAY_BE_INFINITE``.
+- Every number is finite and at most `MAX_NUMBER`; numbers of fields that the record
+  names in a class attribute ``MAY_BE_INFINITE`` may also be infinite.
 - Every array has the shape of the same array in a reference state, usually that of a
   new estimator. The number of rows is free in fields that the record names in a class
   attribute ``GROWING``.
@@ -108,9 +108,9 @@ def _check_record(record: Any, reference: Any, place: str) -> None:
         value = getattr(record, name)
         where = f"{place}.{name}"
         _check_type(value, hints[name], where)
-        if name in unlimited and isinstance(value, float) and math.isinf(value):
-            continue
         like = getattr(reference, name, None)
+        if name in unlimited and isinstance(value, float | np.ndarray):
+            value = np.where(value == math.inf, 0.0, value)
         if isinstance(value, np.ndarray):
             _check_array(value, like, where, rows_are_free=name in growing)
         else:

@@ -9,7 +9,7 @@ package; each is imported when it is first used, so that ``import needleforce`` 
 next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `snapshot`; then the packages `recordings`, `plots`, `cli`, `control` (what
+it), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`, `control` (what
 moves the needle), `anatomy` (what it enters).
 """
 
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
     from needleforce.session import SessionSnapshot as SessionSnapshot
-    from needleforce.snapshot import SnapshotFileError as SnapshotFileError
-    from needleforce.snapshot import read_snapshot as read_snapshot
-    from needleforce.snapshot import write_snapshot as write_snapshot
+    from needleforce.state import SnapshotFileError as SnapshotFileError
+    from needleforce.state import read_snapshot as read_snapshot
+    from needleforce.state import write_snapshot as write_snapshot
     from residual import SensorConfig as SensorConfig
     from residual import SensorWarning as SensorWarning
     from residual import Status as Status
@@ -46,7 +46,7 @@ _NAMES_OF = {
     "identification": "Estimate Identifier LayerEstimate MultilayerConfig PublishedConfig Rupture "
     "replay",
     "needleforce.session": "InsertionError InsertionSession SessionEstimate SessionSnapshot",
-    "needleforce.snapshot": "SnapshotFileError read_snapshot write_snapshot",
+    "needleforce.state": "SnapshotFileError read_snapshot write_snapshot",
     "residual": "SensorConfig SensorWarning Status VirtualForceSensor WrenchEstimate",
     "urdf": "NeedleTool Payload Robot load_lwr load_urdf",
 }

@@ -160,6 +160,8 @@ class SingleSignalDetector:
         longest_s: The longest of the times in `still_s` [s].
     """
 
+    MAY_BE_INFINITE = ("limit_s",)
+
     values: Array
     still_s: Array
     limit_s: Array

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from foundation.state import MAX_FILE_BYTES, STATE_VERSION
 from identification import MULTILAYER, PUBLISHED, RuptureState
 from needleforce import (
     InsertionError,
@@ -18,7 +19,6 @@ from needleforce import (
     read_snapshot,
     write_snapshot,
 )
-from needleforce.snapshot import MOST_BYTES, SNAPSHOT_VERSION
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from tests.insertion_run import (
     following,
@@ -189,20 +189,22 @@ def sealed(envelope, plain):
 
 def test_files_that_are_no_snapshots_say_so(tmp_path):
     path, envelope, plain = written(tmp_path)
-    assert envelope["version"] == SNAPSHOT_VERSION
+    assert envelope["version"] == STATE_VERSION
     encode = msgspec.msgpack.encode
     for content, match in [
         (encode(envelope | {"version": 99}), "version 99"),
         (encode(envelope | {"format": "other"}), "'other'"),
-        (encode([]), "no snapshot"),
+        (encode([]), "holds no state"),
         (encode(envelope | {"data": b""}), "sha256"),
         (encode(envelope | {"kind": "Popen"}), "'Popen'"),
-        (encode(envelope | {"method": "os.system"}), r"'os\.system'"),
+        (encode(envelope | {"kind": "session, x"}), "'session, x'"),
+        (encode(envelope | {"kind": "sensor"}), "damaged"),
+        (encode(envelope | {"method": "os.system"}), "`method`"),
         (sealed(envelope, None), "damaged"),
         (sealed(envelope, plain[:-1]), "damaged"),
         (path.read_bytes()[:1000], "cut short"),
         (b"", "cut short"),
-        (bytes(MOST_BYTES + 1), "64 MB"),
+        (bytes(MAX_FILE_BYTES + 1), "64 MB"),
     ]:
         path.write_bytes(content)
         with pytest.raises(SnapshotFileError, match=match):
