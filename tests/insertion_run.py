@@ -56,14 +56,14 @@ def tare_index(run):
 def insert(session, last=None, *, with_velocity=True):
     """Every estimate of the short run up to a sample, tared where a user would."""
     tare = tare_index(short_run())
-    found = []
+    estimates = []
     for k, sample in samples(short_run(), with_velocity=with_velocity):
         if k == tare:
             session.tare()
-        found.append(session.update(*sample))
+        estimates.append(session.update(*sample))
         if k == last:
             break
-    return found
+    return estimates
 
 
 @cache

@@ -30,9 +30,9 @@ PRODUCT = (
     "needleforce",
 )
 ALL = (*PRODUCT, "benchmarks")
-MOST_FILES_PER_UPDATE = 25
-MOST_FILES_PER_ROW = 16
-LONGEST_CHAIN = 14
+MAX_FILES_PER_UPDATE = 25
+MAX_FILES_PER_ROW = 16
+MAX_CHAIN = 14
 
 
 def file_of(code):
@@ -53,12 +53,12 @@ def profiled(on_call):
         if event == "call":
             on_call(frame)
 
-    before = sys.getprofile()
+    previous = sys.getprofile()
     sys.setprofile(note)
     try:
         yield
     finally:
-        sys.setprofile(before)
+        sys.setprofile(previous)
 
 
 def files_passed(work):
@@ -78,17 +78,17 @@ def test_one_update_of_the_chain_passes_few_files():
     session = InsertionSession(run.robot)
     tare = tare_index(run)
     touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
-    found = []
+    files = []
     for k, sample in enumerate(JointSignals.of_run(run).samples()[: touched + 3000]):
         if k == tare:
             session.tare()
         if k > touched and k % 10 == 0:
-            found.append(files_passed(lambda sample=sample: session.update(*sample)))
+            files.append(files_passed(lambda sample=sample: session.update(*sample)))
         else:
             session.update(*sample)
-    most = max(found, key=len)
-    assert "needleforce/session.py" in most
-    assert len(most) <= MOST_FILES_PER_UPDATE, listed(most)
+    busiest = max(files, key=len)
+    assert "needleforce/session.py" in busiest
+    assert len(busiest) <= MAX_FILES_PER_UPDATE, listed(busiest)
 
 
 def files_of_a_row(log, out):
@@ -99,47 +99,47 @@ def files_of_a_row(log, out):
     is in both.
     """
     update = VirtualForceSensor.update.__code__
-    before = set()
+    setup = set()
     between = set()
-    since = set()
+    latest = set()
 
     def note(frame):
         code = frame.f_code
         above = frame
         if code is update:
-            between.update(since)
-            since.clear()
+            between.update(latest)
+            latest.clear()
             note.is_running = True
         # What the sensor itself passes, in an update or at the tare, is not on the way
         # to it.
         while above is not None and above.f_code.co_filename != update.co_filename:
             above = above.f_back
         if above is None:
-            (since if note.is_running else before).add(code)
+            (latest if note.is_running else setup).add(code)
 
     note.is_running = False
     with profiled(note):
         assert main(["force", str(log), "--tare", "0:13", "-o", str(out)]) == 0
-    return {name for name in map(file_of, before & between) if name}
+    return {name for name in map(file_of, setup & between) if name}
 
 
-def test_a_row_of_csv_passes_few_files_on_its_way_to_the_sensor(lwr, tmp_path):
+def test_a_csv_row_passes_few_files(lwr, tmp_path):
     write_insertion(tmp_path / "log.csv", lwr, seconds=15.0, contact_s=14.0)
-    found = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
-    assert found
-    assert len(found) <= MOST_FILES_PER_ROW, listed(found)
+    files = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
+    assert files
+    assert len(files) <= MAX_FILES_PER_ROW, listed(files)
 
 
 @cache
 def modules(packages=PRODUCT):
     """Modules of packages, the product's unless said otherwise, and their files, by
     dotted name."""
-    found = {}
+    paths = {}
     for package in packages:
         for path in sorted((ROOT / package).rglob("*.py")):
             parts = path.relative_to(ROOT).with_suffix("").parts
-            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+            paths[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return paths
 
 
 def imports_of(name, *, ever=False):
@@ -151,15 +151,15 @@ def imports_of(name, *, ever=False):
     """
     known = modules(ALL) if ever else modules()
     tree = ast.parse(known[name].read_text(encoding="utf-8"))
-    wanted = set()
+    imported = set()
     for node in ast.walk(tree) if ever else tree.body:
         if isinstance(node, ast.Import):
-            wanted |= {alias.name for alias in node.names}
+            imported |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             for alias in node.names:
                 inner = f"{node.module}.{alias.name}"
-                wanted.add(inner if inner in known else node.module)
-    return sorted(wanted & set(known) - {name})
+                imported.add(inner if inner in known else node.module)
+    return sorted(imported & set(known) - {name})
 
 
 def longest_chain(graph):
@@ -173,19 +173,19 @@ def longest_chain(graph):
     def chain(name, path):
         assert name not in path, f"a circle of imports: {' -> '.join((*path, name))}"
         if name not in chains:
-            below = [chain(each, (*path, name)) for each in graph[name]]
+            below = [chain(imported, (*path, name)) for imported in graph[name]]
             chains[name] = (name, *max(below, key=len, default=()))
         return chains[name]
 
     return max((chain(name, ()) for name in graph), key=len, default=())
 
 
-def test_chains_of_imports_are_short_and_have_no_circle():
+def test_import_chains_are_short_without_circles():
     longest = longest_chain({name: imports_of(name) for name in modules()})
-    assert len(longest) <= LONGEST_CHAIN, f"{len(longest)}: {' -> '.join(longest)}"
+    assert len(longest) <= MAX_CHAIN, f"{len(longest)}: {' -> '.join(longest)}"
 
 
-def test_no_circle_of_imports_is_hidden_in_functions_or_from_the_interpreter():
+def test_imports_inside_functions_make_no_circle():
     assert longest_chain({name: imports_of(name, ever=True) for name in modules(ALL)})
 
 

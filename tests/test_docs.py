@@ -34,7 +34,9 @@ SAYS = {
     "hand_guidance": r"pushed by 4 N for a second, the tip moved \d+ mm",
     "own_torque_estimate": r"at most 0\.\d\d N; the gel is 2[789]\.\d mm thick",
     "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
-    "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ",
+    "teleoperation": (
+        r"2\d\.\d mm deep, 0\.\d\d N shown\nleast energy .*: -?0\.0\d\d mJ"
+    ),
     "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
     "watched_plan": (
         r"the scene is at http://127.0.0.1:\d+\nrupture at 3\d\.\d mm, into behind\n"
@@ -64,8 +66,8 @@ def examples(text):
 def marked_command(name):
     """The block that `.ci/run` takes from under a mark."""
     pattern = rf"^<!-- command: {name} -->\n```sh\n(.*?)^```$"
-    (found,) = re.findall(pattern, README, re.DOTALL | re.MULTILINE)
-    return found.strip()
+    (command,) = re.findall(pattern, README, re.DOTALL | re.MULTILINE)
+    return command.strip()
 
 
 def test_the_readmes_example_finds_the_layers(monkeypatch):
@@ -73,8 +75,8 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
     (code,) = examples(README)
     names, said = run_example(code)
     truth = names["run"].scenario.layers
-    for found, true in zip(names["session"].layers, truth, strict=True):
-        assert found.thickness_m == pytest.approx(true.thickness_m, abs=1e-3)
+    for layer, true_layer in zip(names["session"].layers, truth, strict=True):
+        assert layer.thickness_m == pytest.approx(true_layer.thickness_m, abs=1e-3)
     assert said.count("rupture of layer") == len(truth)
     assert len(re.findall(r"mm, friction \d\.\d\d ± \d\.\d\d N", said)) == len(truth)
 
@@ -91,7 +93,7 @@ def test_an_example_runs_and_prints_its_result(name, capsys, monkeypatch):
     assert re.match(SAYS[name], capsys.readouterr().out)
 
 
-def test_the_readme_is_short_and_its_first_screen_says_what_and_for_whom():
+def test_the_readme_is_short_and_says_for_whom():
     words = [
         word for word in README.split() if re.search(r"\w", word)
     ]  # no rules of tables
@@ -110,8 +112,8 @@ def test_the_two_commands_install_and_run():
     assert marked_command("run").startswith(
         'pip install ".[bench]" && python -m benchmarks run'
     )
-    wanted = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
-    assert marked_command("test") == wanted
+    command = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
+    assert marked_command("test") == command
 
 
 def test_every_package_has_a_row():
@@ -144,7 +146,9 @@ def test_the_loops_example_makes_a_session():
     assert isinstance(run_example(code)[0]["session"], InsertionSession)
 
 
-@pytest.mark.parametrize("member", [*Status, *(one for one in SensorWarning if one)])
+@pytest.mark.parametrize(
+    "member", [*Status, *(warning for warning in SensorWarning if warning)]
+)
 def test_every_status_and_warning_has_a_row(member):
     assert f"| `{member.name}` |" in LOOP
 
@@ -246,32 +250,32 @@ def tables():
 def resolve(path):
     """The object at a dotted path: modules first, then attributes."""
     parts = path.split(".")
-    found = import_module(parts[0])
-    for depth, part in enumerate(parts[1:], 2):
-        if not hasattr(found, part) and isinstance(found, ModuleType):
+    value = import_module(parts[0])
+    for depth, name in enumerate(parts[1:], 2):
+        if not hasattr(value, name) and isinstance(value, ModuleType):
             import_module(".".join(parts[:depth]))
-        found = getattr(found, part)
-    return found
+        value = getattr(value, name)
+    return value
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_exists(name):
     path, _, argument = name.partition("(")
-    found = resolve(path)
-    assert found is not None
+    value = resolve(path)
+    assert value is not None
     if argument:
-        assert argument.rstrip(")") in inspect.signature(found).parameters
+        assert argument.rstrip(")") in inspect.signature(value).parameters
 
 
-def test_every_row_fills_its_columns_and_every_equation_of_the_paper_has_one():
-    found = list(tables())
-    assert len(found) == 7
-    for header, rows in found:
+def test_every_equation_of_the_paper_has_a_row():
+    all_tables = list(tables())
+    assert len(all_tables) == 7
+    for header, rows in all_tables:
         assert header == COLUMNS
         for row in rows:
             assert len(row) == len(COLUMNS), row
             assert set(re.findall(r"`([^`]*)`", row[1])) <= set(NAMES), row
             assert row[0]
             assert row[1].startswith("`")
-    equations = " ".join(row[-1] for _, rows in found for row in rows)
+    equations = " ".join(row[-1] for _, rows in all_tables for row in rows)
     assert [number for number in range(2, 14) if f"({number})" not in equations] == []

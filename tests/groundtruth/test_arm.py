@@ -34,7 +34,9 @@ from tests.residual.residual_signals import (
 )
 from urdf import NeedleTool, load_lwr
 
-_, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
+CLEAN = PLANT_MODELS["clean"]
+FRI = PLANT_MODELS["fri"]
+DEGRADED = PLANT_MODELS["degraded"]
 EVERY_PLANT = pytest.mark.parametrize("name", PLANT_MODELS)
 GRAVITY = 9.80665
 PUSH_N = 2.5
@@ -48,7 +50,7 @@ POSTURE = np.array([0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0])
 FLANGE_BIAS_N = {0.1: 0.31, 0.2: 0.61, 0.3: 0.92, 1.0: 3.07}
 
 
-def test_blend_ends_at_the_two_tables_and_not_beyond():
+def test_blend_ends_at_the_two_tables():
     for link in blended_links(BARE.model, 0.3):
         assert (
             np.linalg.eigvalsh(pin.PseudoInertia.FromInertia(link).toMatrix()).min()
@@ -80,7 +82,7 @@ def test_blend_biases_the_flange_force_as_published():
         assert abs(wrench[2]) == pytest.approx(bias_N, abs=0.011)
 
 
-def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_the_clean_one():
+def test_degraded_arm_has_the_stated_errors():
     tool = NeedleTool()
     rng = np.random.default_rng(0)
     shifts = [lwr_bodies(tool, DEGRADED, rng).needle.lever for _ in range(60)]
@@ -94,7 +96,7 @@ def test_the_degraded_arm_has_the_stated_com_error_and_at_least_the_errors_of_th
     assert DEGRADED.payload_error > CLEAN.payload_error > 0.0
 
 
-def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_singularities():
+def test_every_path_is_straight_and_well_conditioned():
     start = pose_of(ROBOT, START)
     np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
     in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
@@ -112,7 +114,7 @@ def test_every_path_is_straight_down_between_knots_too_and_far_from_limits_and_s
         assert 0.0 < scenario.motion.deepest_m - scenario.motion.start_m <= REACH_M
 
 
-def test_a_line_that_the_arm_cannot_follow_is_refused():
+def test_a_line_out_of_reach_is_refused():
     with pytest.raises(MotionError, match="no posture reaches"):
         insertion_path(ROBOT, START, (0.0, 2.0))
     with pytest.raises(MotionError, match="limits of lwr_joint_6 are exceeded"):
@@ -121,7 +123,7 @@ def test_a_line_that_the_arm_cannot_follow_is_refused():
         needle_down(ROBOT, np.array([0.0, 1.57, 0.0, -0.02, 0.0, 1.57, 0.0]))
 
 
-def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_rest_to_rest():
+def test_joint_speed_is_the_derivative_of_position():
     gel = SCENARIOS["gel-25-constant"]
     insertion = scenario_motion(scenario_path(ROBOT, gel), gel)
     for q_rad, dq_rad_s in (insertion, joint_excitation(START, 12.0)):
@@ -140,7 +142,7 @@ def test_joint_speed_is_the_derivative_and_free_motion_moves_all_joints_from_res
     assert np.abs(np.diff(motion.q_rad, axis=0)).max() < 1e-3
 
 
-def test_controller_follows_a_fast_free_motion_and_reports_a_lost_one():
+def test_controller_follows_fast_motion_or_reports_it_lost():
     bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
     plant = plant_in(Tissue(()), bodies)
     motion = joint_excitation(START, 10.0)
@@ -176,7 +178,7 @@ def plant_in(law, bodies):
 
 
 @EVERY_PLANT
-def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
+def test_mujoco_and_pinocchio_agree_on_the_dynamics(name):
     bodies = bodies_of(name)
     model = bodies.model()
     physics = arm_model(bodies, TICK_s)
@@ -198,9 +200,7 @@ def test_mujoco_and_pinocchio_agree_on_the_dynamics_of_rigid_bodies(name):
 
 @EVERY_PLANT
 @pytest.mark.parametrize("push_N", [0.0, PUSH_N])
-def test_at_rest_the_sensor_reads_the_weight_beyond_it_less_the_push_of_the_tissue(
-    name, push_N
-):
+def test_sensor_at_rest_reads_weight_less_tissue_force(name, push_N):
     """The push is balanced at the joints through the tip, so nothing moves."""
     bodies = bodies_of(name)
     model = bodies.model()

@@ -24,7 +24,7 @@ FREE = SCENARIOS["free-motion"].motion
 
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE, FREE])
-def test_speed_is_the_rate_of_position_bounded_in_its_change_and_zero_at_rest(motion):
+def test_speed_is_the_bounded_rate_of_position(motion):
     t = np.linspace(-1.0, motion.duration_s + 1.0, 20_001)
     h = 1e-5
     rate = (motion.position_m(t + h) - motion.position_m(t - h)) / (2.0 * h)
@@ -44,14 +44,14 @@ def test_speed_is_the_rate_of_position_bounded_in_its_change_and_zero_at_rest(mo
 
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE])
-def test_the_needle_is_in_air_for_the_tare_and_withdrawal_mirrors_the_insertion(motion):
-    before = np.linspace(0.0, motion.tare_end_s, 5000)
-    after = np.linspace(motion.withdrawal_end_s, motion.duration_s + 1.0, 100)
-    assert (motion.position_m(before) < 0.0).all()
-    assert (motion.position_m(after) < 0.0).all()
-    assert np.ptp(motion.position_m(before)) == pytest.approx(TARE_STROKE_M)
-    signs = np.sign(motion.speed_m_s(before))
-    assert [s for last, s in pairwise(signs) if s and s != last] == [1, -1, 1]
+def test_tare_is_in_air_and_withdrawal_mirrors_insertion(motion):
+    tare_s = np.linspace(0.0, motion.tare_end_s, 5000)
+    end_s = np.linspace(motion.withdrawal_end_s, motion.duration_s + 1.0, 100)
+    assert (motion.position_m(tare_s) < 0.0).all()
+    assert (motion.position_m(end_s) < 0.0).all()
+    assert np.ptp(motion.position_m(tare_s)) == pytest.approx(TARE_STROKE_M)
+    signs = np.sign(motion.speed_m_s(tare_s))
+    assert [s for previous, s in pairwise(signs) if s and s != previous] == [1, -1, 1]
     assert motion.withdrawal_start_s - motion.insertion_end_s == pytest.approx(2.0)
     s = np.linspace(0.0, motion.insertion_end_s - motion.tare_end_s, 1000)
     inward = motion.position_m(motion.insertion_end_s - s)
@@ -59,7 +59,7 @@ def test_the_needle_is_in_air_for_the_tare_and_withdrawal_mirrors_the_insertion(
     assert outward == pytest.approx(inward, abs=1e-12)
 
 
-def test_sinusoidal_insertion_is_the_papers_and_free_motion_stays_above_the_surface():
+def test_sinusoidal_insertion_is_the_papers():
     s = np.linspace(0.0, 0.5 / 0.016, 500)
     expected = 0.035 * (1.0 - np.cos(2.0 * np.pi * 0.016 * s)) - 20e-3
     assert SINE.position_m(SINE.tare_end_s + s) == pytest.approx(expected, abs=1e-12)
@@ -75,7 +75,7 @@ GOOD = {
 }
 
 
-def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
+def test_impossible_motions_are_refused():
     with pytest.raises(MotionError, match="too short"):
         constant_motion(speed_m_s=0.1, depth_m=0.01, standoff_m=0.01)
     with pytest.raises(MotionError, match="above the surface"):
@@ -87,8 +87,8 @@ def test_motions_and_strokes_that_cannot_be_carried_out_are_refused():
             with pytest.raises(MotionError, match=field):
                 make(**{**good, field: value})
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
-    rest = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
-    strokes = tuple(Stroke(**rest, start_s=start_s) for start_s in (0.0, 2.0))
+    resting = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
+    strokes = tuple(Stroke(**resting, start_s=start_s) for start_s in (0.0, 2.0))
     with pytest.raises(MotionError, match="follow each other"):
         Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
@@ -145,22 +145,22 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
     for name, expected_s in (("gel-70-constant", 15.0), ("gel-70-sinusoidal", 20.0)):
         rupture_s = runs[name].truth.rupture_s[0] - runs[name].tare_end_s
         assert rupture_s == pytest.approx(expected_s, abs=2.0)
-    found = runs["stack-constant"].truth.ruptures  # Table I at this speed
-    friction = [rupture.layer_friction_N for rupture in found]
+    ruptures = runs["stack-constant"].truth.ruptures  # Table I at this speed
+    friction = [rupture.layer_friction_N for rupture in ruptures]
     assert friction == pytest.approx(
         [113 * 2.3e-3, 283 * 2.3e-3, 534 * 2.3e-3], rel=0.01
     )
-    assert found[-1].friction_N == pytest.approx(sum(friction), rel=0.01)
+    assert ruptures[-1].friction_N == pytest.approx(sum(friction), rel=0.01)
 
 
 @pytest.mark.parametrize(("name", "count"), RUPTURES.items())
-def test_ruptures_are_the_papers_in_order_and_drop_the_tip_force(runs, name, count):
+def test_ruptures_are_the_papers_in_order(runs, name, count):
     run = runs[name]
-    found = run.truth.ruptures
-    assert len(found) == count
-    assert (np.diff([item.onset_s for item in found]) > 1.0).all()
+    ruptures = run.truth.ruptures
+    assert len(ruptures) == count
+    assert (np.diff([item.onset_s for item in ruptures]) > 1.0).all()
     boundaries = [b for b in Tissue(run.scenario.layers).interfaces if b.drop_N > 0.0]
-    for rupture, boundary in zip(found, boundaries, strict=True):
+    for rupture, boundary in zip(ruptures, boundaries, strict=True):
         assert rupture.end_s > rupture.onset_s
         around = np.abs(run.t_s - rupture.onset_s) < 0.02
         assert rupture.drop_N == pytest.approx(run.truth.tip_N[around].max(), rel=0.01)
@@ -170,7 +170,7 @@ def test_ruptures_are_the_papers_in_order_and_drop_the_tip_force(runs, name, cou
         assert released_m == pytest.approx(boundary.release_m, abs=1e-6)
 
 
-def test_free_motion_meets_nothing_and_reads_noise_as_large_as_stated(runs):
+def test_free_motion_reads_the_stated_noise(runs):
     run = runs["free-motion"]
     assert (run.truth.axial_N == 0.0).all()
     assert run.truth.ruptures == ()
@@ -182,7 +182,7 @@ def test_free_motion_meets_nothing_and_reads_noise_as_large_as_stated(runs):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
-def test_runs_are_equal_for_equal_seeds_and_other_seeds_change_the_noise_only():
+def test_seeds_change_the_noise_only():
     first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
     assert (first.force_N == again.force_N).all()
     assert (first.force_N != other.force_N).any()
@@ -204,9 +204,7 @@ def test_the_rate_changes_the_sampling_not_the_force(name):
 
 
 @pytest.mark.parametrize("name", RUPTURES)
-def test_tissue_acts_inside_only_and_its_tip_never_pulls_nor_its_friction_drives(
-    runs, name
-):
+def test_tissue_never_pulls_and_friction_never_drives(runs, name):
     run = runs[name]
     truth = run.truth
     z = run.depth_m
@@ -232,7 +230,7 @@ def test_unusable_settings_are_refused_by_name():
         ForceNoise(white_std_N=-1.0)
 
 
-def test_drawn_stacks_vary_are_physical_rupture_at_every_boundary_and_end_outside():
+def test_drawn_stacks_are_physical_and_rupture_everywhere():
     assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
     layers = [layer for stack in DRAWN for layer in stack.layers]

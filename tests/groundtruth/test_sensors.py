@@ -19,7 +19,10 @@ from groundtruth.arm_plant import (
 from groundtruth.plant_model import PLANT_MODELS, TICK_s
 from urdf import LWR_GEAR_RATIO
 
-IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
+IDEAL = PLANT_MODELS["ideal"]
+CLEAN = PLANT_MODELS["clean"]
+FRI = PLANT_MODELS["fri"]
+DEGRADED = PLANT_MODELS["degraded"]
 LIMIT_Nm = np.array([176.0, 176.0, 100.0, 100.0, 100.0, 38.0, 38.0])
 N = 60_000
 STILL = np.zeros((N, 7))
@@ -38,7 +41,7 @@ def test_ideal_sensors_are_perfect():
     rng = np.random.default_rng(0)
     true = rng.standard_normal((50, 7))
     time = np.arange(50) * TICK_s
-    for seen, expected in (
+    for measured, expected in (
         (sensors.measured_position(true, IDEAL, rng), true),
         (sensors.measured_velocity(true, IDEAL, rng), true),
         (sensors.measured_torque(true, true, LIMIT_Nm, IDEAL, rng), true),
@@ -46,10 +49,10 @@ def test_ideal_sensors_are_perfect():
         (sensors.time_stamps(time, IDEAL, rng), time),
         (sensors.received_samples(50, IDEAL, rng), np.arange(50)),
     ):
-        np.testing.assert_array_equal(seen, expected)
+        np.testing.assert_array_equal(measured, expected)
 
 
-def test_the_clean_arms_torque_has_white_noise_and_a_bias_as_stated():
+def test_clean_torque_has_stated_white_noise_and_bias():
     change = np.diff(torque_error(CLEAN), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
     expected = np.sqrt(2) * np.array(CLEAN.torque_noise_std_Nm)
@@ -83,7 +86,7 @@ def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
     assert low == pytest.approx(4.0 * plant_model.torque_noise_correlation_s, rel=0.1)
 
 
-def test_torque_drift_over_a_minute_has_the_stated_spread_drawn_for_each_joint():
+def test_torque_drift_has_the_stated_spread():
     wide = replace(
         IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread
     )
@@ -105,7 +108,7 @@ def test_torque_drift_over_a_minute_has_the_stated_spread_drawn_for_each_joint()
     assert ends[:, 1].std() == pytest.approx(expected, rel=0.12)
 
 
-def test_ripple_repeats_twice_per_motor_turn_with_the_stated_amplitude():
+def test_ripple_repeats_twice_per_motor_turn():
     only_ripple = replace(IDEAL, torque_ripple=1e-4)
     turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(LWR_GEAR_RATIO)
     error = torque_error(only_ripple, tau=np.zeros_like(turn), q=turn)
@@ -118,7 +121,7 @@ def test_ripple_repeats_twice_per_motor_turn_with_the_stated_amplitude():
     signal=arrays(float, (30, 3), elements=st.floats(-5.0, 5.0)),
     width=st.floats(0.0, 2.0),
 )
-def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, width):
+def test_backlash_stays_within_its_width(signal, width):
     out = sensors.backlash(signal, np.full(3, width))
     assert (np.abs(out - signal) <= width + 1e-12).all()
     moved = np.diff(out, axis=0) != 0.0
@@ -126,16 +129,16 @@ def test_backlash_stays_within_its_width_and_moves_only_when_pushed(signal, widt
     assert (~moved | at_the_edge).all()
 
 
-def test_position_is_noisy_on_the_encoders_grid_and_velocity_is_noisy_or_missing():
+def test_position_is_rounded_and_velocity_noisy_or_missing():
     rng = np.random.default_rng(0)
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
-    seen = sensors.measured_position(true, CLEAN, rng)
-    steps = seen / CLEAN.position_step_rad
+    measured = sensors.measured_position(true, CLEAN, rng)
+    steps = measured / CLEAN.position_step_rad
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
     expected = np.hypot(
         CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12)
     )
-    assert (seen - true).std() == pytest.approx(expected, rel=0.02)
+    assert (measured - true).std() == pytest.approx(expected, rel=0.02)
     assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(
         2e-4, rel=0.02
     )
@@ -156,7 +159,7 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
     assert (ends / CLEAN.ft_drift_std_per_min).std() == pytest.approx(1.0, rel=0.25)
 
 
-def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated():
+def test_jitter_keeps_order_and_losses_are_as_stated():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
     assert (
@@ -164,9 +167,9 @@ def test_stamps_jitter_in_order_and_losses_are_short_and_as_frequent_as_stated()
     ).all()
     error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
-    kept = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
-    assert kept[[0, -1]].tolist() == [0, 10 * N - 1]
-    gaps = np.diff(kept) - 1
+    received = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
+    assert received[[0, -1]].tolist() == [0, 10 * N - 1]
+    gaps = np.diff(received) - 1
     # touching losses may add up; three per cent of a thousandth
     assert gaps.max() <= 2 * DEGRADED.drop_max_samples
     assert np.isin([1, 2, 3], gaps).all()
@@ -201,7 +204,7 @@ def pushed(friction, push_Nm, inertia, seconds):
     return np.array(angles)
 
 
-def test_a_joint_at_rest_holds_below_the_peak_without_creeping_and_breaks_loose_above_it():
+def test_a_resting_joint_holds_up_to_the_peak():
     for fraction in (0.5, 0.95, 1.4):
         angles = pushed(bearings(), fraction * LEVEL_Nm, inertia=1.0, seconds=20.0)
         assert np.abs(angles).max() < 20.0 * PRESLIDING_rad
@@ -216,9 +219,7 @@ def test_a_joint_at_rest_holds_below_the_peak_without_creeping_and_breaks_loose_
     ("speed", "level"),
     [(1e-3, STRIBECK_PEAK), (STRIBECK_SPEED_rad_s, 1.0 + 0.5 / np.e), (1.0, 1.0)],
 )
-def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(
-    speed, level, direction
-):
+def test_sliding_friction_opposes_motion_at_stribeck_level(speed, level, direction):
     friction = bearings()
     dq = np.full(7, direction * speed)
     for _ in range(round(20.0 * PRESLIDING_rad / (speed * STEP_s)) + 2):
@@ -226,13 +227,13 @@ def test_sliding_friction_is_against_the_motion_at_the_level_of_its_speed(
     np.testing.assert_allclose(torque, -direction * level * LEVEL_Nm, rtol=1e-3)
 
 
-def test_sizes_of_single_joints_are_drawn_within_the_stated_factor():
+def test_joint_sizes_are_drawn_within_the_factor():
     dq = np.ones(7)  # fast sliding, at once beyond presliding
     drawn = replace(IDEAL, joint_coulomb=COULOMB, size_spread=2.0)
-    friction = (
+    arms = (
         BearingFriction(drawn, LIMIT_Nm, np.random.default_rng(k)) for k in range(60)
     )
-    fraction = np.array([-one.step(dq, 1.0) / LEVEL_Nm for one in friction])
+    fraction = np.array([-friction.step(dq, 1.0) / LEVEL_Nm for friction in arms])
     assert 0.5 <= fraction.min() < 0.55
     assert 1.9 < fraction.max() <= 2.0
     assert np.median(fraction) == pytest.approx(1.0, rel=0.1)

@@ -71,9 +71,7 @@ def filtered(torque_Nm):
     return lfilter([1.0 - decay], [1.0, -decay], torque_Nm, axis=0)
 
 
-def test_a_momentum_observer_is_the_ideal_filter_on_the_ideal_arm_only(
-    runs, monkeypatch
-):
+def test_residual_is_ideal_filter_on_ideal_arm_only(runs, monkeypatch):
     def error(run):
         return momentum_residual(run) - filtered(run.truth.external_torque_Nm[:-1])
 
@@ -88,7 +86,7 @@ def test_a_momentum_observer_is_the_ideal_filter_on_the_ideal_arm_only(
     assert np.isnan([free.truth.contact_s, free.truth.withdrawn_s]).all()
 
 
-def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(
+def test_bearing_friction_looks_like_an_external_torque(
     monkeypatch,
 ):
     ideal = replace(PLANT_MODELS["ideal"], joint_coulomb=2e-4)
@@ -101,19 +99,19 @@ def test_bearing_friction_opposes_the_links_and_looks_like_an_external_torque(
     assert power.sum(axis=0).max() < 0.0
     assert np.mean(power[np.abs(truth.speed_m_s) > 1e-3] <= 0.0) > 0.95
     assert np.abs(truth.depth_m - SCENARIO.motion.position_m(truth.t_s)).max() < 1e-4
-    seen = momentum_residual(run)
+    residual_Nm = momentum_residual(run)
     friction = filtered(truth.joint_friction_Nm[:-1])
     assert np.abs(friction).max() > 0.02
     external = filtered(truth.external_torque_Nm[:-1])
-    np.testing.assert_allclose(seen, external + friction, atol=1e-4)
+    np.testing.assert_allclose(residual_Nm, external + friction, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", PLANT_MODELS)
-def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
+def test_needle_follows_its_motion_and_truth_adds_up(runs, name):
     run = runs[name]
     truth = runs[name].truth
-    wanted = run.scenario.motion.position_m(truth.t_s)
-    assert np.abs(truth.depth_m - wanted).max() < 1e-4
+    commanded_m = run.scenario.motion.position_m(truth.t_s)
+    assert np.abs(truth.depth_m - commanded_m).max() < 1e-4
     np.testing.assert_allclose(
         truth.tip_N + truth.friction_N, truth.axial_N, atol=1e-12
     )
@@ -138,14 +136,14 @@ def test_needle_follows_its_motion_and_the_truth_adds_up_in_order(runs, name):
         np.testing.assert_allclose(reading, truth.axial_N, atol=0.01)
 
 
-def test_equal_arguments_give_equal_runs_and_other_seeds_do_not(runs):
-    done: list[float] = []
-    one = runs["degraded"]
-    again = simulate(SCENARIO, "degraded", 1, done.append)
-    assert (done[0], done[-1]) == (0.0, 1.0)
-    assert done == sorted(done)
-    assert len(done) > 5
-    for first, second in ((one.signals, again.signals), (one.truth, again.truth)):
+def test_equal_arguments_give_equal_runs(runs):
+    progress: list[float] = []
+    run = runs["degraded"]
+    again = simulate(SCENARIO, "degraded", 1, progress.append)
+    assert (progress[0], progress[-1]) == (0.0, 1.0)
+    assert progress == sorted(progress)
+    assert len(progress) > 5
+    for first, second in ((run.signals, again.signals), (run.truth, again.truth)):
         for item in fields(first):
             mine = getattr(first, item.name)
             theirs = getattr(second, item.name)
@@ -173,11 +171,11 @@ def test_plant_models_give_what_they_promise(runs):
     names = {item.name for item in fields(Signals)}
     assert names == {"t_s", "q_rad", "dq_rad_s", "tau_Nm", "ft_wrench"}
     robots = [run.robot.model.inertias for run in runs.values()]
-    for one, *others in zip(*robots, strict=True):  # nominal, whatever the arm
-        assert all(one == other for other in others)
+    for link, *others in zip(*robots, strict=True):  # nominal, whatever the arm
+        assert all(link == other for other in others)
 
 
-def test_unknown_names_and_tissue_that_throws_the_arm_off_are_refused():
+def test_unknown_names_and_lost_motions_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")
     with pytest.raises(

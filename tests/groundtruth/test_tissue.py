@@ -36,7 +36,7 @@ bristles = st.floats(-1.0, 1.0)
 lengths = st.floats(1e-5, 1e-2)
 
 
-def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter():
+def test_tip_force_rises_to_the_exit_force():
     for layer in (gel(25), gel(70, membrane=GLOVE), BOVINE_LIVER):
         penetration = np.linspace(0.0, layer.thickness_m - layer.entry_m, 500)
         force = [layer.tip_force_N(float(p)) for p in penetration]
@@ -51,9 +51,7 @@ def test_tip_force_rises_to_the_exit_force_and_cutting_within_a_needle_diameter(
 
 
 @given(force=st.floats(0.1, 100.0), speed=st.floats(1e-4, 0.1), fraction=fractions)
-def test_calibrated_friction_is_the_measured_one_at_its_speed_and_odd_in_speed(
-    force, speed, fraction
-):
+def test_calibrated_friction_is_measured_one_at_reference_speed(force, speed, fraction):
     measured = {
         "force_N_per_m": force,
         "reference_speed_m_s": speed,
@@ -106,9 +104,7 @@ def tips(forces):
 
 
 @given(bristle=bristles, travel=travels, dt=times, length=lengths, fraction=fractions)
-def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
-    bristle, travel, dt, length, fraction
-):
+def test_bristle_step_is_bounded_and_exact(bristle, travel, dt, length, fraction):
     after = bristle_step(bristle, travel, dt, length, fraction)
     assert -1.0 - 1e-12 <= after <= 1.0 + 1e-12
     assert abs(bristle) > 1.0 - fraction or (after - bristle) * travel >= 0.0
@@ -120,7 +116,7 @@ def test_bristle_stays_in_its_range_follows_the_travel_and_half_steps_agree(
 
 
 @pytest.mark.parametrize("percent", TABLE_I_N)
-def test_tip_force_ends_within_the_release_and_withdrawal_is_friction_on_the_length(
+def test_tip_force_is_released_and_withdrawal_is_friction(
     percent,
 ):
     layer = gel(percent)
@@ -161,21 +157,21 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
     assert (np.abs(np.diff(tip)) < 0.02).all()
 
 
-def test_rest_relaxes_the_force_as_the_recordings_show_and_travel_restores_it():
+def test_rest_relaxes_the_force_and_travel_restores():
     layer = BOVINE_LIVER
     law = Tissue((layer,))
-    _, before = advance(law, -1e-3, 25e-3)
+    _, inserted = advance(law, -1e-3, 25e-3)
     resting = [law.step(25e-3, 0.0, 1e-3) for _ in range(60_000)]
-    held = resting[-1].tip_N / before[-1].tip_N
+    held = resting[-1].tip_N / inserted[-1].tip_N
     assert held == pytest.approx(1.0 - layer.relaxed_fraction, abs=0.02)
     assert (np.diff(tips(resting)) <= 0.0).all()
-    _, after = advance(law, 25e-3, 26.5e-3)
-    assert after[-1].tip_N == pytest.approx(
+    _, advanced = advance(law, 25e-3, 26.5e-3)
+    assert advanced[-1].tip_N == pytest.approx(
         layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02
     )
 
 
-def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
+def test_membrane_delays_the_layer_and_its_friction():
     depth, forces = advance(
         Tissue((BOVINE_LIVER,)), -1e-3, BOVINE_CAPSULE.indentation_m + 3e-3
     )
@@ -193,7 +189,7 @@ def test_membrane_holds_back_the_layer_and_the_shaft_then_enters_it_gradually():
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 
-def test_air_gives_no_force_and_an_unusable_sample_is_refused_and_leaves_the_state():
+def test_air_and_refused_samples_change_nothing():
     assert Tissue(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
     assert Tissue(()).interfaces == ()
     tissue = Tissue((gel(25),))

@@ -29,7 +29,7 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
 @pytest.mark.parametrize(
     "name", ["texture-20mN", "release-2mm", "concave", "kept-60", "speed-0.3"]
 )
-def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(name):
+def test_variations_keep_the_boundaries(name):
     plain = scenario("stack-glove-constant", 0)
     run = insert_needle(scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
     assert run.scenario.id == f"stack-glove-constant+{name}"
@@ -44,14 +44,14 @@ def test_a_variation_ruptures_at_the_same_boundaries_and_holds_no_force_outside(
     )
 
 
-def test_texture_has_the_stated_spread_and_correlation_and_belongs_to_the_place():
+def test_texture_has_stated_spread_and_correlation():
     place = np.arange(0.0, 30e-3, 2e-5)
-    found = []
+    forces_N = []
     for seed in range(20):
         texture = Texture.drawn(0.02, 0.5e-3, np.random.default_rng(seed))
-        found.append([texture.force_N(x) for x in place])
-        assert found[-1][7] == texture.force_N(place[7])
-    force = np.array(found)
+        forces_N.append([texture.force_N(x) for x in place])
+        assert forces_N[-1][7] == texture.force_N(place[7])
+    force = np.array(forces_N)
     assert force.std() == pytest.approx(0.02, rel=0.05)
     for lag in (0.25e-3, 0.5e-3, 1e-3):
         apart = round(lag / 2e-5)
@@ -61,23 +61,23 @@ def test_texture_has_the_stated_spread_and_correlation_and_belongs_to_the_place(
         Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
 
 
-def test_kept_tip_force_stays_after_an_internal_rupture_fades_and_ends_at_the_exit():
+def test_kept_tip_force_fades_after_an_internal_rupture():
     layers = (gel(70), gel(70))
-    kept = tuple(varied(layer, kept_fraction=0.6) for layer in layers)
+    keeping = tuple(varied(layer, kept_fraction=0.6) for layer in layers)
     end = 2 * gel(70).thickness_m + 2e-3
     depth, plain = pushed_through(layers, end)
-    _, held = pushed_through(kept, end)
+    _, held = pushed_through(keeping, end)
     extra = np.array([b.tip_N - a.tip_N for a, b in zip(plain, held, strict=True)])
     onset = gel(70).thickness_m
     exit_N = gel(70).exit_force_N
     assert np.abs(extra[depth < onset]).max() == 0.0
     at_release = np.interp(onset + gel(70).release_m, depth, extra)
-    left = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
-    assert at_release == pytest.approx(0.6 * exit_N * left, rel=0.02)
+    remaining = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
+    assert at_release == pytest.approx(0.6 * exit_N * remaining, rel=0.02)
     assert np.abs(extra[depth > onset + KEPT_FADE_M]).max() < 1e-12
 
 
-def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_at_rest():
+def test_friction_follows_powers_of_length_and_speed():
     layer = varied(gel(70), length_exponent=0.6)
     depth, plain = pushed_through((gel(70),), gel(70).thickness_m)
     _, power = pushed_through((layer,), gel(70).thickness_m)
@@ -95,7 +95,7 @@ def test_friction_grows_with_the_stated_powers_of_length_and_speed_and_is_none_a
     assert power.sliding_N_per_m(1e-9) < 1e-3 * slid
 
 
-def test_random_tissue_is_the_random_stack_with_drawn_laws_that_runs():
+def test_random_tissue_is_random_stack_with_drawn_laws():
     rough = "gel-70-constant+texture-20mN"
     assert scenario(rough, 1) == scenario(rough, 1) != scenario(rough, 2)
     assert scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6

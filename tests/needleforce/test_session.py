@@ -40,44 +40,44 @@ def whole():
 
 
 def test_the_chain_finds_force_depth_and_layer(whole):
-    session, found = whole
+    session, estimates = whole
     touched = int(np.searchsorted(RUN.signals.t_s, RUN.truth.contact_s))
-    axial = np.array([e.wrench.axial for e in found])
-    error = (axial - RUN.truth.axial_N[: len(found)])[touched:]
+    axial = np.array([e.wrench.axial for e in estimates])
+    error = (axial - RUN.truth.axial_N[: len(estimates)])[touched:]
     assert np.sqrt(np.mean(error**2)) < 0.05
-    assert len(ruptures(found)) == len(session.layers) == 1
+    assert len(ruptures(estimates)) == len(session.layers) == 1
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
-    assert found[-1].status is Status.OK
-    assert found[-1].used_for_identification
+    assert estimates[-1].status is Status.OK
+    assert estimates[-1].used_for_identification
     assert session.rejected == 0
     assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_depth_and_speed_are_those_of_the_offline_kinematics(whole, with_velocity):
-    last = TARE + 4000
+def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
+    end = TARE + 4000
     sent = RUN.signals
-    found = whole[1]
+    estimates = whole[1]
     if not with_velocity:
-        found = insert(InsertionSession(RUN.robot), last, with_velocity=False)
+        estimates = insert(InsertionSession(RUN.robot), end, with_velocity=False)
     dq = sent.dq_rad_s if with_velocity else None
     signals = JointSignals(
         t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=dq, tau_Nm=sent.tau_Nm
     )
     offline_m, offline_m_s = measured_travel(RUN.robot, signals, RUN.tare_end_s)
-    part = slice(TARE, last + 1)
-    depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in found[part]]).T
+    compared = slice(TARE, end + 1)
+    depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in estimates[compared]]).T
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
     tolerance_m = 2e-5 if with_velocity else 8e-5
-    np.testing.assert_allclose(depth, offline_m[part], atol=tolerance_m)
+    np.testing.assert_allclose(depth, offline_m[compared], atol=tolerance_m)
     np.testing.assert_allclose(
-        speed, offline_m_s[part], atol=2e-6 if with_velocity else 1e-4
+        speed, offline_m_s[compared], atol=2e-6 if with_velocity else 1e-4
     )
-    truth = RUN.truth.depth_m[part] - RUN.truth.depth_m[TARE]
+    truth = RUN.truth.depth_m[compared] - RUN.truth.depth_m[TARE]
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 
 
-def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
+def test_only_valid_tared_forces_are_used():
     session = InsertionSession(RUN.robot)
     lost = range(TARE + 100, TARE + 500)
     estimate = None
@@ -105,7 +105,7 @@ def test_only_valid_tared_forces_of_this_tick_are_used_for_identification():
     assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
 
 
-def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
+def test_refused_tares_and_new_insertions_keep_the_tare():
     session, (first, second) = resumed_after(TARE + 12_000, 2)
     deep = session.update(*first)
     with pytest.raises(TareError, match="start_tare_recording"):
@@ -125,15 +125,15 @@ def test_a_refused_tare_changes_nothing_and_another_insertion_keeps_the_tare():
         session.tare()
 
 
-def test_the_robots_own_external_torque_gives_force_and_speed():
+def test_external_torque_gives_force_and_speed():
     sent = RUN.signals
     truth = RUN.truth
-    last = TARE + 5000
+    end = TARE + 5000
     noise = 0.01 * np.random.default_rng(0).normal(size=truth.external_torque_Nm.shape)
     torque = truth.external_torque_Nm + 0.3 + noise
     for with_velocity in (True, False):
         session = InsertionSession(RUN.robot)
-        for k, dt_s in enumerate(time_steps(RUN)[: last + 1]):
+        for k, dt_s in enumerate(time_steps(RUN)[: end + 1]):
             if k == TARE:
                 session.tare()
             dq = sent.dq_rad_s[k] if with_velocity else None
@@ -141,11 +141,11 @@ def test_the_robots_own_external_torque_gives_force_and_speed():
                 sent.q_rad[k], dq, torque[k], dt_s
             )
             assert estimate.status is not Status.REJECTED
-        assert estimate.wrench.axial == pytest.approx(truth.axial_N[last], abs=0.1)
-        assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[last], abs=3e-4)
+        assert estimate.wrench.axial == pytest.approx(truth.axial_N[end], abs=0.1)
+        assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[end], abs=3e-4)
 
 
-def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
+def test_speed_lag_smooths_over_the_true_time(whole):
     lost, other = (InsertionSession(RUN.robot, speed_lag_s=0.02) for _ in range(2))
     moving = slice(TARE + 4001, TARE + 6001)
     smooth = np.std([e.speed_m_s for e in insert(other, TARE + 6000)[moving]])
@@ -174,9 +174,7 @@ def test_speed_lag_smooths_the_speed_over_the_true_time(whole):
         ((RUN.robot,), {"speed_lag_s": "x"}, "speed_lag_s is 'x', expected a finite"),
     ],
 )
-def test_settings_that_cannot_work_are_refused_with_a_sentence(
-    arguments, options, match
-):
+def test_impossible_settings_are_refused_with_a_sentence(arguments, options, match):
     with pytest.raises(InsertionError, match=match):
         InsertionSession(*arguments, **options)
 
@@ -192,32 +190,32 @@ def test_the_published_settings_run_through(lwr):
 def test_a_clock_that_was_set_takes_no_time(dt_s):
     session, rows = resumed_after(TARE, 52)
     for row in rows[:50]:
-        before = session.update(*row)
-    assert before.used_for_identification
+        earlier = session.update(*row)
+    assert earlier.used_for_identification
     set_back = session.update(*rows[50][:3], dt_s)
     assert set_back.status is Status.REJECTED
     assert not set_back.used_for_identification
     after = session.update(*rows[51])
     assert after.used_for_identification
-    passed_s = after.identification.time_s - before.identification.time_s
+    passed_s = after.identification.time_s - earlier.identification.time_s
     assert passed_s == pytest.approx(rows[51][3])
 
 
-def test_a_force_that_the_identifier_rejects_was_not_used():
+def test_a_force_rejected_by_identifier_is_unused():
     config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
     session = InsertionSession(RUN.robot, identifier_config=config)
     insert(session, TARE)
     kinematics = ToolKinematics(RUN.robot)
-    found = []
+    estimates = []
     for k, (q, dq, tau, dt_s) in enumerate(resumed_after(TARE, 400)[1]):
         kinematics.update(q)
         push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
-        found.append(session.update(q, dq, tau + push, dt_s))
-    assert all(e.used_for_identification for e in found[:100])
-    assert found[-1].status is Status.OK
-    assert found[-1].wrench.axial > 1.0
-    assert found[-1].identification.status is SampleStatus.FORCE_RANGE
-    assert not found[-1].used_for_identification
+        estimates.append(session.update(q, dq, tau + push, dt_s))
+    assert all(e.used_for_identification for e in estimates[:100])
+    assert estimates[-1].status is Status.OK
+    assert estimates[-1].wrench.axial > 1.0
+    assert estimates[-1].identification.status is SampleStatus.FORCE_RANGE
+    assert not estimates[-1].used_for_identification
 
 
 # A push aside is no rupture; one on the elbow looks like one before its mismatch has
@@ -242,77 +240,83 @@ def pushed(rows, force_in_base_N, first, count, joint=None):
 
 
 @pytest.mark.parametrize("first", [100, 112])
-def test_a_push_aside_is_told_apart_from_the_axial_force(first):
+def test_a_lateral_push_is_no_axial_force(first):
     session, rows = resumed_after(INSIDE, 400)
     still, _ = resumed_after(INSIDE, 400)
-    found = [session.update(*row) for row in pushed(rows, (1.0, 0.0, 0.0), first, 400)]
+    estimates = [
+        session.update(*row) for row in pushed(rows, (1.0, 0.0, 0.0), first, 400)
+    ]
     alone = [still.update(*row) for row in rows]
-    assert ruptures(found) == []
-    assert all(e.used_for_identification for e in found)
+    assert ruptures(estimates) == []
+    assert all(e.used_for_identification for e in estimates)
     error = [
-        one.wrench.axial - other.wrench.axial
-        for one, other in zip(found, alone, strict=True)
+        pushed_estimate.wrench.axial - other.wrench.axial
+        for pushed_estimate, other in zip(estimates, alone, strict=True)
     ]
     assert np.abs(error).max() < 0.05
-    last = found[-1].wrench
+    wrench = estimates[-1].wrench
     sideways = np.linalg.norm(
         np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
     )
-    assert last.lateral == pytest.approx(sideways, abs=0.1)
-    assert last.lateral_std < 0.05
+    assert wrench.lateral == pytest.approx(sideways, abs=0.1)
+    assert wrench.lateral_std < 0.05
 
 
 @pytest.mark.parametrize("first", [100, 112])
 def test_a_push_on_the_elbow_raises_no_rupture(first):
     session, rows = resumed_after(INSIDE, 400)
     rows = pushed(rows, (0.0, 2.0, 0.0), first, 400, joint=4)
-    found = [session.update(*row) for row in rows]
-    assert ruptures(found) == []
+    estimates = [session.update(*row) for row in rows]
+    assert ruptures(estimates) == []
     flagged = [
-        k for k, e in enumerate(found) if SensorWarning.MODEL_MISMATCH in e.warnings
+        k for k, e in enumerate(estimates) if SensorWarning.MODEL_MISMATCH in e.warnings
     ]
     assert first < flagged[0] < first + 100
-    assert "do not fit" in found[flagged[0]].wrench.message
-    assert not any(found[k].used_for_identification for k in flagged)
-    assert all(e.status is Status.OK for e in found)
+    assert "do not fit" in estimates[flagged[0]].wrench.message
+    assert not any(estimates[k].used_for_identification for k in flagged)
+    assert all(e.status is Status.OK for e in estimates)
 
 
 @pytest.mark.parametrize(
     ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.4, 2.7))]
 )
-def test_a_push_too_small_for_a_mismatch_shows_in_how_torques_change(count, seconds):
+def test_a_small_push_shows_in_torque_changes(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
-    found = [
+    estimates = [
         session.update(*row)
         for row in pushed(rows, (0.0, 0.5, 0.0), 500, count, joint=4)
     ]
-    flagged = [k for k, e in enumerate(found) if SensorWarning.ARM_PUSHED in e.warnings]
+    flagged = [
+        k for k, e in enumerate(estimates) if SensorWarning.ARM_PUSHED in e.warnings
+    ]
     assert 500 < flagged[0] < 620
     assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
-    assert not any(SensorWarning.MODEL_MISMATCH in e.warnings for e in found)
-    assert found[-1].used_for_identification
-    assert ruptures(found) == []
+    assert not any(SensorWarning.MODEL_MISMATCH in e.warnings for e in estimates)
+    assert estimates[-1].used_for_identification
+    assert ruptures(estimates) == []
 
 
-def test_what_a_push_did_before_it_was_known_is_taken_back():
+def test_a_push_rewinds_to_before_it_began():
     session, rows = resumed_after(INSIDE, 900)
     still, _ = resumed_after(INSIDE, 900)
     history = []
     for row in rows:
         still.update(*row)
-        history.append(still.snapshot().identifier.samples)
+        history.append(still.snapshot().identifier.travel)
     rows = pushed(rows, (0.0, 2.0, 0.0), 700, 200, joint=4)
-    found = (
+    is_detected = (
         SensorWarning.MODEL_MISMATCH in session.update(*row).warnings for row in rows
     )
-    k = next(k for k, is_known in enumerate(found) if is_known)
-    taken = session.snapshot().identifier.samples
-    same = [n for n, samples in enumerate(history) if np.array_equal(samples, taken)]
-    assert k - 520 < same[-1] <= k - 250  # as if nothing had come since
-    assert session.snapshot().unused_s == pytest.approx(1e-3 * (k - same[-1]), abs=2e-3)
+    k = next(k for k, is_known in enumerate(is_detected) if is_known)
+    rewound = session.snapshot().identifier.travel
+    equal_to = [n for n, travel in enumerate(history) if same(travel, rewound)]
+    assert k - 520 < equal_to[-1] <= k - 250  # as if nothing had come since
+    assert session.snapshot().unused_s == pytest.approx(
+        1e-3 * (k - equal_to[-1]), abs=2e-3
+    )
 
 
-def test_a_push_that_begins_in_a_tick_that_is_not_used_is_taken_back_once():
+def test_a_push_beginning_in_unused_ticks_rewinds_once():
     session, rows = resumed_after(INSIDE, 900)
     for row in rows[:700]:
         session.update(*row)
@@ -320,22 +324,24 @@ def test_a_push_that_begins_in_a_tick_that_is_not_used_is_taken_back_once():
     wrench = session.update(*rows[700]).wrench._replace(status=Status.OK)
     for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
         session._process(wrench._replace(warnings=warning))
-    found = session.snapshot()
-    assert same(found.identifier, used.checkpoints.older.identifier)
-    assert found.unused_s == pytest.approx(found.time_s - used.checkpoints.older.time_s)
+    rewound = session.snapshot()
+    assert same(rewound.identifier, used.checkpoints.older.identifier)
+    assert rewound.unused_s == pytest.approx(
+        rewound.time_s - used.checkpoints.older.time_s
+    )
 
 
 @pytest.mark.parametrize(
     ("first", "count", "late"),
     [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 2_150), (-400, 1_200, 1_500)],
 )
-def test_a_rupture_after_or_during_a_push_on_the_elbow_is_found(first, count, late):
+def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     session, rows = resumed_after(INSIDE, 9_000)
-    (there,) = ruptures([session.update(*row) for row in rows])
+    (undisturbed_alarm,) = ruptures([session.update(*row) for row in rows])
     (layer,) = session.layers
     session, rows = resumed_after(INSIDE, 9_000)
-    rows = pushed(rows, (0.0, 2.0, 0.0), there + first, count, joint=4)
-    (found,) = ruptures([session.update(*row) for row in rows])
+    rows = pushed(rows, (0.0, 2.0, 0.0), undisturbed_alarm + first, count, joint=4)
+    (alarm,) = ruptures([session.update(*row) for row in rows])
     # Blocks of the identifier begin elsewhere after the pause.
-    assert max(first + count, -10) < found - there < late
+    assert max(first + count, -10) < alarm - undisturbed_alarm < late
     assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15

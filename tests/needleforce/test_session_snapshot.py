@@ -55,7 +55,7 @@ ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 
 def run_through(session, last, folder, *, with_velocity):
     """Estimates of a run, and the ticks after which a snapshot was written, by tick."""
-    found = []
+    estimates = []
     files = {}
     # While the noise is learnt, while free motion is recorded, in air, in the gel, in
     # its rupture.
@@ -63,8 +63,8 @@ def run_through(session, last, folder, *, with_velocity):
     for k, sample in samples(short_run(), with_velocity=with_velocity):
         if k == TARE:
             session.tare()
-        found.append(session.update(*sample))
-        machine = found[-1].identification.rupture_state
+        estimates.append(session.update(*sample))
+        machine = estimates[-1].identification.rupture_state
         if k in cuts or (
             machine is RuptureState.FORCE_DROP_MEASURING and "rupture" not in files
         ):
@@ -72,7 +72,7 @@ def run_through(session, last, folder, *, with_velocity):
             files[name] = (k, folder / f"{name}.snapshot")
             write_snapshot(session.snapshot(), files[name][1])
         if k == last:
-            return found, files
+            return estimates, files
     raise AssertionError
 
 
@@ -81,26 +81,26 @@ def run_through(session, last, folder, *, with_velocity):
 def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     run = short_run()
     session = InsertionSession(run.robot, identifier_config=CONFIGS[config])
-    last = TARE + 17_500
-    found, files = run_through(session, last, tmp_path, with_velocity=with_velocity)
+    end = TARE + 17_500
+    estimates, files = run_through(session, end, tmp_path, with_velocity=with_velocity)
     assert ("rupture" in files) or config == "published"
     feed = list(samples(run, with_velocity=with_velocity))
     for cut, path in files.values():
         other = InsertionSession(run.robot, identifier_config=CONFIGS[config])
         other.restore(read_snapshot(path))
-        for k in range(cut + 1, min(cut + BEYOND, last)):
+        for k in range(cut + 1, min(cut + BEYOND, end)):
             if k == TARE:
                 other.tare()
-            assert same(other.update(*feed[k][1]), found[k]), (cut, k)
+            assert same(other.update(*feed[k][1]), estimates[k]), (cut, k)
 
 
 def test_a_sensor_alone_is_stored_too(tmp_path):
     whole, (row,) = resumed_after(IN_TISSUE, 1)
-    one, other = (VirtualForceSensor(short_run().robot) for _ in range(2))
-    one.restore(whole.snapshot().sensor)
-    write_snapshot(one.snapshot(), tmp_path / "s")
+    stored, other = (VirtualForceSensor(short_run().robot) for _ in range(2))
+    stored.restore(whole.snapshot().sensor)
+    write_snapshot(stored.snapshot(), tmp_path / "s")
     other.restore(read_snapshot(tmp_path / "s"))
-    assert same(other.update(*row), one.update(*row))
+    assert same(other.update(*row), stored.update(*row))
 
 
 def test_external_torque_resumes_too(tmp_path):
@@ -119,8 +119,8 @@ def test_external_torque_resumes_too(tmp_path):
             assert same(other.update_external_torque(q, None, torque, 1e-3), estimate)
 
 
-def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
-    kept = stopped_after(IN_TISSUE)
+def test_another_robot_or_other_settings_are_refused(lwr):
+    snapshot = stopped_after(IN_TISSUE)
     more = Payload(mass_kg=0.1, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
     heavier = lwr.with_payload(lwr.payload + more)
     robot = short_run().robot
@@ -138,14 +138,14 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
         ),
         (InsertionSession(robot, speed_lag_s=0.02), InsertionError, "speed_lag_s"),
     ]:
-        before = foreign.snapshot()
+        state = foreign.snapshot()
         with pytest.raises(error, match=match):
-            foreign.restore(kept)
-        assert same(foreign.snapshot(), before)
+            foreign.restore(snapshot)
+        assert same(foreign.snapshot(), state)
     with pytest.raises(InsertionError, match="SensorState"):
-        InsertionSession(robot).restore(kept.sensor)
+        InsertionSession(robot).restore(snapshot.sensor)
     with pytest.raises(SnapshotError, match="expected a SensorState"):
-        VirtualForceSensor(lwr).restore(kept)
+        VirtualForceSensor(lwr).restore(snapshot)
 
 
 @pytest.mark.parametrize(
@@ -155,20 +155,21 @@ def test_another_robot_or_other_settings_are_refused_and_change_nothing(lwr):
 )
 def test_a_snapshot_edited_in_memory_is_refused(fields):
     session = InsertionSession(short_run().robot)
-    before = session.snapshot()
+    state = session.snapshot()
     with pytest.raises(InsertionError, match="the snapshot is damaged"):
         session.restore(stopped_after(IN_TISSUE)._replace(**fields))
-    assert same(session.snapshot(), before)
+    assert same(session.snapshot(), state)
 
 
 def test_a_shallow_copy_shares_nothing():
     session, rows = resumed_after(IN_TISSUE, 300)
     twin = copy.copy(session)
-    before = session.snapshot()
-    found = [twin.update(*row) for row in rows]
-    assert same(session.snapshot(), before)
+    state = session.snapshot()
+    estimates = [twin.update(*row) for row in rows]
+    assert same(session.snapshot(), state)
     assert all(
-        same(session.update(*row), one) for row, one in zip(rows, found, strict=True)
+        same(session.update(*row), estimate)
+        for row, estimate in zip(rows, estimates, strict=True)
     )
 
 
@@ -228,7 +229,7 @@ def test_one_changed_byte_is_noticed(tmp_path):
     assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
 
-def test_a_full_disk_leaves_the_older_snapshot_and_no_part(tmp_path, monkeypatch):
+def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
     path, _, _ = written(tmp_path)
     older = path.read_bytes()
 
@@ -264,18 +265,18 @@ def with_change(plain, path, value):
 
 @given(st.data())
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_field_changed_on_purpose_is_refused_or_does_no_harm(tmp_path, data):
+def test_a_changed_field_is_refused_or_harmless(tmp_path, data):
     path, envelope, plain = written(tmp_path)
     place = data.draw(st.sampled_from(sorted(places(plain), key=str)))
     path.write_bytes(
         sealed(envelope, with_change(plain, place, data.draw(st.sampled_from(ODD))))
     )
     session = InsertionSession(short_run().robot)
-    before = session.snapshot()
+    state = session.snapshot()
     try:
         session.restore(read_snapshot(path))
     except ValueError:
-        assert same(session.snapshot(), before)
+        assert same(session.snapshot(), state)
         return
     for row in following(IN_TISSUE, 200):
         estimate = session.update(*row)

@@ -39,7 +39,7 @@ def payloads(draw):
 
 
 @given(payloads())
-def test_parameters_are_pinocchio_s_and_describe_the_payload_fully(payload):
+def test_parameters_are_pinocchios_and_complete(payload):
     expected = payload.spatial_inertia.toDynamicParameters()
     assert payload.parameters == pytest.approx(expected, abs=1e-12)
     again = Payload.from_parameters(payload.parameters)
@@ -58,15 +58,15 @@ def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
     assert (one + other).parameters == pytest.approx(
         (other + one).parameters, abs=1e-12
     )
-    both = (one + other).moved(rotation, shift).parameters
-    assert both == pytest.approx(
+    moved_sum = (one + other).moved(rotation, shift).parameters
+    assert moved_sum == pytest.approx(
         (moved + other.moved(rotation, shift)).parameters, abs=1e-9
     )
     back = moved.moved(rotation.T, -rotation.T @ shift)
     assert back.parameters == pytest.approx(one.parameters, abs=1e-9)
 
 
-def test_a_point_mass_a_thin_rod_and_nothing_are_bodies_and_no_motion_deforms_them():
+def test_degenerate_bodies_are_accepted_and_movable():
     point = Payload(
         mass_kg=1.0, com_m=np.array([0.4, -0.3, 0.2]), inertia_kg_m2=np.zeros((3, 3))
     )
@@ -137,7 +137,7 @@ def test_what_no_body_can_be(change, error, message):
         ) else Payload.from_parameters(change)
 
 
-def test_default_tool_is_the_published_one_and_a_bare_rod_the_textbook_s():
+def test_default_tool_is_published_and_rod_is_textbook():
     tool = NeedleTool()
     beyond = tool.beyond_sensor
     assert tool.sensor.mass_kg == 0.236
@@ -195,9 +195,7 @@ def posed(lwr):
     return q, gravity_of(lwr, q)
 
 
-def test_poses_at_rest_give_mass_and_centre_of_mass_whatever_the_robot_carries(
-    lwr, posed
-):
+def test_poses_at_rest_give_mass_and_centre(lwr, posed):
     q, tau = posed
     other = Payload(mass_kg=5.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
     for robot in (lwr, lwr.with_payload(None), lwr.with_payload(other)):
@@ -224,8 +222,8 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
         com = (estimate.payload.com_m - TRUE.com_m) / estimate.com_std_m
         rows.append([*error / np.sqrt(np.diag(estimate.covariance)), *com])
     assert estimate.mass_std_kg == np.sqrt(estimate.covariance[0, 0])
-    for part in (np.array(rows)[:, :4], np.array(rows)[:, 4:]):
-        assert 0.8 < np.sqrt(np.mean(np.square(part))) < 1.25
+    for errors_in_std in (np.array(rows)[:, :4], np.array(rows)[:, 4:]):
+        assert 0.8 < np.sqrt(np.mean(np.square(errors_in_std))) < 1.25
 
 
 def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
@@ -241,7 +239,7 @@ def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
     assert estimate.payload.mass_kg == 0.0
 
 
-def test_a_negative_mass_is_no_payload_but_is_seen_in_the_parameters(lwr, posed):
+def test_a_negative_mass_gives_no_payload(lwr, posed):
     q, tau = posed
     estimate = identify_payload_static(
         lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau

@@ -80,7 +80,7 @@ def drawing():
 
 
 @pytest.mark.parametrize("q", NOMINAL)
-def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
+def test_flange_gravity_and_inertia_are_the_nominal_ones(arm, q):
     flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
     data = arm.create_data()
     angles = np.array(q, dtype=float)
@@ -93,7 +93,7 @@ def test_flange_gravity_and_inertia_are_those_of_the_nominal_set(arm, q):
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:yourdfpy")
-def test_yourdfpy_finds_the_description_valid_and_the_arm_as_high_as_it_is(drawing):
+def test_yourdfpy_agrees_on_the_arms_height(drawing):
     assert drawing.validate()
     assert drawing.errors == []
     drawing.update_cfg(np.zeros(7))
@@ -106,9 +106,7 @@ def test_yourdfpy_finds_the_description_valid_and_the_arm_as_high_as_it_is(drawi
     assert sum(link.inertial.mass for link in moving) == pytest.approx(14.0503)
 
 
-def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspace(
-    arm, drawing
-):
+def test_kinematics_agree_with_yourdfpy(arm, drawing):
     rng = np.random.default_rng(5)
     data = arm.create_data()
     for k in range(200):
@@ -120,7 +118,7 @@ def test_kinematics_agree_with_yourdfpy_and_inertia_is_positive_over_the_workspa
             assert pose_of(arm, q).homogeneous == pytest.approx(expected, abs=1e-9)
 
 
-def test_limits_and_names_are_those_of_the_data_sheet(arm):
+def test_limits_and_names_match_the_data_sheet(arm):
     assert arm.joint_names == tuple(f"lwr_joint_{i}" for i in range(1, 8))
     assert np.degrees(arm.position_upper_rad) == pytest.approx(
         [170, 120, 170, 120, 170, 120, 170]
@@ -144,7 +142,7 @@ def example(name, **options):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
+def test_every_arm_loads_and_carries_a_needle(name):
     bare = example(name)
     robot = example(name, payload=NeedleTool())
     tool = NeedleTool()
@@ -157,9 +155,9 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
     )
     assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
     flange = pose_of(bare, np.zeros(bare.nv))
-    rest = np.zeros(bare.nv)
+    zero_rad = np.zeros(bare.nv)
     tip, sensor = (
-        flange.actInv(pose_of(robot, rest, n)) for n in ("needle_tip", "ft_sensor")
+        flange.actInv(pose_of(robot, zero_rad, n)) for n in ("needle_tip", "ft_sensor")
     )
     assert tip.translation == pytest.approx(tool.tip_in_flange_m)
     assert sensor.translation == pytest.approx([0, 0, tool.sensor_height_m])
@@ -168,7 +166,7 @@ def test_every_arm_loads_as_it_comes_and_carries_a_needle(name):
     assert added == pytest.approx(0.304)
 
 
-def test_panda_has_its_hand_on_unless_it_is_left_out():
+def test_pandas_hand_can_be_left_out():
     full = example("panda")
     bare = example("panda", without=["panda_hand"])
     assert (
@@ -213,9 +211,7 @@ def test_the_ur_arms_are_the_maker_s_table(name):
     assert robot.effort_limit_Nm == pytest.approx(effort)
 
 
-def test_an_unknown_name_is_answered_with_the_known_and_a_missing_package_named(
-    monkeypatch, tmp_path
-):
+def test_unknown_names_and_missing_packages_are_explained(monkeypatch, tmp_path):
     for name in ("lwr", "ur10E", "../panda"):
         with pytest.raises(UnknownNameError, match=r", ".join(NAMES)):
             load_example(name)
@@ -242,25 +238,25 @@ def test_unknown_frame_lists_the_valid_ones(lwr):
             Robot(bare_model=lwr.bare_model, **names)
 
 
-def test_the_arrays_of_a_robot_are_read_only_and_its_model_is_a_copy(lwr):
+def test_a_robot_is_read_only_and_a_copy(lwr):
     ranges = [f"position_{end}_rad" for end in ("lower", "upper")]
     for name in (*ranges, "velocity_limit_rad_s", "effort_limit_Nm", "gravity_m_s2"):
         with pytest.raises(ValueError, match="read-only"):
             getattr(lwr, name)[0] = 1.0
-    given = pin.Model(lwr.bare_model)
-    robot = Robot(bare_model=given, tool_frame="flange", flange_frame="flange")
-    given.inertias[7] = pin.Inertia.Zero()
-    given.gravity = pin.Motion.Zero()
+    model = pin.Model(lwr.bare_model)
+    robot = Robot(bare_model=model, tool_frame="flange", flange_frame="flange")
+    model.inertias[7] = pin.Inertia.Zero()
+    model.gravity = pin.Motion.Zero()
     assert robot.model.inertias[7].mass == pytest.approx(0.2806)
     assert robot.gravity_m_s2[2] == pytest.approx(-9.80665)
 
 
 def test_with_payload_replaces_and_leaves_the_original_alone(lwr):
     heavy = Payload(mass_kg=2.0, com_m=np.zeros(3), inertia_kg_m2=0.01 * np.eye(3))
-    before = pin.computeTotalMass(lwr.model)
+    mass_kg = pin.computeTotalMass(lwr.model)
     loaded = lwr.with_payload(heavy)
     assert pin.computeTotalMass(loaded.model) == pytest.approx(14.0503 + 2.0)
-    assert pin.computeTotalMass(lwr.model) == before
+    assert pin.computeTotalMass(lwr.model) == mass_kg
     assert loaded.payload is heavy
     assert loaded.tool_frame == "needle_tip"
     bare = loaded.with_payload(None)
@@ -269,7 +265,7 @@ def test_with_payload_replaces_and_leaves_the_original_alone(lwr):
         lwr.with_payload(NeedleTool())
 
 
-def test_armature_is_added_to_the_diagonal_of_the_mass_matrix_only(lwr):
+def test_armature_is_added_to_the_mass_diagonal(lwr):
     q = np.array([0.3, -0.4, 0.5, 1.2, -0.7, 0.9, 0.2])
     robots = (lwr, lwr.with_armature(ROTOR))
     matrices = [pin.crba(r.model, r.create_data(), q) for r in robots]
@@ -296,7 +292,7 @@ def a_joint(**change):
     return SerialJoint(**(good | change))
 
 
-def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
+def test_the_lwr_from_numbers_equals_its_urdf(lwr):
     axes = [
         (0, 0, 1),
         (0, -1, 0),
@@ -322,7 +318,7 @@ def test_the_lwr_from_numbers_is_the_lwr_from_its_urdf(lwr):
     assert built.joint_names == tuple(f"j{i}" for i in range(7))
 
 
-def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(
+def test_placement_rotor_inertia_and_dh_rows_enter_model(
     recordings_dir,
 ):
     offset = np.eye(4)
@@ -340,7 +336,7 @@ def test_tool_placement_and_rotor_inertia_enter_the_model_and_modified_dh_rows(
     )
 
 
-def test_unphysical_or_massless_links_are_refused_unless_asked_for():
+def test_unphysical_links_are_refused_unless_asked_for():
     axis = np.array([0, 0, 3.0])
     joint = a_joint(axis=axis)
     axis[0] = 1.0
