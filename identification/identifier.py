@@ -227,6 +227,7 @@ class Identifier:
             return self._reject(status, time_s)
         if not 0.0 <= force_std_N <= self._max_force_N:
             force_std_N = 0.0
+        speed_m_s = speed_m_s if is_speed_measured else filtered_speed_m_s
         sample = Sample(
             time_s=time_s,
             dt_s=elapsed_s,
@@ -237,18 +238,10 @@ class Identifier:
             force_N=force_N,
             force_std_N=force_std_N,
             raw_depth_m=raw_depth_m,
-            raw_speed_m_s=speed_m_s if is_speed_measured else filtered_speed_m_s,
+            raw_speed_m_s=speed_m_s,
             clock_s=clock_s,
         )
-        method = self._method
-        outputs = method.update(sample)
-        events = method.events
-        if events is not NO_EVENTS:
-            events = move_events(events, self._removed_m)
-        self._last = make_estimate(
-            time_s, status, method.rupture_state, outputs, events
-        )
-        return self._last
+        return self._process(sample, status)
 
     def snapshot(self) -> Snapshot:
         """Return everything needed to resume exactly here."""
@@ -291,6 +284,18 @@ class Identifier:
     def _removed_m(self) -> float:
         """Sum of the jumps that were removed from the depth."""
         return float(read_field(self._check, "removed_m"))
+
+    def _process(self, sample: Sample, status: SampleStatus) -> Estimate:
+        """Let the method use a sample, and report in the depth of the caller."""
+        method = self._method
+        outputs = method.update(sample)
+        events = method.events
+        if events is not NO_EVENTS:
+            events = move_events(events, self._removed_m)
+        self._last = make_estimate(
+            sample.time_s, status, method.rupture_state, outputs, events
+        )
+        return self._last
 
     def _update_unchecked(
         self,

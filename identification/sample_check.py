@@ -1,5 +1,9 @@
 """Is this sample usable? Numbers, ranges, and whether depth and speed agree.
 
+A sample that is not finite, out of range, or whose time does not advance is rejected:
+it changes nothing but the clock, and the interval of the next one holds the time that
+has passed.
+
 Depth is compared with speed twice: a step of depth that the speed does not explain is a
 jump, which is removed from the depth for good; travel by depth and travel by speed of
 opposite signs mean a wrong sign of either. Where no speed is measured it is the one
@@ -158,12 +162,24 @@ def advance_clock(state: CheckState, dt_s: float, limits: CheckConfig) -> None:
 
 
 @compiled
-def is_contrary(
-    travel_by_depth_m: float, travel_by_speed_m: float, least_m: float
+def is_depth_jump(
+    unexplained_m: float, fastest_m_s: float, dt_s: float, is_gap: bool, jump_m: float
 ) -> bool:
-    """Return whether two travels have opposite signs and both are significant."""
-    smaller_m = min(abs(travel_by_depth_m), abs(travel_by_speed_m))
-    return travel_by_depth_m * travel_by_speed_m < 0.0 and smaller_m > least_m
+    """Return whether a change of depth that the speed does not explain is a jump.
+
+    A needle that stands still after a gap may have moved during it.
+    """
+    unseen_m_s = MAX_SPEED_IN_GAP_M_S if is_gap else 0.0
+    return abs(unexplained_m) > jump_m + max(fastest_m_s, unseen_m_s) * dt_s
+
+
+@compiled
+def has_wrong_sign(state: CheckState, sign_travel_m: float) -> bool:
+    """Return whether the travels by depth and by speed contradict each other."""
+    by_depth_m = state.travel_by_depth_m
+    by_speed_m = state.travel_by_speed_m
+    smaller_m = min(abs(by_depth_m), abs(by_speed_m))
+    return by_depth_m * by_speed_m < 0.0 and smaller_m > sign_travel_m
 
 
 @compiled
@@ -180,15 +196,14 @@ def compare_depth_with_speed(
     has_depth = state.has_depth
     change_m = sample.depth_m - state.depth_m if has_depth else 0.0
     unexplained_m = change_m - sample.speed_m_s * dt_s
-
-    # A needle that stands still after a gap may have moved during it.
-    unseen_m_s = MAX_SPEED_IN_GAP_M_S if dt_s > gap_s else 0.0
-    fastest_m_s = max(abs(sample.speed_m_s), abs(estimated_speed_m_s), unseen_m_s)
-    is_jump = abs(unexplained_m) > limits.jump_m + fastest_m_s * dt_s
+    fastest_m_s = max(abs(sample.speed_m_s), abs(estimated_speed_m_s))
+    is_jump = is_depth_jump(
+        unexplained_m, fastest_m_s, dt_s, dt_s > gap_s, limits.jump_m
+    )
 
     memory = math.exp(-dt_s / limits.sign_memory_s)
-    state.travel_by_depth_m = memory * state.travel_by_depth_m
-    state.travel_by_speed_m = memory * state.travel_by_speed_m
+    state.travel_by_depth_m *= memory
+    state.travel_by_speed_m *= memory
     if is_jump:
         state.removed_m += unexplained_m
     elif has_depth and dt_s <= gap_s and sample.is_speed_measured:
@@ -197,22 +212,17 @@ def compare_depth_with_speed(
         state.travel_by_depth_m += change_m
         state.travel_by_speed_m += sample.speed_m_s * dt_s
 
-    state.depth_m = sample.depth_m
-    state.has_depth = True
-    state.since_depth_s = 0.0
-    state.rejected_s = 0.0
     status = OK
     if is_jump:
         status = DEPTH_JUMP
-    elif is_contrary(
-        state.travel_by_depth_m, state.travel_by_speed_m, limits.sign_travel_m
-    ):
+    elif has_wrong_sign(state, limits.sign_travel_m):
         status = SPEED_SIGN
     elif has_depth and elapsed_s > gap_s:
         status = TIME_GAP
-    if not is_used(status):
-        state.rejected_s = elapsed_s
-
+    state.depth_m = sample.depth_m
+    state.has_depth = True
+    state.since_depth_s = 0.0
+    state.rejected_s = 0.0 if is_used(status) else elapsed_s
     return CheckResult(status, elapsed_s)
 
 

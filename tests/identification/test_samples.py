@@ -21,7 +21,7 @@ from identification.config import (
     PublishedConfig,
 )
 from identification.errors import InvalidConfigError, InvalidSnapshotError
-from identification.estimate import SampleStatus
+from identification.estimate import Estimate, Events, SampleStatus, make_estimate
 from identification.identifier import Identifier
 from identification.sample_check import STATUSES, CheckState
 from identification.travel_filter import TravelState, process_sample
@@ -311,3 +311,14 @@ def test_what_is_no_number_is_refused(kind, name):
     for value in (None, "1", True, np.ones(2), np.nan, 10**400):
         with pytest.raises(InvalidConfigError, match=name):
             kind(**{name: value})
+
+
+def test_an_estimate_holds_outputs_under_their_names():
+    names = [name for name in Estimate._fields if name not in Events._fields][3:]
+    outputs = tuple(range(len(names)))
+    estimate = make_estimate(0.5, SampleStatus.OK, "state", outputs, Events("r", "l"))
+    values = estimate._asdict()
+    assert [values[name] for name in names] == list(outputs)
+    assert (estimate.time_s, estimate.rupture_state) == (0.5, "state")
+    assert (estimate.rupture, estimate.identified_layer) == ("r", "l")
+    assert estimate.retracted is None
