@@ -108,6 +108,8 @@ def _check_record(record: Any, reference: Any, place: str) -> None:
         value = getattr(record, name)
         where = f"{place}.{name}"
         _check_type(value, hints[name], where)
+        if value is None:  # the type allows it, whatever the reference has
+            continue
         like = getattr(reference, name, None)
         if name in unlimited and isinstance(value, float | np.ndarray):
             value = np.where(value == math.inf, 0.0, value)

@@ -11,12 +11,23 @@ from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import Alignment
 from residual.tool_kinematics import check_offset, unit_axis
+from residual.velocity_filter import VelocityEstimator
 
 Mode = Literal["axial", "point", "full"]
-"""What is assumed of the contact: a force along the needle axis, a force at the frame's
-origin, or a force and a torque."""
+"""What is assumed of the contact: ``axial``, a force along the needle; ``point``, a 3-D
+force at the frame's origin; ``full``, a 6-D wrench, force and torque."""
+
 Axes = Literal["base", "tool"]
+"""Axes in which a wrench is given."""
+
 Weighting = Literal["covariance", "none"]
+"""How joints are weighted in the least squares of the wrench."""
+
+MIN_EXPECTED_FORCE_N = 1e-6
+"""Smallest expected force: its inverse square is calculated with."""
+
+MAX_EXPECTED_FORCE_N = 1e9
+"""Largest expected force: its inverse square is calculated with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +42,7 @@ class SensorConfig:
         velocity_bandwidth_per_s: Of the velocity estimate used when ``dq`` is None
             [1/s].
         smooth_momentum: Smooth the momentum of an arm that hardly accelerates, see
-            `residual.momentum_observer.momentum_step`.
+            `residual.momentum_observer.momentum_smoothing_step`.
         force_bandwidth_per_s: Of the force's smoothing while it stays within its noise
             [1/s], see `residual.wrench_estimator.smoothing_step`; None for none.
         friction: Joint friction between torque sensor and link, if any is modelled.
@@ -89,43 +100,59 @@ class SensorConfig:
     max_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
+        self._check_gains()
         self._check_numbers()
-        for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
-            if not isinstance(value := getattr(self, name), bool | np.bool_):
-                raise ConfigurationError(
-                    f"{name} is {shown(value)}, expected True or False"
-                )
+        self._check_switches()
+        self._check_choices()
+        self._check_objects()
         unit_axis(self.insertion_axis)
         check_offset(self.tool_offset_m)
+
+    def _check_objects(self) -> None:
         if not isinstance(self.prior, BiasPrior):
             raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
         if self.friction is not None and not callable(
             getattr(self.friction, "torque", None)
         ):
             raise ConfigurationError(
-                f"friction is {self.friction!r}, expected a JointFriction or another object that "
-                "gives a torque(dq), or None"
+                f"friction is {self.friction!r}, expected a JointFriction or another "
+                "object that gives a torque(dq), or None"
             )
-        kinds = {
+
+    def _check_switches(self) -> None:
+        for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
+            value = getattr(self, name)
+            if not isinstance(value, bool | np.bool_):
+                raise ConfigurationError(
+                    f"{name} is {shown(value)}, expected True or False"
+                )
+
+    def _check_choices(self) -> None:
+        choices = {
             "alignment": Alignment,
             "mode": Mode,
             "weighting": Weighting,
             "axes": Axes,
+            "tare": TareKind,
         }
-        for name, choices in (kinds | {"tare": TareKind}).items():
-            check_choice(name, getattr(self, name), get_args(choices))
+        for name, choice in choices.items():
+            check_choice(name, getattr(self, name), get_args(choice))
+
+    def _check_gains(self) -> None:
+        gains = self.gain_per_s
+        if not isinstance(gains, tuple):
+            gains = (gains,)
+        if not gains:
+            check_positive("gain_per_s", None)
+        for gain in gains:
+            check_positive("gain_per_s", gain)
 
     def _check_numbers(self) -> None:
-        gains = (
-            self.gain_per_s
-            if isinstance(self.gain_per_s, tuple)
-            else (self.gain_per_s,)
-        )
-        for gain in gains or (None,):
-            check_positive("gain_per_s", gain)
-        bandwidth_per_s = self.velocity_bandwidth_per_s
         check_positive(
-            "velocity_bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6
+            "velocity_bandwidth_per_s",
+            self.velocity_bandwidth_per_s,
+            minimum=VelocityEstimator.MIN_BANDWIDTH_PER_S,
+            maximum=VelocityEstimator.MAX_BANDWIDTH_PER_S,
         )
         for name in ("contact_force_N", "max_gap_s"):
             check_positive(name, getattr(self, name))
@@ -133,22 +160,23 @@ class SensorConfig:
             if getattr(self, name) is not None:
                 check_positive(name, getattr(self, name))
         if self.expected_force_N is not None:
-            # Its inverse square is calculated with.
             check_positive(
-                "expected_force_N", self.expected_force_N, least=1e-6, most=1e9
+                "expected_force_N",
+                self.expected_force_N,
+                minimum=MIN_EXPECTED_FORCE_N,
+                maximum=MAX_EXPECTED_FORCE_N,
             )
 
     @property
     def slowest_gain_per_s(self) -> float:
-        """The smallest gain of any joint [1/s]: it sets the lag."""
-        return (
-            min(self.gain_per_s)
-            if isinstance(self.gain_per_s, tuple)
-            else self.gain_per_s
-        )
+        """Smallest gain of any joint [1/s]: it sets the lag."""
+        if isinstance(self.gain_per_s, tuple):
+            return min(self.gain_per_s)
+        return self.gain_per_s
 
 
-DEFAULT = SensorConfig()  # Ours
+DEFAULT = SensorConfig()
+"""The settings of this package's own method."""
 
 HAND_DRIVEN = SensorConfig(gain_per_s=15.0, smooth_momentum=False)
 """For a needle that a hand drives on an arm that sends no velocity: an unsteady motion

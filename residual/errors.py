@@ -2,17 +2,13 @@
 
 from collections.abc import Iterable
 
-import numpy as np
-from numpy.typing import NDArray
-
 from residual.estimate import SensorWarning
-
-Array = NDArray[np.float64]
 
 
 def named_joints(indices: Iterable[int]) -> str:
-    """Joints as messages name them, counted from 1 like the columns of a log:
-    ``joints 2, 4``.
+    """Return joints as messages name them, ``joints 2, 4``, counted from 1.
+
+    The columns of a log count likewise.
     """
     numbers = [str(int(i) + 1) for i in indices]
     return f"{'joint' if len(numbers) == 1 else 'joints'} {', '.join(numbers)}"
@@ -29,7 +25,7 @@ class ConfigurationError(ResidualError, ValueError):
 class SampleError(ResidualError, ValueError):
     """A sample that must not be used: wrong shape, not finite, or time not advancing.
 
-    Whoever raises it has left its state as it was before the call.
+    The state of the object that raises it is as before the call.
 
     Attributes:
         warning: Of valid numbers that are no measurement, why: a spike, a frozen or a
@@ -44,15 +40,14 @@ class SampleError(ResidualError, ValueError):
 
 
 class TareError(ResidualError, RuntimeError):
-    """A tare that would be wrong: no data, contact in sight, or velocities that are
-    not rates.
+    """A tare that would be wrong.
+
+    There are no data, a contact is in sight, or velocities are not rates of positions.
     """
 
 
 class VelocityError(TareError):
-    """A tare asked for with measured velocities that are not the rate of the
-    positions.
-    """
+    """A tare with measured velocities that are not the rate of the positions."""
 
 
 class SnapshotError(ResidualError, ValueError):

@@ -1,4 +1,4 @@
-"""What comes out of the virtual sensor, and how far it may be trusted."""
+"""Estimates of the virtual sensor, and how far they may be trusted."""
 
 from enum import IntFlag, StrEnum
 from typing import NamedTuple, Self
@@ -10,11 +10,12 @@ UNSEEN_STD = 1e6
 """Standard deviation [N, Nm] of what is not known at all: no force of an arm comes near
 it, and unlike infinity it can be drawn, stored and calculated with."""
 
-MOST_CONDITIONING = 1e6  # beyond it a direction counts as unseen
+MAX_CONDITIONING = 1e6
+"""Beyond it a direction counts as unseen."""
 
 
 class Status(StrEnum):
-    """What one estimate is worth."""
+    """Whether an estimate may be used."""
 
     OK = "ok"
     """A tared estimate of a valid sample."""
@@ -28,8 +29,9 @@ class Status(StrEnum):
 
 
 class SensorWarning(IntFlag):
-    """What may be wrong beyond the standard deviation; the first three make a sample
-    `REJECTED`.
+    """What may be wrong beyond the standard deviation.
+
+    The first three make a sample `REJECTED`.
     """
 
     NONE = 0
@@ -116,24 +118,62 @@ class WrenchEstimate(NamedTuple):
 
     @classmethod
     def unknown(cls, joints: int, components: int) -> Self:
-        """An estimate that knows nothing, for a first sample that is bad."""
+        """Return an estimate that knows nothing, for a first sample that is bad."""
         nothing = np.zeros(3)
+        covariance = np.diag(np.full(components, UNSEEN_STD**2))
+        damping_fraction = np.zeros(components)
         residual = np.zeros(joints)
-        removed = np.zeros(components)
-        unknown = np.diag(np.full(components, UNSEEN_STD**2))
-        for array in (nothing, residual, removed, unknown):
+        for array in (nothing, covariance, damping_fraction, residual):
             array.setflags(write=False)
-        vectors = nothing, nothing, unknown, MOST_CONDITIONING, removed, 0.0, residual
-        return cls(0.0, UNSEEN_STD, 0.0, UNSEEN_STD, *vectors)
+        return cls(
+            axial=0.0,
+            axial_std=UNSEEN_STD,
+            lateral=0.0,
+            lateral_std=UNSEEN_STD,
+            force=nothing,
+            torque=nothing,
+            covariance=covariance,
+            conditioning=MAX_CONDITIONING,
+            damping_fraction=damping_fraction,
+            axial_unsmoothed=0.0,
+            residual=residual,
+        )
 
+
+class Assessment(NamedTuple):
+    """What an estimate says of itself; fields as of `WrenchEstimate`.
+
+    Attributes:
+        status: Whether it may be used.
+        message: The reason if not, and of warnings.
+        model_mismatch: Normalised residual.
+        warnings: What may be wrong.
+    """
+
+    status: Status = Status.OK
+    message: str = ""
+    model_mismatch: float = 0.0
+    warnings: SensorWarning = SensorWarning.NONE
+
+
+GOOD = Assessment()
+"""Assessment of an estimate of which nothing is wrong."""
 
 INITIALIZING = "the filters have just started"
+"""Message of the status of that name."""
+
 NOT_TARED = "tare() has not been called"
+"""Message of the status of that name."""
+
 TARE_EXPIRED = (
     "since the tare a time step of minutes has come, a pause or a clock that was set; "
     "axial_std holds for a pause: withdraw and tare again"
 )
+"""Message of the warning of that name, after a tare."""
+
 FORGOTTEN = (
-    "a time step of minutes has come while free motion was recorded, a pause or a clock that was "
-    "set; what was recorded before it is forgotten: move in free air again, then tare"
+    "a time step of minutes has come while free motion was recorded, a pause or a "
+    "clock that was set; what was recorded before it is forgotten: move in free air "
+    "again, then tare"
 )
+"""Message of the warning `TARE_EXPIRED` while free motion is recorded."""

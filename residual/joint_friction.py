@@ -1,30 +1,36 @@
-"""Friction of a joint, modelled: what of its torque no environment makes."""
+"""Models of joint friction between the torque sensor and the link."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
+from foundation.arrays import Array
 from residual.checks.input import check_positive
-from residual.errors import Array, ConfigurationError
+from residual.errors import ConfigurationError
 from urdf.errors import InputError, finite_array
 
-_MOST_EXPONENT = (
-    700.0  # Its exponential is a float still, and the sigmoid is zero there
-)
+MAX_EXPONENT = 700.0
+"""Largest exponent of the sigmoid: its exponential is still a float, and the sigmoid is
+zero there."""
+
+TRIED_SPEEDS_RAD_S = (0.0, 0.1, -0.1)
+"""Speeds at which a friction model is tried out: at rest and both ways."""
 
 
 class FrictionModel(Protocol):
-    """Anything that gives the friction torque of every joint at a velocity."""
+    """Any object that gives the friction torque of every joint at a velocity."""
 
     def torque(self, dq: Array) -> Array:
-        """Torque that opposes the motion [Nm], shape (n,), at velocity ``dq``
-        [rad/s].
+        """Return the torque that opposes the motion [Nm], shape (n,).
+
+        Args:
+            dq: Joint velocities [rad/s], shape (n,).
         """
         ...
 
 
-def _frozen_vectors(owner: object, names: tuple[str, ...]) -> None:
+def _freeze_vectors(owner: object, names: tuple[str, ...]) -> None:
     """Store each named field as a read-only float copy; all of one length."""
     for name in names:
         try:
@@ -62,13 +68,13 @@ class JointFriction:
     reversal_speed_rad_s: float = 0.01
 
     def __post_init__(self) -> None:
-        _frozen_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
+        _freeze_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
         if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
             raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
         check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
 
     def torque(self, dq: Array) -> Array:
-        """Friction torque opposing the motion [Nm], shape (n,)."""
+        """Return the torque that opposes the motion [Nm], shape (n,)."""
         smooth_sign = np.tanh(dq / self.reversal_speed_rad_s)
         return self.viscous_Nms * dq + self.coulomb_Nm * smooth_sign + self.offset_Nm
 
@@ -95,26 +101,29 @@ class SigmoidFriction:
     _level_at_rest: Array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        _frozen_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
+        _freeze_vectors(self, ("amplitude_Nm", "slope_s_rad", "shift_rad_s"))
         object.__setattr__(self, "_level_at_rest", self._sigmoid(self.shift_rad_s))
 
     def torque(self, dq: Array) -> Array:
-        """Friction torque opposing the motion [Nm], shape (n,)."""
+        """Return the torque that opposes the motion [Nm], shape (n,)."""
         return self.amplitude_Nm * (
             self._sigmoid(dq + self.shift_rad_s) - self._level_at_rest
         )
 
     def _sigmoid(self, speed: Array) -> Array:
-        return 1.0 / (
-            1.0 + np.exp(np.minimum(-self.slope_s_rad * speed, _MOST_EXPONENT))
-        )
+        exponent = np.minimum(-self.slope_s_rad * speed, MAX_EXPONENT)
+        return 1.0 / (1.0 + np.exp(exponent))
 
 
 def check_friction(friction: FrictionModel, joints: int) -> None:
-    """Refuse, with a `ConfigurationError`, a model that does not fit so many joints."""
+    """Refuse a friction model that does not fit so many joints.
+
+    Raises:
+        ConfigurationError: If its torques are not finite numbers, one per joint.
+    """
     try:
         torques = [
-            friction.torque(np.full(joints, speed)) for speed in (0.0, 0.1, -0.1)
+            friction.torque(np.full(joints, speed)) for speed in TRIED_SPEEDS_RAD_S
         ]
     except ValueError as error:
         raise ConfigurationError(

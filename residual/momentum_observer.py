@@ -19,11 +19,17 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.linalg import block_diag
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.arrays import (
+    Array,
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+)
 from foundation.jit import compiled
 from foundation.linear_algebra import dot
 from residual.checks.input import (
-    MOST_PLAUSIBLE,
+    MAX_PLAUSIBLE,
     check_choice,
     check_interval,
     check_joint_vector,
@@ -31,54 +37,81 @@ from residual.checks.input import (
     check_rows,
     read_rows,
 )
-from residual.errors import Array, ConfigurationError
+from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 
 Alignment = Literal["hold", "trapezoid"]
-"""How torque fills a tick: ``hold``, the torque of the earlier sample acts until the
-next one (a commanded torque); ``trapezoid``, the mean of both samples (a sampled
-sensor)."""
+"""How torque fills a tick: ``hold`` (zero-order hold), the torque of the earlier sample
+acts until the next one (a commanded torque); ``trapezoid``, the mean of both samples (a
+sampled sensor)."""
 
 BANDWIDTH_PER_S = 10.0
 """Bandwidth of the smoothed momentum at rest [1/s]: well below that of the torque,
 which alone carries a rupture."""
-NOISE_THRESHOLD_SIGMAS = (
-    3.0  # Distance of the momentum at which the bandwidth has doubled
-)
-_LEAST_MOMENTUM_NOISE = 1e-9  # [kg m^2/s] Keeps the ratios of `momentum_step` finite
-_NAMES = ("q", "dq", "tau")
-_MOST_SQUARED = 3.0 * (1.0 + 1e-9) * MOST_PLAUSIBLE**2
-"""Of three signals: beyond it `check_rows` refuses one of them, whatever rounding
-does."""
 
-RESIDUAL, MOMENTUM, CORIOLIS, GRAVITY, TORQUE = range(5)
-"""Rows of a step at the start of a tick: r [Nm], p [kg m^2/s], C' dq, g + tau_f and
-tau [Nm]."""
-END = 4  # the last four at the end of the tick follow in the same order
-# so many rows are known before the tick, and so many there are
-BEFORE = 5
+NOISE_THRESHOLD_SIGMAS = 3.0
+"""Distance of the momentum, in standard deviations of its noise, at which the bandwidth
+has doubled."""
+
+MIN_MOMENTUM_NOISE = 1e-9
+"""Smallest noise of the momentum [kg m^2/s]: it keeps the ratios of `momentum_step`
+finite."""
+
+MAX_SQUARED_SUM = 3.0 * (1.0 + 1e-9) * MAX_PLAUSIBLE**2
+"""Sum of squares of three signals beyond which `check_rows` refuses one of them,
+whatever rounding does."""
+
+_NAMES = ("q", "dq", "tau")
+
+# The residual after a tick is linear in nine vectors, the rows of a step: five that are
+# known before it, then four at its end.
+
+RESIDUAL = 0
+"""Row of the residual r [Nm]."""
+
+MOMENTUM = 1
+"""Row of the momentum p at the start of the tick [kg m^2/s]."""
+
+CORIOLIS = 2
+"""Row of C' dq there [Nm]."""
+
+GRAVITY = 3
+"""Row of g + tau_f there [Nm]."""
+
+TORQUE = 4
+"""Row of the measured torque there [Nm]."""
+
+END = 4
+"""Distance from the row of a quantity at the start of the tick to that at its end."""
+
+ROWS_BEFORE = 5
+"""Number of rows that are known before the tick."""
+
 ROWS = 9
-Motion = tuple[Matrix, Matrix]  # see `momentum_step`
-Joints = tuple[Matrix, Matrix, Vector]  # likewise
+"""Number of rows."""
 
 
 @compiled
 def set_step_weights(
-    weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, held: bool
+    weights: WrittenMatrix, gains_per_s: Vector, dt_s: float, is_held: bool
 ) -> None:
     """Set the weights of the exact step ``r+ = a r + (1 - a) ((p+ - p)/dt - mean(u))``.
 
     With a = exp(-K dt) it is stable for every K dt, has no start-up spike, and is
     linear in the rows of `momentum_step`.
 
-    One weight per row is written, shape (1, 9), or (n, 9) for one gain K [1/s] per
-    joint; ``held`` says whether torque is held over the tick [s], see `Alignment`.
+    Args:
+        weights: Output: one weight per row of a step, shape (1, 9), or (n, 9) for one
+            gain per joint.
+        gains_per_s: K, shape (1,) or (n,).
+        dt_s: Length of the tick.
+        is_held: Whether torque is held over the tick, see `Alignment`.
     """
     for k in range(len(gains_per_s)):
         gained = -math.expm1(-float(gains_per_s[k]) * dt_s)
-        row = weights[k]
         half = 0.5 * gained
+        row = weights[k]
         row[RESIDUAL] = 1.0 - gained
         row[MOMENTUM] = -gained / dt_s
         row[MOMENTUM + END] = gained / dt_s
@@ -86,108 +119,141 @@ def set_step_weights(
         row[CORIOLIS + END] = -half
         row[GRAVITY] = half
         row[GRAVITY + END] = half
-        row[TORQUE], row[TORQUE + END] = (-gained, 0.0) if held else (-half, -half)
+        if is_held:
+            row[TORQUE] = -gained
+            row[TORQUE + END] = 0.0
+        else:
+            row[TORQUE] = -half
+            row[TORQUE + END] = -half
 
 
 @compiled
 def set_momentum(
-    motion: Motion, joints: Joints, velocity: Vector, rows: WrittenMatrix
+    rows: WrittenMatrix,
+    twists: Matrix,
+    momenta: Matrix,
+    directions: Matrix,
+    crossing: Matrix,
+    armature: Vector,
+    dq: Vector,
 ) -> None:
-    """Write momentum p and C' dq at the end of a tick; arguments as of
-    `momentum_step`.
-    """
-    twists, momenta = motion
-    directions, crossing, armature = joints
-    for j in range(len(velocity)):
-        along = armature[j] * velocity[j] if armature.size else 0.0
-        turned = 0.0
+    """Write momentum p and C' dq at the end of a tick; arguments of `momentum_step`."""
+    for j in range(len(dq)):
+        momentum = armature[j] * dq[j] if armature.size else 0.0
+        coriolis = 0.0
         for a in range(6):
-            along += directions[j, 6 * j + a] * momenta[j, a]
+            momentum += directions[j, 6 * j + a] * momenta[j, a]
             for b in range(6):
-                turned += momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
-        rows[MOMENTUM + END, j] = along
-        rows[CORIOLIS + END, j] = turned
+                coriolis += (
+                    momenta[j, a] * crossing[6 * j + a, 6 * j + b] * twists[j, b]
+                )
+        rows[MOMENTUM + END, j] = momentum
+        rows[CORIOLIS + END, j] = coriolis
 
 
 @compiled
-def momentum_step(
+def momentum_smoothing_step(
+    momentum: WrittenVector, smoothed: Vector, noise_threshold: Vector, dt_s: float
+) -> None:
+    """Smooth the momentum of an arm that hardly accelerates, by one implicit step.
+
+    During an insertion the arm's own inertial force is a few hundredths of a newton,
+    but the noise of the velocity, differentiated, is the largest noise of the residual.
+    The momentum therefore passes a lag whose bandwidth grows with the distance it has
+    fallen behind, and which steps aside when the arm accelerates (compare the "one
+    euro" filter, Casiez et al., CHI 2012). The implicit step never overshoots.
+
+    Args:
+        momentum: Momentum at the end of the tick, shape (n,); replaced by the smoothed
+            one.
+        smoothed: The smoothed momentum at the start of the tick, shape (n,).
+        noise_threshold: Distance at which the bandwidth has doubled, shape (n,).
+        dt_s: Length of the tick.
+    """
+    tick = BANDWIDTH_PER_S * dt_s
+    behind = momentum - smoothed
+    ratio = behind / noise_threshold
+    ratio *= ratio
+    ratio *= ratio
+    # behind / (1 + tick (1 + ratio^4)) remains.
+    ratio *= tick
+    ratio += 1.0 + tick
+    behind /= ratio
+    momentum -= behind
+
+
+@compiled
+def momentum_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every tick
     rows: WrittenMatrix,
-    motion: Motion,
-    joints: Joints,
+    twists: Matrix,
+    momenta: Matrix,
+    directions: Matrix,
+    crossing: Matrix,
+    armature: Vector,
     load: Vector,
     sample: Matrix,
     weights: Matrix,
     noise_threshold: Vector,
     dt_s: float,
 ) -> bool:
-    """One tick of the residual: the momentum is smoothed, then comes the exact step.
-
-    During an insertion the arm's own inertial force is a few hundredths of a newton,
-    but the noise of the velocity, differentiated, is the largest noise of the residual.
-    The momentum therefore passes a lag whose bandwidth grows with the distance it has
-    fallen behind, and which steps aside when the arm accelerates (compare the "one
-    euro" filter, Casiez et al., CHI 2012). Its step is the implicit one, which never
-    overshoots.
+    """Bring the residual to the end of a tick, with the momentum smoothed.
 
     Args:
         rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of
             the tick.
-        motion: Twist v of every link at its end, and momentum h of the subtree it
-            carries, in the link's axes, shape (n, 6).
-        joints: Direction S of every joint, times what is stacked, shape (n, 6 n); the
-            matrix that maps the stacked twists to v x S, shape (6 n, 6 n); rotor
-            inertia [kg m^2], shape (n,), of length 0 where there is none.
-        load: g + tau_f there [Nm], shape (n,).
+        twists: Twist v of every link at the end of the tick, in the link's axes, shape
+            (n, 6).
+        momenta: Momentum h there of the subtree that the link carries, likewise.
+        directions: Direction S of every joint, to be multiplied with the stacked
+            momenta, shape (n, 6 n).
+        crossing: Maps the stacked twists to v x S, shape (6 n, 6 n).
+        armature: Rotor inertia [kg m^2], shape (n,); of length 0 where there is none.
+        load: g + tau_f at the end of the tick [Nm], shape (n,).
         sample: q [rad], dq [rad/s] and measured torque [Nm] there, shape (3, n).
         weights: See `set_step_weights`.
-        noise_threshold: Distance at which the bandwidth has doubled, shape (n,); of
-            length 0 where nothing is smoothed.
-        dt_s: Length of the tick [s]; 0 at a first sample, which only sets the momentum.
+        noise_threshold: See `momentum_smoothing_step`, shape (n,); of length 0 where
+            nothing is smoothed.
+        dt_s: Length of the tick; 0 at a first sample, which only sets the momentum.
 
-    Returns whether the sample is finite and of plausible size; if not, nothing has
-    happened.
+    Returns:
+        Whether the sample is finite and of plausible size; if not, nothing has
+        happened.
     """
     numbers = sample.ravel()
-    if not dot(numbers, numbers) < _MOST_SQUARED:  # a NaN is not either
+    if not dot(numbers, numbers) < MAX_SQUARED_SUM:  # a NaN is not either
         return False
-    set_momentum(motion, joints, sample[1], rows)
-    momentum = rows[MOMENTUM + END]
-    if dt_s > 0.0 and noise_threshold.size:
-        tick = BANDWIDTH_PER_S * dt_s
-        behind = momentum - rows[MOMENTUM]
-        ratio = behind / noise_threshold
-        ratio *= ratio
-        ratio *= ratio
-        # behind / (1 + tick (1 + ratio^4)) remains.
-        ratio *= tick
-        ratio += 1.0 + tick
-        behind /= ratio
-        momentum -= behind
+    dq = sample[1]
+    torque = sample[2]
+    set_momentum(rows, twists, momenta, directions, crossing, armature, dq)
     rows[GRAVITY + END] = load
-    rows[TORQUE + END] = sample[2]
+    rows[TORQUE + END] = torque
     if dt_s > 0.0:
+        if noise_threshold.size:
+            momentum_smoothing_step(
+                rows[MOMENTUM + END], rows[MOMENTUM], noise_threshold, dt_s
+            )
         if len(weights) == 1:
             rows[RESIDUAL] = weights.dot(rows)[0]
         else:
             rows[RESIDUAL] = (weights.T * rows).sum(axis=0)
-    rows[MOMENTUM:BEFORE] = rows[BEFORE:]
+    rows[MOMENTUM:ROWS_BEFORE] = rows[ROWS_BEFORE:]
     return True
 
 
 @dataclass(slots=True, eq=False)
 class MomentumState:
-    """All that a `MomentumObserver` remembers.
+    """State of a `MomentumObserver`.
 
     Attributes:
-        rows: Of the last step, shape (ROWS, n).
-        started: Whether there was one.
+        rows: Rows of the last step, see `RESIDUAL` and the others, shape (ROWS, n).
+        started: Whether there was a sample.
+        noise: Momentum noise per joint for smoothing [kg m^2/s], shape (n,); None
+            without smoothing.
     """
 
     rows: Array
     started: bool = False
-    noise: Array | None = (
-        None  # Momentum noise per joint for smoothing, shape (n,); None without
-    )
+    noise: Array | None = None
 
 
 class MomentumObserver:
@@ -210,7 +276,7 @@ class MomentumObserver:
         max_gap_s: Longest time step that is still integrated [s].
 
     Attributes:
-        memory: All that it remembers.
+        memory: Its state.
 
     Raises:
         ConfigurationError: For a gain, alignment or gap that cannot work, or friction
@@ -228,18 +294,10 @@ class MomentumObserver:
     ) -> None:
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
-        n = self._joints = robot.nv
-        # One where it serves all: on an uneven clock its weights change every tick.
-        is_fit = np.shape(gain_per_s) in ((), (n,))
-        self._gains = np.array(
-            gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1
-        )
-        if not (np.isfinite(self._gains).all() and (self._gains > 0).all()):
-            raise ConfigurationError(
-                f"gain_per_s is {gain_per_s!r}, expected one positive number or {n} of them [1/s]"
-            )
+        self._joints = robot.nv
+        self._gains = read_gains(gain_per_s, robot.nv)
         if friction is not None:
-            check_friction(friction, n)
+            check_friction(friction, robot.nv)
         self._model = robot.model
         self._friction = friction
         axes = [joint_axis(joint) for joint in list(robot.model.joints)[1:]]
@@ -250,10 +308,12 @@ class MomentumObserver:
             if np.any(robot.model.armature)
             else np.zeros(0)
         )
-        self._directions = np.asarray(block_diag(*axes)), crossing, armature
+        self._directions = np.asarray(block_diag(*axes))
+        self._crossing = crossing
+        self._armature = armature
         self._data = robot.create_data()
-        self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
-        self._held = alignment == "hold"
+        self._share_workspace()
+        self._is_held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._weights = np.zeros((len(self._gains), ROWS))
         self._dt_s = math.nan
@@ -262,7 +322,7 @@ class MomentumObserver:
     @property
     def residual(self) -> Array:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
-        return self.memory.rows[0].copy()
+        return self.memory.rows[RESIDUAL].copy()
 
     @property
     def gain_per_s(self) -> Array:
@@ -291,12 +351,13 @@ class MomentumObserver:
             check_rows(_NAMES, sample)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
         residual = self.step(sample, dt_s)
-        residual.setflags(False)  # pyright: ignore[reportCallIssue]  # by name three times as long
+        residual.setflags(write=False)
         return residual
 
     def step(self, sample: Array, dt_s: float) -> Array:
-        """As `update`, for a checked time step and one contiguous array of shape (3,
-        n).
+        """Take a sample as one contiguous array, shape (3, n), and a checked time step.
+
+        Like `update` but for these checks; the result may be written.
         """
         memory = self.memory
         q = sample[0]
@@ -304,39 +365,52 @@ class MomentumObserver:
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
         elif dt_s != self._dt_s:  # on an even clock that is once
-            set_step_weights(self._weights, self._gains, dt_s, self._held)
+            set_step_weights(self._weights, self._gains, dt_s, self._is_held)
             self._dt_s = dt_s
-        rows = memory.rows
-        weights = self._weights
-        threshold = self._noise_threshold
-        model = self._model
-        data = self._data
-        load = pin.computeGeneralizedGravity(model, data, q)
+        load = pin.computeGeneralizedGravity(self._model, self._data, q)
         if self._friction is not None:
             # A model that writes into its argument must not change the caller's sample.
-            still = dq.view()
-            still.setflags(write=False)
-            load += self._friction.torque(still)
-        pin.computeCentroidalMomentum(model, data, q, dq)
-        motion = self._motion
-        joints = self._directions
-        if not momentum_step(
-            rows, motion, joints, load, sample, weights, threshold, dt_s
-        ):
+            read_only_dq = dq.view()
+            read_only_dq.setflags(write=False)
+            load += self._friction.torque(read_only_dq)
+        # Fills the workspace: twists and momenta.
+        pin.computeCentroidalMomentum(self._model, self._data, q, dq)
+        is_plausible = momentum_step(
+            memory.rows,
+            self._twists,
+            self._momenta,
+            self._directions,
+            self._crossing,
+            self._armature,
+            load,
+            sample,
+            self._weights,
+            self._noise_threshold,
+            dt_s,
+        )
+        if not is_plausible:
             check_rows(_NAMES, sample)
         memory.started = True
-        return rows[0].copy()
+        return memory.rows[RESIDUAL].copy()
+
+    def _share_workspace(self) -> None:
+        """Read twists and momenta in place from the workspace that Pinocchio fills."""
+        self._twists = _shared_rows(self._data.v)
+        self._momenta = _shared_rows(self._data.h)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: kept for name, kept in vars(self).items() if name != "_motion"}
+        state = vars(self).copy()
+        del state["_twists"], state["_momenta"]
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        vars(self).update(state)  # A deep copy has a workspace of its own.
-        self._motion = _shared_rows(self._data.v), _shared_rows(self._data.h)
+        vars(self).update(state)
+        self._share_workspace()  # A deep copy has a workspace of its own.
 
     def smooth_momentum(self, velocity_noise_rad_s: Array, q: Array) -> None:
-        """From now on smooth the momentum of an arm that hardly accelerates, see
-        `momentum_step`.
+        """Smooth the momentum from now on while the arm hardly accelerates.
+
+        See `momentum_smoothing_step`.
 
         Args:
             velocity_noise_rad_s: Standard deviation of ``dq`` per joint [rad/s], shape
@@ -351,12 +425,13 @@ class MomentumObserver:
             self._model, self._data, check_joint_vector("q", q, self._joints)
         )
         variance = np.square(inertia).dot(np.square(noise))
-        self.memory.noise = np.sqrt(variance) + _LEAST_MOMENTUM_NOISE
+        self.memory.noise = np.sqrt(variance) + MIN_MOMENTUM_NOISE
         self.restore(self.memory)
 
     def restore(self, memory: MomentumState) -> None:
-        """Go on from a `memory`, which is kept, of an observer of the same robot and
-        settings.
+        """Go on from the `memory` of an observer of the same robot and settings.
+
+        It is not copied.
 
         Raises:
             ConfigurationError: If it belongs to a robot with another number of joints,
@@ -383,9 +458,26 @@ class MomentumObserver:
         self.restore(MomentumState(np.zeros((ROWS, self._joints))))
 
 
+def read_gains(gain_per_s: float | ArrayLike, joints: int) -> Array:
+    """Read a gain for all joints, shape (1,), or one each, shape (joints,) [1/s].
+
+    One stays one where it serves all: on an uneven clock its weights change in every
+    tick.
+    """
+    is_fit = np.shape(gain_per_s) in ((), (joints,))
+    gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1)
+    if not (np.isfinite(gains).all() and (gains > 0).all()):
+        raise ConfigurationError(
+            f"gain_per_s is {gain_per_s!r}, expected one positive number or {joints} "
+            "of them [1/s]"
+        )
+    return gains
+
+
 def joint_axis(joint: pin.JointModel) -> Array:
-    """Twist of a link at unit rate of its joint of one number, in the link's axes,
-    shape (6,).
+    """Return the twist of a link at unit rate of its joint, in its axes, shape (6,).
+
+    The joint must have one number.
     """
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq))
@@ -393,14 +485,17 @@ def joint_axis(joint: pin.JointModel) -> Array:
 
 
 def _shared_rows(vectors: Any) -> Array:
-    """The spatial vectors of all joints of a Pinocchio workspace, in place, shape
-    (n, 6).
+    """Return the spatial vectors of all joints of a workspace in place, shape (n, 6).
+
+    Pinocchio lays them out one after the other.
     """
     first = vectors[1].vector
-    last = vectors[len(vectors) - 1].vector
-    step = 6 * 8
-    rows = np.lib.stride_tricks.as_strided(first, (len(vectors) - 1, 6), (step, 8))
-    if rows[-1].ctypes.data != last.ctypes.data:
+    final = vectors[len(vectors) - 1].vector
+    number_bytes = first.itemsize
+    rows = np.lib.stride_tricks.as_strided(
+        first, (len(vectors) - 1, 6), (6 * number_bytes, number_bytes)
+    )
+    if rows[-1].ctypes.data != final.ctypes.data:
         raise ConfigurationError(
             "this version of pinocchio lays out its workspace in another way"
         )

@@ -1,6 +1,4 @@
-"""Where the tool is and how joint motion moves it: computed once per sample, used by
-all.
-"""
+"""Pose and Jacobian of the tool, computed once per sample and used by all."""
 
 from typing import Any
 
@@ -8,12 +6,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from residual.checks.input import vector_of_three
-from residual.errors import Array, ConfigurationError
+from residual.errors import ConfigurationError
 from urdf import Robot
 
 _LOCAL = pin.ReferenceFrame.LOCAL
-MOST_OFFSET_M = 10.0  # no tool is longer
+MAX_OFFSET_M = 10.0
+"""Largest distance of the tip from the frame: no tool is longer."""
 
 
 class ToolKinematics:
@@ -34,8 +34,9 @@ class ToolKinematics:
             base axes, a row per joint, shape (n, 6). In that joint's axes: tip [m] and
             direction of the needle, shape (3,).
 
-    `ConfigurationError` for a zero axis, or an offset that is none; `urdf.UrdfError`
-    for an unknown frame.
+    Raises:
+        ConfigurationError: For a zero axis, or an offset that cannot be.
+        urdf.UrdfError: For an unknown frame.
     """
 
     def __init__(
@@ -47,29 +48,33 @@ class ToolKinematics:
     ) -> None:
         self.axis_in_tool = unit_axis(insertion_axis)
         frame_id = robot.frame_id(frame if frame is not None else robot.tool_frame)
-        at = robot.model.frames[frame_id]
-        offset_m = check_offset(offset_m)
-        tip = at.placement * pin.SE3(np.eye(3), offset_m)
+        tool_frame = robot.model.frames[frame_id]
+        tip = tool_frame.placement * pin.SE3(np.eye(3), check_offset(offset_m))
         self._model = pin.Model(robot.model)
         self._frame_id = self._model.addFrame(
-            pin.Frame("tip of the needle", at.parentJoint, tip, pin.FrameType.OP_FRAME),
+            pin.Frame(
+                "tip of the needle", tool_frame.parentJoint, tip, pin.FrameType.OP_FRAME
+            ),
             False,
         )
         self._data = self._model.createData()
-        self._joint = at.parentJoint
+        self._joint = tool_frame.parentJoint
         self._tip = tip.translation.copy(), tip.rotation.dot(self.axis_in_tool)
         self._share()
 
     def _share(self) -> None:
-        """Look into Pinocchio's workspace, which every `update` fills: calls for it
-        take longer.
+        """Read in place from Pinocchio's workspace, which every `update` fills.
+
+        Calls that copy it take longer.
         """
         joint = self._data.oMi[self._joint]
         workspace = joint.translation, joint.rotation.T, self._data.J.reshape(6, -1).T
         self.needle = (*workspace, *self._tip)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: kept for name, kept in vars(self).items() if name != "needle"}
+        state = vars(self).copy()
+        del state["needle"]
+        return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)  # A deep copy has a workspace of its own.
@@ -81,13 +86,13 @@ class ToolKinematics:
 
     @property
     def jacobian(self) -> Array:
-        """Of the latest `update`, in the frame's own axes, shape (6, n)."""
+        """Jacobian at the latest `update`, in the frame's own axes, shape (6, n)."""
         jacobian = pin.getFrameJacobian(self._model, self._data, self._frame_id, _LOCAL)
         return jacobian.reshape(6, -1)  # of a single joint it comes as a vector
 
     @property
     def pose(self) -> Array:
-        """Of the tip in the base, homogeneous, shape (4, 4)."""
+        """Pose of the tip in the base, homogeneous, shape (4, 4)."""
         return pin.updateFramePlacement(
             self._model, self._data, self._frame_id
         ).homogeneous
@@ -108,23 +113,31 @@ class ToolKinematics:
 
 
 def unit_axis(axis: ArrayLike) -> Array:
-    """An insertion axis of length one, shape (3,); refused unless finite and not all
-    zero.
+    """Return an insertion axis scaled to length one, shape (3,).
+
+    Raises:
+        ConfigurationError: If it is not finite, or zero.
     """
-    given = vector_of_three("insertion_axis", axis)
-    if not given.any():
+    direction = vector_of_three("insertion_axis", axis)
+    if not direction.any():
         raise ConfigurationError(
             f"insertion_axis is {axis!r}: they must not all be zero"
         )
-    given = given / np.abs(given).max()
-    return given / np.linalg.norm(given)
+    # Scaled first, since the square of a large number overflows.
+    direction = direction / np.abs(direction).max()
+    return direction / np.linalg.norm(direction)
 
 
 def check_offset(offset_m: ArrayLike) -> Array:
-    """Refuse a tip offset [m] that is not three numbers, or longer than any tool."""
-    given = vector_of_three("tool_offset_m", offset_m)
-    if np.abs(given).max() > MOST_OFFSET_M:
+    """Return a tip offset [m] as an array, shape (3,).
+
+    Raises:
+        ConfigurationError: If it is not three numbers, or longer than any tool.
+    """
+    tip_offset_m = vector_of_three("tool_offset_m", offset_m)
+    if np.abs(tip_offset_m).max() > MAX_OFFSET_M:
         raise ConfigurationError(
-            f"tool_offset_m is {offset_m!r}, beyond {MOST_OFFSET_M:g} m: is it in millimetres?"
+            f"tool_offset_m is {offset_m!r}, beyond {MAX_OFFSET_M:g} m: is it in "
+            "millimetres?"
         )
-    return given
+    return tip_offset_m

@@ -13,7 +13,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
 from residual.checks.input import (
     ROUNDING_S,
@@ -23,16 +23,30 @@ from residual.checks.input import (
     check_rows,
     read_rows,
 )
-from residual.errors import Array
 from residual.momentum_observer import Alignment
 
-ROWS = 4  # Rows of a step: outputs of the first and second lag, input at start and end
 _NAMES = ("q", "tau")
+
+# The filter's output after a tick is linear in four vectors, the rows of a step.
+
+FIRST_LAG = 0
+"""Row of the output of the first lag."""
+
+SECOND_LAG = 1
+"""Row of the output of the second lag."""
+
+INPUT_BEFORE = 2
+"""Row of the input at the start of the tick."""
+
+INPUT = 3
+"""Row of the input at its end."""
+
+ROWS = 4
+"""Number of rows."""
 
 
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
-    """Factors of the exact step of two equal first-order lags in a row, shape (3,
-    ROWS).
+    """Return the factors of the exact step of two equal lags in a row, shape (3, ROWS).
 
     Times the rows they give both outputs at the end of the tick, and the rate of the
     second one. The input runs straight over the tick; a held one is the case of equal
@@ -42,31 +56,40 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     decay = math.exp(-tick)
     gained = -math.expm1(-tick)
     per_tick = 1.0 / tick
-    start = gained * per_tick - decay
-    first = np.array([decay, 0.0, start, 1.0 - gained * per_tick])
-    end = 1.0 + decay - 2.0 * gained * per_tick
-    second = np.array([decay * tick, decay, 2.0 * start - tick * decay, end])
+    from_start = gained * per_tick - decay
+    from_end = 1.0 + decay - 2.0 * gained * per_tick
+    first = np.array([decay, 0.0, from_start, 1.0 - gained * per_tick])
+    second = np.array([decay * tick, decay, 2.0 * from_start - tick * decay, from_end])
     return np.stack((first, second, bandwidth_per_s * (first - second)))
 
 
 @compiled
 def lag_pair_step(
-    rows: WrittenMatrix, factors: Matrix, given: Vector, held: bool
+    rows: WrittenMatrix, factors: Matrix, signals: Vector, is_held: bool
 ) -> Array:
-    """Bring the rows up to date; position, its rate and torque behind both lags,
-    shape (3, n).
+    """Bring the rows of position and torque to the end of a tick.
+
+    Args:
+        rows: See `FIRST_LAG` and the others, shape (4, 2 n).
+        factors: See `lag_pair_coefficients`.
+        signals: Position [rad], then torque [Nm] of this tick, shape (2 n,).
+        is_held: Whether torque is held over the tick, see `Alignment`.
+
+    Returns:
+        Position behind both lags, its rate, and torque behind both lags, shape (3, n).
     """
-    n = len(given) // 2
-    rows[3, :n] = given[:n]
-    rows[3, n:] = rows[2, n:] if held else given[n:]
-    out = factors.dot(rows)
-    found = np.empty((3, n))
-    rows[:2] = out[:2]
-    rows[2] = given
-    found[0] = out[1, :n]
-    found[1] = out[2, :n]
-    found[2] = out[1, n:]
-    return found
+    n = len(signals) // 2
+    rows[INPUT, :n] = signals[:n]
+    rows[INPUT, n:] = rows[INPUT_BEFORE, n:] if is_held else signals[n:]
+    outputs = factors.dot(rows)
+    rows[FIRST_LAG] = outputs[0]
+    rows[SECOND_LAG] = outputs[1]
+    rows[INPUT_BEFORE] = signals
+    matched = np.empty((3, n))
+    matched[0] = outputs[1, :n]
+    matched[1] = outputs[2, :n]
+    matched[2] = outputs[1, n:]
+    return matched
 
 
 class MatchedSample(NamedTuple):
@@ -76,24 +99,24 @@ class MatchedSample(NamedTuple):
         q: Filtered position [rad].
         dq: Its exact derivative [rad/s].
         tau: Torque through the same filter [Nm].
+        settled: Whether the start of the filter has faded; before that dq is not
+            usable.
     """
 
     q: Array
     dq: Array
     tau: Array
-    settled: (
-        bool  # Whether the start of the filter has faded; before that dq is not usable
-    )
+    settled: bool
 
 
 @dataclass(slots=True, eq=False)
 class VelocityState:
-    """All that a `VelocityEstimator` remembers.
+    """State of a `VelocityEstimator`.
 
     Attributes:
-        rows: Of the last step, position then torque, shape (ROWS, 2 n).
-        started: Whether there was one.
-        age_s: Time since the filter started [s].
+        rows: Rows of the last step, position then torque, shape (ROWS, 2 n).
+        started: Whether there was a sample.
+        age_s: Time since the filter started.
     """
 
     rows: Array
@@ -114,14 +137,20 @@ class VelocityEstimator:
         max_gap_s: A longer time step starts the filter anew [s].
 
     Attributes:
-        memory: All that it remembers; one of the same settings and joints may stand in
-            its place.
+        memory: Its state; one of the same settings and joints may replace it.
 
     Raises:
         ConfigurationError: For a setting that cannot work.
     """
 
-    SETTLING_LAGS = 10.0  # Lags after which the start has faded to 5e-4 of itself
+    SETTLING_LAGS = 10.0
+    """Lags after which the start has faded to 5e-4 of itself."""
+
+    MIN_BANDWIDTH_PER_S = 1e-3
+    """Smallest bandwidth: its cube is calculated with."""
+
+    MAX_BANDWIDTH_PER_S = 1e6
+    """Largest bandwidth: its cube is calculated with."""
 
     def __init__(
         self,
@@ -131,14 +160,18 @@ class VelocityEstimator:
         alignment: Alignment = "trapezoid",
         max_gap_s: float = 0.1,
     ) -> None:
-        # Its cube is calculated with.
-        check_positive("bandwidth_per_s", bandwidth_per_s, least=1e-3, most=1e6)
+        check_positive(
+            "bandwidth_per_s",
+            bandwidth_per_s,
+            minimum=self.MIN_BANDWIDTH_PER_S,
+            maximum=self.MAX_BANDWIDTH_PER_S,
+        )
         check_positive("joints", joints)
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
         self._joints = int(joints)
         self._bandwidth = float(bandwidth_per_s)
-        self._held = alignment == "hold"
+        self._is_held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._settling_s = self.SETTLING_LAGS / bandwidth_per_s
         self._dt_s = math.nan
@@ -150,8 +183,9 @@ class VelocityEstimator:
         return 2.0 / self._bandwidth
 
     def noise_per_position_noise(self, dt_s: float) -> float:
-        """Velocity noise [rad/s] per rad of white position noise at a sample period
-        [s].
+        """Return the velocity noise [rad/s] per rad of white position noise.
+
+        The samples come at a period ``dt_s``.
         """
         return math.sqrt(dt_s * self._bandwidth**3 / 4.0)
 
@@ -164,29 +198,33 @@ class VelocityEstimator:
         rows = read_rows(_NAMES, (q, tau), self._joints)
         check_rows(_NAMES, rows)
         dt_s = check_interval(dt_s) if self.memory.started else 0.0
-        found, settled = self.step(rows, dt_s)
-        return MatchedSample(found[0], found[1], found[2], settled)
+        matched, is_settled = self.step(rows, dt_s)
+        return MatchedSample(
+            q=matched[0], dq=matched[1], tau=matched[2], settled=is_settled
+        )
 
     def step(self, sample: Array, dt_s: float) -> tuple[Array, bool]:
-        """As `update`, for finite numbers and a checked time step.
+        """Take position and torque as one array, shape (2, n), of finite numbers.
 
-        The sample is position and torque, shape (2, n), contiguous; what a
-        `MatchedSample` holds is returned, its arrays as one, shape (3, n).
+        Like `update`, with a checked time step and a contiguous array.
+
+        Returns:
+            The arrays of a `MatchedSample` as one, shape (3, n), and whether it is
+            settled.
         """
         memory = self.memory
-        rows = self.memory.rows
-        given = sample.ravel()
+        signals = sample.ravel()
         if not memory.started or dt_s > self._max_gap_s:
-            rows[:] = given
+            memory.rows[:] = signals
             memory.age_s = 0.0
             memory.started = True
             return np.stack((sample[0], np.zeros(self._joints), sample[1])), False
         if dt_s != self._dt_s:  # on an even clock that is once
             self._coefficients = lag_pair_coefficients(self._bandwidth, dt_s)
             self._dt_s = dt_s
-        found = lag_pair_step(rows, self._coefficients, given, self._held)
+        matched = lag_pair_step(memory.rows, self._coefficients, signals, self._is_held)
         memory.age_s += dt_s
-        return found, memory.age_s >= self._settling_s - ROUNDING_S
+        return matched, memory.age_s >= self._settling_s - ROUNDING_S
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

@@ -3,53 +3,91 @@
 import math
 from copy import deepcopy
 from dataclasses import replace
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.advice import Message
+from foundation.arrays import Array
 from residual.advice import TareAdvice
 from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
-from residual.checks.input import SampleClock, long_step
+from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import Array, SampleError, SnapshotError, TareError, VelocityError
+from residual.errors import SampleError, SnapshotError, TareError, VelocityError
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
+    Assessment,
     SensorWarning,
     Status,
     WrenchEstimate,
 )
 from residual.sample_stream import SampleStream, StreamState, TorqueSample
-from residual.snapshot import robot_digest, settings_text, try_out
+from residual.snapshot import check_sensor_state, robot_digest, settings_text
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench_estimator import COMPONENTS, WrenchEstimator
+from residual.wrench_estimator import (
+    COMPONENTS,
+    NO_LAGS,
+    StepLags,
+    WrenchEstimator,
+    WrenchFilterState,
+)
 from urdf import Robot
 
-_OK = Status.OK  # names of an enumeration take as long to find as a call
-_new = tuple.__new__  # makes a named tuple in half the time: there is one in every tick
+
+class DueWork(StrEnum):
+    """Slow work that waits for its tick, so that no tick does all of it.
+
+    After the bias was renewed the next tick checks consistency, the one after that
+    computes the gain anew.
+    """
+
+    CHECK = "check"
+    """The consistency check, and after it the gain."""
+    GAIN = "gain"
+    """The gain."""
+    NONE = "none"
+    """Nothing until the bias is renewed."""
+
+
+AFTER = {
+    DueWork.CHECK: DueWork.GAIN,
+    DueWork.GAIN: DueWork.NONE,
+    DueWork.NONE: DueWork.NONE,
+}
+"""Work that is due in the next tick."""
+
+DAMPING_FORCE_N = 100.0
+"""Expected force of the estimator that looks for a contact in a tare."""
+
+SMOOTHED_NOISE_RATIO = 3.0
+"""Noise that lasts for t keeps a part 3 t / L of its variance in the mean over L."""
 
 
 class SensorState(NamedTuple):
-    """All that a `VirtualForceSensor` remembers.
+    """State of a `VirtualForceSensor`, with the robot and settings that it is of.
 
     Attributes:
         robot: `robot_digest` of its robot.
         config: Its settings in words; they must be the same to go on.
         stream: Of the stream of samples; None before the first.
         is_external: Whether it is one of the robot's own external torques.
-        lag_s: Of the stream that the last sample came by [s].
+        lag_s: Of the stream that the last sample came by.
         offset: Of the offset removal.
-        weighed_at: Where the joints were weighed last [rad], shape (n,).
+        torque_covariance: Covariance of the residual's error, as last renewed [Nm^2],
+            shape (n, n).
+        gain_configuration: Where the gain was computed last [rad], shape (n,).
         monitor: Of the consistency checks.
-        wrench: Memory of `wrench_step`, shape (3, 3) or (3, 6).
-        follows: Whether that memory is of a sample.
-        unchecked_s: Time since the last consistency check [s].
+        wrench_filter: Of the smoothing of the wrench.
+        is_smoothing: Whether that is of a sample.
+        unchecked_s: Time since the last consistency check.
+        due: Slow work that waits for its tick.
         last: Last estimate; None before the first.
-        missed_s: Time of samples rejected since then [s].
+        missed_s: Time of samples rejected since then.
         rejected: Number of bad samples so far.
     """
 
@@ -59,17 +97,13 @@ class SensorState(NamedTuple):
     is_external: bool
     lag_s: float
     offset: BiasState
-    torque_covariance: (
-        Array  # Of the residual's error, as last renewed [Nm^2], shape (n, n)
-    )
-    weighed_at: Array
+    torque_covariance: Array
+    gain_configuration: Array
     monitor: MonitorState
-    wrench: Array
-    follows: bool
+    wrench_filter: WrenchFilterState
+    is_smoothing: bool
     unchecked_s: float
-    waiting: (
-        int  # 2 while the consistency check waits for its tick, 1 while the weights do
-    )
+    due: DueWork
     last: WrenchEstimate | None
     missed_s: float
     rejected: int
@@ -92,27 +126,31 @@ class VirtualForceSensor:
         config: Settings; `PUBLISHED` for the method as published.
 
     Attributes:
-        lag_s: Time by which the estimate follows the force [s]; 0 before the first
-            sample, and for external torques of the robot itself: their lag is not known
-            here.
-        elapsed_s: Time between the last two samples that were used [s]; 0 for the
-            first.
+        lag_s: Time by which the estimate follows the force; 0 before the first sample,
+            and for external torques of the robot itself: their lag is not known here.
+        elapsed_s: Time between the last two samples that were used; 0 for the first.
         rejected: Bad samples since the last `reset`.
     """
 
-    __copy__ = deepcopy  # A shallow copy would share what every sample changes
+    # A shallow copy would share what every sample changes.
+    __copy__ = deepcopy
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
         self._digest = robot_digest(robot)
         self._robot = robot
         self._config = config
-        SampleStream(
-            robot, config, has_velocity=True
-        )  # refuses what does not fit the robot now
+        # Settings that do not fit the robot are refused now.
+        SampleStream(robot, config, has_velocity=True)
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
-        alone = replace(config, mode="axial", axes="base", weighting="covariance")
-        self._contact = WrenchEstimator(robot, replace(alone, expected_force_N=100.0))
+        contact_config = replace(
+            config,
+            mode="axial",
+            axes="base",
+            weighting="covariance",
+            expected_force_N=DAMPING_FORCE_N,
+        )
+        self._contact = WrenchEstimator(robot, contact_config)
         self._monitor = ConsistencyMonitor(robot, self._wrench)
         self._smoothing_s = 1.0 / (config.force_bandwidth_per_s or math.inf)
         self.reset()
@@ -124,8 +162,9 @@ class VirtualForceSensor:
 
     @property
     def velocity_rad_s(self) -> Array:
-        """Joint velocity of the last sample used, given or estimated [rad/s], shape
-        (n,).
+        """Joint velocity of the last sample used [rad/s], shape (n,).
+
+        It is given or estimated.
         """
         return self._offset.memory.dq
 
@@ -144,9 +183,12 @@ class VirtualForceSensor:
         """
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
-    def recheck(self, last: WrenchEstimate) -> WrenchEstimate:
-        """As `ConsistencyMonitor.recheck`."""
-        return self._monitor.recheck(last, self._before or last)
+    def recheck(self, estimate: WrenchEstimate) -> WrenchEstimate:
+        """Return the last estimate with a warning if its torques fit no needle force.
+
+        See `ConsistencyMonitor.recheck`.
+        """
+        return self._monitor.recheck(estimate, self._estimate_before or estimate)
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -164,7 +206,7 @@ class VirtualForceSensor:
             The wrench with its uncertainty and status. A bad sample is reported there,
             not raised.
         """
-        return self._take_sample(False, q, dq, tau, dt_s)
+        return self._update(q, dq, tau, dt_s, is_external=False)
 
     def update_external_torque(
         self,
@@ -173,8 +215,7 @@ class VirtualForceSensor:
         external_torque: ArrayLike,
         dt_s: float,
     ) -> WrenchEstimate:
-        """Take one sample of an external-torque estimate that the robot supplies
-        itself.
+        """Take one sample of the robot's own estimate of the external torque.
 
         Args:
             q: As in `update`, like ``dt_s`` and what is returned.
@@ -184,11 +225,12 @@ class VirtualForceSensor:
             external_torque: Torque of the environment on the joints [Nm], shape (n,).
             dt_s: Time since the previous call [s].
         """
-        return self._take_sample(True, q, dq, external_torque, dt_s)
+        return self._update(q, dq, external_torque, dt_s, is_external=True)
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
-        """Fit the offset to the free motion since the start or `start_tare_recording`;
-        return it.
+        """Fit the offset to the recorded free motion and return it.
+
+        That is the motion since the start, or since `start_tare_recording`.
 
         Call it while the arm rests or from outside the control loop: it takes a few
         tenths of a second. A contact that stands during all of the motion is noticed
@@ -213,55 +255,58 @@ class VirtualForceSensor:
                     TareAdvice.IGNORE_CONTACT,
                 )
             )
-        external = self._stream is not None and self._stream.is_external
+        is_external = self._stream is not None and self._stream.is_external
         try:
             tare = self._offset.tare(
-                self._contact, ignore_contact=ignore_contact, is_external=external
+                self._contact, ignore_contact=ignore_contact, is_external=is_external
             )
         except TareError as error:
-            # What may be the cause of it.
-            hints: list[str] = [Message.of(error)]
-            if self.question:
-                hints = [Message(f"{self.question} If not, ", Message.of(error))]
-            if self.rejected and not len(self._offset.memory.recorder.sums):
-                hints += [
-                    f"{self.rejected} samples were rejected, the last one: {self._refusal}"
-                ]
-            hints += filter(None, [long_step(self.elapsed_s, self._config.max_gap_s)])
-            raise TareError(Message.joined("; ", hints)) from None
-        self._weigh()
-        self._follows = False
+            raise TareError(self._with_likely_causes(error)) from None
+        self._renew_gain()
+        self._is_smoothing = False
         return tare
+
+    def _with_likely_causes(self, error: TareError) -> Message:
+        """Return the message of a refused tare with what may have caused it."""
+        texts: list[str] = [Message.of(error)]
+        if self.question:
+            texts = [Message(f"{self.question} If not, ", Message.of(error))]
+        if self.rejected and not len(self._offset.memory.recorder.sums):
+            texts.append(
+                f"{self.rejected} samples were rejected, the last one: {self._refusal}"
+            )
+        texts.append(long_step_message(self.elapsed_s, self._config.max_gap_s))
+        return Message.joined("; ", texts)
 
     @property
     def question(self) -> str:
-        """Whether a signal is missing, or in degrees: what the samples ask; mostly
-        empty.
-        """
+        """Whether a signal is missing, or in degrees, asked in words; mostly empty."""
         stale = "" if self._stream is None else self._stream.question
         return "; ".join(filter(None, (self._monitor.question, stale)))
 
-    def _weigh(self) -> None:
-        """Weigh the joints by the residual's covariance where the arm is."""
-        self._trust(self._monitor.widened(self._offset.covariance_Nm2()))
-        self._wrench.weigh(self._offset.memory.q)
+    def _renew_gain(self) -> None:
+        """Compute the gain with the residual's covariance where the arm is."""
+        self._set_covariance(self._monitor.widen(self._offset.covariance_Nm2()))
+        self._wrench.compute_gain(self._offset.memory.q)
 
-    def _trust(self, covariance_Nm2: Array) -> None:
-        """Weigh with a covariance of the residual from now on."""
+    def _set_covariance(self, covariance_Nm2: Array) -> None:
+        """Set the covariance of the residual's error [Nm^2], shape (n, n)."""
         tare = self._offset.memory.tare
-        # A mean over L takes L / 3t of noise that lasts for t, and a lag T leaves t /
-        # (t + T).
-        gone = 3.0 * self._smoothing_s / self._offset.block_s * tare.scatter_Nm2
-        gone *= tare.noise_Nm2.diagonal() / (tare.noise_Nm2.diagonal() + gone)
+        # A mean over L removes all but 3 t / L of the variance of noise that lasts for
+        # t; of that the smoothing with a lag T leaves t / (t + T).
+        noise_ratio = SMOOTHED_NOISE_RATIO * self._smoothing_s / self._offset.block_s
+        smoothed_Nm2 = noise_ratio * tare.scatter_Nm2
+        noise_Nm2 = tare.noise_Nm2.diagonal()
+        smoothed_Nm2 *= noise_Nm2 / (noise_Nm2 + smoothed_Nm2)
         self._wrench.set_torque_covariance(
-            covariance_Nm2, tare.noise_Nm2, np.diag(gone)
+            covariance_Nm2, tare.noise_Nm2, np.diag(smoothed_Nm2)
         )
 
     def start_tare_recording(self) -> None:
-        """Record free motion anew for the next `tare`; estimates are `NOT_TARED` until
-        then.
+        """Record free motion anew for the next `tare`.
 
-        The next sample may be of the other kind of torque: everything then starts anew.
+        Estimates are `NOT_TARED` until then. The next sample may be of the other kind
+        of torque: everything then starts anew.
         """
         self._offset.start_tare_recording()
         self._monitor.forget_velocity()
@@ -269,32 +314,36 @@ class VirtualForceSensor:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._stream: SampleStream | None = None
-        self.lag_s = self.elapsed_s = 0.0
+        self.lag_s = 0.0
+        self.elapsed_s = 0.0
         self._restart()
-        self._before = self._last = None
+        self._estimate_before: WrenchEstimate | None = None
+        self._last_estimate: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
         self.rejected = 0
         self._refusal = ""
 
     def _restart(self) -> None:
-        """Forget what a stream of samples has left behind."""
+        """Forget the samples of a stream, before another begins."""
         self._offset.reset()
         self._monitor.restore(MonitorState())
-        self._followed = np.zeros((3, self._wrench.size))
-        self._follows = False
+        self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
+        self._is_smoothing = False
         self._unchecked_s = 0.0
-        self._waiting = 2
+        self._due = DueWork.CHECK
 
     @property
     def filter_lag_s(self) -> float:
-        """Time by which the force follows the posture it is reported with [s]: the
-        observer's.
+        """Time by which the force follows the posture that it is reported with [s].
+
+        It is the lag of the observer.
         """
         return 0.0 if self._stream is None else self._stream.filter_lag_s
 
     def snapshot(self) -> SensorState:
-        """All that the sensor remembers; immutable. `needleforce.write_snapshot`
-        stores it.
+        """Return the state of the sensor, a copy.
+
+        `needleforce.write_snapshot` stores it.
         """
         stream = self._stream
         return deepcopy(
@@ -306,13 +355,13 @@ class VirtualForceSensor:
                 lag_s=self.lag_s,
                 offset=self._offset.memory,
                 torque_covariance=self._wrench.torque_covariance,
-                weighed_at=self._wrench.gain.rows[0],
+                gain_configuration=self._wrench.gain.configuration_rad,
                 monitor=self._monitor.state,
-                wrench=np.array(self._followed),
-                follows=self._follows,
+                wrench_filter=self._wrench_filter,
+                is_smoothing=self._is_smoothing,
                 unchecked_s=self._unchecked_s,
-                waiting=self._waiting,
-                last=self._last,
+                due=self._due,
+                last=self._last_estimate,
                 missed_s=self._clock.missed_s,
                 rejected=self.rejected,
             )
@@ -329,37 +378,40 @@ class VirtualForceSensor:
             raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
         if state.robot != self._digest:
             raise SnapshotError(
-                "the snapshot is of another robot (joints, links, payload, frames or limits "
-                "differ); restore it with the robot it was taken with"
+                "the snapshot is of another robot (joints, links, payload, frames or "
+                "limits differ); restore it with the robot it was taken with"
             )
         config = settings_text(self._config, self._robot.nv)
         if state.config != config:
             raise SnapshotError(
-                f"the snapshot is of other settings: {state.config}, this sensor has {config}"
+                f"the snapshot is of other settings: {state.config}, this sensor has "
+                f"{config}"
             )
-        try_out(type(self)(self._robot, self._config), state)
-        self._take(deepcopy(state))
+        check_sensor_state(type(self)(self._robot, self._config), state)
+        self.restore_unchecked(deepcopy(state))
 
-    def _take(self, state: SensorState) -> None:
+    def restore_unchecked(self, state: SensorState) -> None:
+        """Go on from a state that is known to be sound; it is kept, not copied."""
         self.reset()
         if state.stream is not None:
-            kind = {
-                "is_external": state.is_external,
-                "has_velocity": state.stream.velocity is None,
-            }
-            self._stream = SampleStream(self._robot, self._config, **kind)
+            self._stream = SampleStream(
+                self._robot,
+                self._config,
+                is_external=state.is_external,
+                has_velocity=state.stream.velocity is None,
+            )
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
-        self._trust(state.torque_covariance)
-        self._wrench.weigh(state.weighed_at)
+        self._set_covariance(state.torque_covariance)
+        self._wrench.compute_gain(state.gain_configuration)
         self._monitor.restore(state.monitor)
-        self._followed = state.wrench.copy()
-        self._follows = state.follows
+        self._wrench_filter = state.wrench_filter
+        self._is_smoothing = state.is_smoothing
         self.lag_s = state.lag_s
         self._unchecked_s = state.unchecked_s
-        self._waiting = state.waiting
+        self._due = state.due
         self._clock.missed_s = state.missed_s
-        self._last = state.last
+        self._last_estimate = state.last
         self.rejected = state.rejected
         if state.last is not None:
             for value in state.last:
@@ -367,119 +419,142 @@ class VirtualForceSensor:
                     value.setflags(write=False)
             self.kinematics.update(self._offset.memory.q)
 
-    def _take_sample(
+    def _update(
         self,
-        is_external: bool,
         q: ArrayLike,
         dq: ArrayLike | None,
         torque: ArrayLike,
         dt_s: float,
+        *,
+        is_external: bool,
     ) -> WrenchEstimate:
-        """One sample of either kind, or why it was rejected."""
-        stream = self._stream
+        """Estimate the wrench of a sample, or repeat the last one with the reason."""
         try:
-            if stream is None or stream.is_external != is_external:
-                if stream is not None and not self._offset.is_fresh:
-                    raise SampleError(
-                        "update() and update_external_torque() were mixed; a tare is of one kind "
-                        "of torque: keep to one of the two, or start_tare_recording() first"
-                    )
-                kind = {"is_external": is_external, "has_velocity": dq is not None}
-                stream = SampleStream(self._robot, self._config, **kind)
-            elapsed_s = 0.0 if self._last is None else self._clock.elapsed(dt_s)
+            stream = self._stream_of(is_external, has_velocity=dq is not None)
+            is_first = self._last_estimate is None
+            elapsed_s = 0.0 if is_first else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
             return self._reject(dt_s, error)
         if stream is not self._stream:
             self._stream = stream
             self._restart()
-        return self._finish(sample, stream, elapsed_s)
+        return self._process(sample, stream, elapsed_s)
 
-    def _finish(
+    def _stream_of(self, is_external: bool, *, has_velocity: bool) -> SampleStream:
+        """Return the stream that a sample belongs to, a new one where there is none."""
+        stream = self._stream
+        if stream is not None and stream.is_external == is_external:
+            return stream
+        if stream is not None and not self._offset.is_fresh:
+            raise SampleError(
+                "update() and update_external_torque() were mixed; a tare is of one "
+                "kind of torque: keep to one of the two, or start_tare_recording() "
+                "first"
+            )
+        return SampleStream(
+            self._robot,
+            self._config,
+            is_external=is_external,
+            has_velocity=has_velocity,
+        )
+
+    def _process(
         self, sample: TorqueSample, stream: SampleStream, elapsed_s: float
     ) -> WrenchEstimate:
-        """Remove the offset, project, and say what the caller should know."""
-        q, dq, tau, residual, settled = sample
+        """Estimate the wrench of a valid sample, the bias removed."""
         self._clock.missed_s = 0.0
         self.elapsed_s = elapsed_s
         self.lag_s = stream.lag_s
+        self._unchecked_s += elapsed_s
         offset = self._offset
         wrench = self._wrench
-        monitor = self._monitor
-        renewed = offset.follow(q, dq, tau, elapsed_s)
-        bias = offset.memory
-        if settled and not bias.tared:
-            offset.record(residual, elapsed_s)
-        self._unchecked_s += elapsed_s
-        waiting = self._waiting
-        checks = False
-        if renewed or waiting:
-            # The tick after a renewal checks, the next one weighs; what waits still, as
-            # with a slow clock and in the first tick, is done with the next renewal.
-            checks = waiting == 2
-            weighs = waiting == 1 or (renewed and waiting == 2)
-            self._waiting = 2 if renewed else waiting - 1
-            if weighs and (offset.is_covariance_due or monitor.wants_widening):
-                self._weigh()
-        wrench.kinematics.update(q)
-        # Smoothing and the lag that follows the force begin where the force is.
-        lags = 0.0, 0.0
-        if self._follows:
-            lags = self._smoothing_s / elapsed_s, stream.lag_s / elapsed_s
-        found = wrench.solve(q, residual, bias.bias, self._followed, lags)
-        self._follows = True
-        if checks:
-            sent = dq if stream.has_velocity else None
-            monitor.check(q, sent, found[-1], self._unchecked_s, tared=bias.tared)
-            self._unchecked_s = 0.0
-        status = _OK
-        message = monitor.message
-        warnings = monitor.warnings
-        if (
-            not (settled and bias.tared)
-            or bias.leapt_s
-            or stream.warning
-            or stream.question
-        ):
-            status, message, warnings = self._assess(stream, settled=settled)
-        last = _new(
-            WrenchEstimate, (*found, status, message, monitor.mismatch, warnings)
-        )
-        self._before, self._last = self._last, last
-        return last
+        is_renewed = offset.update(sample.q, sample.dq, sample.tau, elapsed_s)
+        if sample.settled and not offset.memory.tared:
+            offset.record(sample.residual, elapsed_s)
+        due = self._due
+        if is_renewed or due is not DueWork.NONE:
+            self._do_gain_if_due(is_renewed=is_renewed)
+        wrench.kinematics.update(sample.q)
+        wrench.renew_gain(sample.q)
+        residual = sample.residual - offset.memory.bias
+        if due is DueWork.CHECK:
+            self._check(sample, stream, residual)
+        lags = NO_LAGS
+        if self._is_smoothing:
+            lags = StepLags(self._smoothing_s / elapsed_s, stream.lag_s / elapsed_s)
+        self._is_smoothing = True
+        assessment = self._assess(stream, is_settled=sample.settled)
+        estimate = wrench.solve(residual, self._wrench_filter, lags, assessment)
+        self._estimate_before = self._last_estimate
+        self._last_estimate = estimate
+        return estimate
 
-    def _assess(
-        self, stream: SampleStream, *, settled: bool
-    ) -> tuple[Status, str, SensorWarning]:
-        """Status, message and warnings of a sample that is not simply a good one."""
-        offset = self._offset
+    def _do_gain_if_due(self, *, is_renewed: bool) -> None:
+        """Compute the gain anew where this tick is the one for it, and it has changed.
+
+        On a slow clock, and in the first tick, the bias may be renewed while the check
+        is due; then all is done in one tick.
+        """
+        due = self._due
+        self._due = DueWork.CHECK if is_renewed else AFTER[due]
+        is_tick = due is DueWork.GAIN or (is_renewed and due is DueWork.CHECK)
+        if is_tick and (self._offset.is_covariance_due or self._monitor.wants_widening):
+            self._renew_gain()
+
+    def _check(
+        self, sample: TorqueSample, stream: SampleStream, residual: Array
+    ) -> None:
+        """Check consistency: a residual after offset removal [Nm], shape (n,)."""
+        self._monitor.check(
+            sample.q,
+            sample.dq if stream.has_velocity else None,
+            residual,
+            self._unchecked_s,
+            tared=self._offset.memory.tared,
+        )
+        self._unchecked_s = 0.0
+
+    def _assess(self, stream: SampleStream, *, is_settled: bool) -> Assessment:
+        """Return what an estimate says of itself."""
         monitor = self._monitor
+        offset = self._offset
+        stale = stream.warning or stream.question
+        if is_settled and offset.memory.tared and not (stale or offset.memory.leapt_s):
+            return Assessment(
+                Status.OK, monitor.message, monitor.mismatch, monitor.warnings
+            )
         warnings = monitor.warnings
         if stream.warning:
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
-        if not settled:
-            gap = long_step(self.elapsed_s, self._config.max_gap_s)
-            return Status.INITIALIZING, gap or INITIALIZING, warnings
-        if not offset.memory.tared:
+        if not is_settled:
+            status = Status.INITIALIZING
+            gap = long_step_message(self.elapsed_s, self._config.max_gap_s)
+            texts = (gap or INITIALIZING,)
+        elif not offset.memory.tared:
+            status = Status.NOT_TARED
             reason = monitor.velocity_fault or offset.warning or NOT_TARED
-            texts = reason, stream.warning, self.question or monitor.limit
-            return Status.NOT_TARED, "; ".join(filter(None, texts)), warnings
-        frozen = stream.warning or stream.question
-        message = "; ".join(filter(None, (frozen, offset.warning, monitor.message)))
-        return Status.OK, message, warnings
+            texts = (reason, stream.warning, self.question or monitor.limit)
+        else:
+            status = Status.OK
+            texts = (stale, offset.warning, monitor.message)
+        message = "; ".join(filter(None, texts))
+        return Assessment(status, message, monitor.mismatch, warnings)
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
-        """The last valid estimate again; the time of a bad sample still passes."""
+        """Return the last valid estimate again; the time of a bad sample passes."""
         self._refusal = str(error)
         self.rejected = self.rejected + 1
-        last = self._last
-        if last is None:
-            last = WrenchEstimate.unknown(self._robot.nv, COMPONENTS[self._config.mode])
+        estimate = self._last_estimate
+        if estimate is None:
+            components = COMPONENTS[self._config.mode]
+            estimate = WrenchEstimate.unknown(self._robot.nv, components)
         else:
             self._clock.miss(dt_s)
-        warnings = last.warnings | error.warning
-        return last._replace(
-            status=Status.REJECTED, message=str(error), warnings=warnings
+        return estimate._replace(
+            status=Status.REJECTED,
+            message=str(error),
+            warnings=estimate.warnings | error.warning,
         )

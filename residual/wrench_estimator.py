@@ -1,89 +1,189 @@
-"""From external joint torque to the wrench at a named frame: equation (13) and
-better.
+"""From external joint torque to the wrench at a named frame: equation (13) and more.
+
+Between the components of a force, *along* means along the insertion direction and
+*across* means perpendicular to it.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compiled
 from residual.checks.input import check_joint_vector
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import Array, ConfigurationError, SampleError
-from residual.estimate import MOST_CONDITIONING, UNSEEN_STD, WrenchEstimate
+from residual.errors import ConfigurationError, SampleError
+from residual.estimate import (
+    GOOD,
+    MAX_CONDITIONING,
+    UNSEEN_STD,
+    Assessment,
+    WrenchEstimate,
+)
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-COMPONENTS = {"axial": 1, "point": 3, "full": 6}  # unknowns of every mode
-EXPECTED_TORQUE_NM = (
-    10.0  # mode ``full``: for torques what ``expected_force_N`` is for forces
-)
-_NOTHING = np.zeros(3)
-_NOTHING.setflags(write=False)
-# Compiled code uses constants of its own file only.
-_UNSEEN = UNSEEN_STD**2
-_CONDITIONING = MOST_CONDITIONING
-_LEAST_NOISE_N2 = 1e-12  # Keeps quotients by the noise finite
-MOST_TURN_RAD = 1e-3
+COMPONENTS = {"axial": 1, "point": 3, "full": 6}
+"""Number of unknowns of every mode."""
+
+EXPECTED_TORQUE_NM = 10.0
+"""In the mode ``full``: for torques what ``expected_force_N`` is for forces."""
+
+MAX_TURN_RAD = 1e-3
 """A gain is used until the joints together have moved so far: the force is then off by
 a thousandth of itself."""
-SMOOTHED_SIGMAS = (
-    2.0  # Distance, in deviations of the noise, at which the bandwidth has doubled
-)
-KEPT_SIGMAS = (
-    6.0  # Most that is remembered of what a lag hid, in deviations of the force
-)
+
+SMOOTHED_SIGMAS = 2.0
+"""Distance to the smoothed force, in standard deviations of the noise, at which the
+bandwidth of the smoothing has doubled."""
+
+MAX_HIDDEN_SIGMAS = 6.0
+"""Largest error by lag that is remembered, in standard deviations of the force: after a
+rupture it is over soon."""
+
+MIN_NOISE_N2 = 1e-12
+"""Smallest variance of a sample's noise: it keeps quotients by the noise finite."""
+
+MIN_EIGENVALUE_RATIO = 1e-12
+"""Directions whose information is below this fraction of the largest are below its
+rounding: they count as unseen."""
+
+MIN_UNSEEN_PART = 1e-18
+"""Squared part in an unseen direction from which an unknown counts as unseen: it is
+far above rounding and far below any part that matters."""
+
+MAX_ASYMMETRY = 1e-6
+"""Sum of the differences across the diagonal of a covariance, relative to its trace:
+rounding makes less, a wrong matrix more."""
+
+UNSEEN_VARIANCE = UNSEEN_STD**2
+"""Variance of what is not known at all [N^2, (Nm)^2]."""
+
+_NOTHING = np.zeros(3)
+_NOTHING.setflags(write=False)
 
 
 class WrenchGain(NamedTuple):
-    """How the joints are weighed at one configuration; arrays are read-only.
+    """The map from joint torque to force at one configuration; arrays are read-only.
 
     Attributes:
-        rows: That configuration [rad], then the matrix from joint torque to force (and
-            torque) in the axes asked for; shape (4 or 7, n).
-        axis: Insertion direction in the same axes; variance of the axial force, and of
-            a lateral force in the direction known least; the part of both that is noise
-            of a sample [N^2]; shape (7,).
-        reported: ``covariance``, ``conditioning`` and ``damping_fraction`` of
-            `WrenchEstimate`.
-        weakest_m: Joint torque per newton in the least observable of the directions
-            that the mode asks for [m]; in the full mode a newton metre counts as a
-            newton.
+        configuration_rad: Joint positions for which it was computed, shape (n,).
+        matrix: Map from joint torque to force (and torque) in the axes asked for, shape
+            (3 or 6, n).
+        direction: Insertion direction in the same axes, shape (3,).
+        variances_N2: Variance of the force along the insertion direction, and across it
+            in the direction that is known least, shape (2,).
+        noises_N2: The part of both that is noise of a single sample, shape (2,).
     """
 
-    rows: Array
-    axis: Array
-    reported: tuple[Array, float, Array]
-    weakest_m: float
-    unexplained: (
-        Array  # Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n)
-    )
+    configuration_rad: Array
+    matrix: Array
+    direction: Array
+    variances_N2: Array
+    noises_N2: Array
+
+
+class Observability(NamedTuple):
+    """How well the joints see the assumed contact at one configuration.
+
+    Attributes:
+        covariance: As of `WrenchEstimate`, read-only.
+        conditioning: As of `WrenchEstimate`.
+        damping_fraction: As of `WrenchEstimate`, read-only.
+        smallest_singular_value_m: Joint torque per newton in the least observable of
+            the directions that the mode asks for; in the mode ``full`` a newton metre
+            counts as a newton.
+        unexplained: Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n).
+    """
+
+    covariance: Array
+    conditioning: float
+    damping_fraction: Array
+    smallest_singular_value_m: float
+    unexplained: Array
+
+
+class WrenchSolution(NamedTuple):
+    """Weighted least squares of a wrench; for k unknowns and n joints.
+
+    Attributes:
+        matrix: Map from joint torque to the unknowns, shape (k, n).
+        covariance: Covariance of the unknowns, shape (k, k).
+        conditioning: As of `WrenchEstimate`.
+        damping_fraction: As of `WrenchEstimate`, shape (k,).
+    """
+
+    matrix: Array
+    covariance: Array
+    conditioning: float
+    damping_fraction: Array
+
+
+class WrenchFilterState(NamedTuple):
+    """What the smoothing of the wrench remembers; every tick writes into the arrays.
+
+    Attributes:
+        smoothed: Smoothed force (and torque) [N, Nm], shape (3,) or (6,).
+        follower: The same filtered once more: its error shows what a lag hides.
+        hidden_N2: Squared error by lag along and across the needle, shape (2,).
+    """
+
+    smoothed: Array
+    follower: Array
+    hidden_N2: Array
+
+    @classmethod
+    def at_zero(cls, components: int) -> "WrenchFilterState":
+        """Return the state before the first sample, for 3 or 6 components."""
+        return cls(np.zeros(components), np.zeros(components), np.zeros(2))
+
+
+class StepLags(NamedTuple):
+    """Time constants behind a force, in time steps; 0 for none.
+
+    Attributes:
+        smoothing: Lag of `smoothing_step` while the force stays within its noise.
+        observer: Lag of the momentum observer.
+    """
+
+    smoothing: float
+    observer: float
+
+
+NO_LAGS = StepLags(0.0, 0.0)
+"""Lags of a first sample: the filters begin where the force is."""
 
 
 @compiled
-def pseudo_inverse(symmetric: Matrix, least: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Pseudo-inverse of a symmetric matrix without negative eigenvalues, shape (k, k).
+def pseudo_inverse(
+    symmetric: Matrix, min_ratio: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the pseudo-inverse of a symmetric matrix without negative eigenvalues.
 
-    Directions whose eigenvalue is below ``least`` times the largest stay at zero. Also
-    returned: which unknowns have a part in such a direction, shape (k,).
+    Directions whose eigenvalue is below ``min_ratio`` times the largest stay at zero.
+
+    Returns:
+        The inverse, shape (k, k), and which unknowns have a part in such a direction,
+        shape (k,).
     """
     values, vectors = np.linalg.eigh(symmetric)
-    seen = values > values[-1] * least
-    scale = seen / np.where(seen, values, 1.0)
-    unseen = (vectors * vectors).dot(1.0 - seen)
-    return (vectors * scale).dot(vectors.T), unseen > 1e-18
+    is_seen = values > values[-1] * min_ratio
+    scale = is_seen / np.where(is_seen, values, 1.0)
+    unseen_part = (vectors * vectors).dot(1.0 - is_seen)
+    return (vectors * scale).dot(vectors.T), unseen_part > MIN_UNSEEN_PART
 
 
 @compiled
 def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
-    """Inverse of a covariance, shape (n, n), and whether it is one: symmetric,
-    positive, finite.
+    """Return the inverse of a covariance, shape (n, n), and whether it is valid.
+
+    A valid covariance is symmetric, positive definite and finite.
     """
-    # Written so that a NaN is none either.
-    if not np.abs(covariance - covariance.T).sum() <= 1e-6 * abs(np.trace(covariance)):
+    asymmetry = np.abs(covariance - covariance.T).sum()
+    # Written so that a NaN is not valid either.
+    if not asymmetry <= MAX_ASYMMETRY * abs(np.trace(covariance)):
         return covariance.copy(), False
     values, vectors = np.linalg.eigh(covariance)
     return (vectors / values).dot(vectors.T), bool(values[0] > 0.0)
@@ -92,179 +192,208 @@ def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
 @compiled
 def weighted_inverse(
     jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
-) -> tuple[Array, Array, float, Array]:
-    """Solve ``torque = J' x + error`` by weighted least squares; the paper's (13)
-    generalised.
+) -> WrenchSolution:
+    """Solve ``torque = J' x + error`` by weighted least squares: (13) generalised.
 
     ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this
-    is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of
-    equation (13). D is the inverse of the variance expected of x. It matters only where
-    the joints cannot observe x: there it draws the answer to zero, and the fraction
-    that it removes is reported.
+    is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of the
+    paper's equation (13). D is the inverse of the variance expected of x. It matters
+    only where the joints cannot observe x: there it draws the estimate to zero, and the
+    fraction that it removes is reported.
 
-    Rows of J, shape (k, n), are directions of x; the covariance is that of the error of
-    the torque [Nm^2], like W of shape (n, n); the damping is the diagonal of D, shape
-    (k,).
+    Args:
+        jacobian: J; its rows are the directions of x, shape (k, n).
+        error_covariance: Covariance of the error of the torque [Nm^2], shape (n, n).
+        precision: W, shape (n, n).
+        damping: Diagonal of D, shape (k,).
 
-    Returns the matrix from torque to x, shape (k, n); the covariance of x, shape (k,
-    k), with `UNSEEN_STD` squared on the diagonal where x cannot be observed;
-    ``conditioning`` and ``damping_fraction`` of `WrenchEstimate`.
+    Returns:
+        The solution; its covariance has `UNSEEN_STD` squared on the diagonal where x
+        cannot be observed.
     """
     weighted = jacobian.dot(precision)
     information = weighted.dot(jacobian.T)
-    # Directions below rounding of the largest are unseen: the pseudo-inverse leaves
-    # them at zero.
-    inverse, blind = pseudo_inverse(information + np.diag(damping), 1e-12)
-    gain = inverse.dot(weighted)
-    covariance = gain.dot(error_covariance).dot(gain.T) + (inverse * damping).dot(
+    inverse, is_unseen = pseudo_inverse(
+        information + np.diag(damping), MIN_EIGENVALUE_RATIO
+    )
+    matrix = inverse.dot(weighted)
+    covariance = matrix.dot(error_covariance).dot(matrix.T) + (inverse * damping).dot(
         inverse
     )
-    for i in range(len(blind)):
-        if blind[i]:
-            covariance[i, i] = _UNSEEN
-    own = np.linalg.eigvalsh(information)
-    conditioning = _CONDITIONING
-    if own[0] > own[-1] / conditioning**2:
-        conditioning = math.sqrt(own[-1] / own[0])
-    return gain, covariance, conditioning, np.diag(inverse) * damping
+    for i in range(len(is_unseen)):
+        if is_unseen[i]:
+            covariance[i, i] = UNSEEN_VARIANCE
+    eigenvalues = np.linalg.eigvalsh(information)
+    conditioning = MAX_CONDITIONING
+    if eigenvalues[0] > eigenvalues[-1] / conditioning**2:
+        conditioning = math.sqrt(eigenvalues[-1] / eigenvalues[0])
+    return WrenchSolution(matrix, covariance, conditioning, np.diag(inverse) * damping)
 
 
 @compiled
-def split_force(axis: Vector, x: float, y: float, z: float) -> tuple[float, float]:
-    """Part of a force along the insertion direction [N], and square of that across
-    it [N^2].
+def smallest_singular_value(rows: Matrix) -> float:
+    """Return the smallest singular value of a matrix with k rows, shape (k, n)."""
+    count, joints = rows.shape
+    gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
+    return math.sqrt(max(np.linalg.eigvalsh(gram)[0], 0.0))
+
+
+@compiled
+def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
+    """Return the quadratic form of the joint torque that no wrench explains.
+
+    The unknowns of the wrench make torque by ``rows``, shape (k, n). For a torque t,
+    ``t . form . t`` is the mean square of what they leave of it, in units of its
+    covariance, ``precision`` inverted; zero for as many unknowns as joints. Shape (n,
+    n).
     """
-    along = axis[0] * x + axis[1] * y + axis[2] * z
+    count, joints = rows.shape
+    if count >= joints:
+        return np.zeros((joints, joints))
+    weighted = rows.dot(precision)
+    inverse, _ = pseudo_inverse(weighted.dot(rows.T), MIN_EIGENVALUE_RATIO)
+    remaining = precision - weighted.T.dot(inverse).dot(weighted)
+    return remaining / (joints - count)
+
+
+@compiled
+def axial_variances(direction: Vector, covariance: Matrix) -> Array:
+    """Return the variances of a force along and across a direction [N^2], shape (2,).
+
+    Across it, it is the variance in the direction that is known least. The direction,
+    shape (3,), and the covariance of the force, shape (3, 3), have the same axes; if a
+    component is not observed, both variances are those of the unseen.
+    """
+    variances = np.full(2, UNSEEN_VARIANCE)
+    if np.diag(covariance).max() >= UNSEEN_VARIANCE:
+        return variances
+    across = np.eye(3) - np.outer(direction, direction)
+    variances[0] = direction.dot(covariance).dot(direction)
+    variances[1] = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
+    return variances
+
+
+@compiled
+def has_turned(q: Vector, configuration_rad: Vector) -> bool:
+    """Return whether the arm has turned too far for the gain of a configuration.
+
+    Both are joint positions [rad], shape (n,); a NaN is too far.
+    """
+    turn_rad = q - configuration_rad
+    return not (turn_rad * turn_rad).sum() <= MAX_TURN_RAD**2
+
+
+@compiled
+def split_force(direction: Vector, force: Vector) -> tuple[float, float]:
+    """Return the force along a direction [N], and the square of that across [N^2].
+
+    Of a wrench the first three components are the force.
+    """
+    x = force[0]
+    y = force[1]
+    z = force[2]
+    along = direction[0] * x + direction[1] * y + direction[2] * z
     return along, x * x + y * y + z * z - along * along
 
 
 @compiled
 def smoothing_step(
-    smoothed: WrittenVector, wrench: Vector, axis: Vector, slow: float, fast: float
+    smoothed: WrittenVector,
+    wrench: Vector,
+    direction: Vector,
+    noises_N2: Vector,
+    adaptive_lag: float,
+    fixed_lag: float,
 ) -> tuple[float, float]:
     """Bring a smoothed wrench [N, Nm], shape (3,) or (6,), to the end of a tick.
 
     While the force stays within its noise it passes a low-pass. Its bandwidth grows
-    with the fourth power of the distance to the smoothed force, in deviations of the
-    noise: a rupture passes as it is. The step is implicit, as in
-    `residual.momentum_observer.momentum_step`.
+    with the fourth power of the distance to the smoothed force, in standard deviations
+    of the noise: a rupture passes as it is. The step is implicit, as in
+    `residual.momentum_observer.momentum_smoothing_step`.
 
-    `axis` is that of `WrenchGain`; `slow` is the lag that shrinks, `fast` a constant
-    one [steps].
+    Args:
+        smoothed: The smoothed wrench, which is written.
+        wrench: The wrench of this tick.
+        direction: See `WrenchGain`.
+        noises_N2: See `WrenchGain`.
+        adaptive_lag: The lag that shrinks with the distance [time steps].
+        fixed_lag: A constant lag [time steps].
 
-    Returns how far the smoothed force is behind afterwards, as `split_force` does.
+    Returns:
+        How far the smoothed force is behind afterwards, as `split_force` does.
     """
-    # Python's own floats where nothing compiles: those of numpy take twice as long.
-    x = float(wrench[0] - smoothed[0])
-    y = float(wrench[1] - smoothed[1])
-    z = float(wrench[2] - smoothed[2])
-    along, across_squared = split_force(axis, x, y, z)
+    behind = wrench - smoothed
+    along, across_squared = split_force(direction, behind)
     # Two components of the lateral force are noisy.
     ratio = (
-        max(along * along / axis[5], 0.5 * across_squared / axis[6])
+        max(along * along / noises_N2[0], 0.5 * across_squared / noises_N2[1])
         / SMOOTHED_SIGMAS**2
     )
-    lag = 1.0 + fast + slow / (1.0 + ratio * ratio)
-    for k in range(len(smoothed)):
-        smoothed[k] += float(wrench[k] - smoothed[k]) / lag
-    left = 1.0 - 1.0 / lag
-    return along * left, across_squared * left * left
+    lag = 1.0 + fixed_lag + adaptive_lag / (1.0 + ratio * ratio)
+    smoothed += behind / lag
+    remaining = 1.0 - 1.0 / lag
+    return along * remaining, across_squared * remaining * remaining
 
 
 @compiled
-def wrench_step(
-    q: Vector,
+def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every tick
     residual: Vector,
-    rows: Matrix,
-    axis: Vector,
-    lags: tuple[float, float],
-    memory: WrittenMatrix,
-    found: WrittenVector,
-) -> tuple[float, float, float, float, float]:
-    """Force from external joint torque, smoothed, with what its lag may hide.
+    matrix: Matrix,
+    direction: Vector,
+    variances_N2: Vector,
+    noises_N2: Vector,
+    smoothing_lag: float,
+    observer_lag: float,
+    smoothed: WrittenVector,
+    follower: WrittenVector,
+    hidden_N2: WrittenVector,
+) -> tuple[float, ...]:
+    """Estimate the force of one tick, smoothed, with what its lag may hide.
 
     A follower filters the force once more with the same lags, the observer's and the
     smoothing's: it misses about what the estimate has missed. The variance of the noise
     is subtracted from its squared error. As it is late itself, its error is small when
     an oscillating force hides most. So this error fades with twice these lags;
-    `KEPT_SIGMAS` limits it, so a rupture is over soon.
+    `MAX_HIDDEN_SIGMAS` limits it, so a rupture is over soon.
 
     Args:
-        q: Configuration [rad], shape (n,).
         residual: External joint torque after offset removal [Nm], shape (n,).
-        rows: See `WrenchGain`, like ``axis``.
-        axis: Insertion direction and variances, shape (7,).
-        lags: Of `smoothing_step`, and of the observer [time steps], 0 for none.
-        memory: Smoothed force (and torque), the follower [N, Nm], and what the lag hid,
-            along and across [N^2]; updated to the end of the tick; shape (3, 3) or (3,
-            6).
-        found: Output: force, and torque if it is asked for [N, Nm], shape (3,) or (6,).
+        matrix: See `WrenchGain`, like the next three.
+        direction: Insertion direction.
+        variances_N2: Variances along and across it.
+        noises_N2: Noise of a sample along and across it.
+        smoothing_lag: See `StepLags` [time steps].
+        observer_lag: See `StepLags` [time steps].
+        smoothed: See `WrenchFilterState`; brought to the end of the tick, like the next
+            two.
+        follower: The smoothed wrench, filtered once more.
+        hidden_N2: What the lag hid.
 
-    Returns resistance to insertion, its standard deviation, size of the lateral force,
-    the standard deviation of one of its components, and resistance before it is
-    smoothed [N]; NaN, and no change of memory, if the arm has turned too far for the
-    gain.
+    Returns:
+        Resistance to insertion, its standard deviation, size of the lateral force, the
+        standard deviation of one of its components, and resistance before it is
+        smoothed [N].
     """
-    turned = q - rows[0]
-    if not (turned * turned).sum() <= MOST_TURN_RAD**2:
-        return math.nan, math.nan, math.nan, math.nan, math.nan
-    wrench = rows[1:].dot(residual)
-    unsmoothed, _ = split_force(
-        axis, float(wrench[0]), float(wrench[1]), float(wrench[2])
+    wrench = matrix.dot(residual)
+    unsmoothed, _ = split_force(direction, wrench)
+    smoothing_step(smoothed, wrench, direction, noises_N2, smoothing_lag, 0.0)
+    along, across_squared = split_force(direction, smoothed)
+    missed, missed_across = smoothing_step(
+        follower, smoothed, direction, noises_N2, smoothing_lag, observer_lag
     )
-    smoothed = memory[0]
-    followed = memory[1]
-    hidden = memory[2]
-    smoothing_step(smoothed, wrench, axis, lags[0], 0.0)
-    for k in range(len(found)):
-        found[k] = smoothed[k]
-    along, across_squared = split_force(axis, smoothed[0], smoothed[1], smoothed[2])
-    missed, missed_across = smoothing_step(followed, smoothed, axis, lags[0], lags[1])
-    variance = axis[3]
-    variance_across = axis[4]
-    kept = 1.0 - 1.0 / (1.0 + 2.0 * (lags[0] + lags[1]))
-    square = max(missed * missed - variance, kept * hidden[0])
+    fading = 1.0 - 1.0 / (1.0 + 2.0 * (smoothing_lag + observer_lag))
+    variance = variances_N2[0]
+    variance_across = variances_N2[1]
+    hidden = max(missed * missed - variance, fading * hidden_N2[0])
     # Two components of the lateral force are noisy.
-    square_across = max(missed_across - 2.0 * variance_across, kept * hidden[1])
-    hidden[0] = min(square, KEPT_SIGMAS**2 * variance)
-    hidden[1] = min(square_across, KEPT_SIGMAS**2 * variance_across)
-    stds = math.sqrt(variance + square), math.sqrt(variance_across + square_across)
-    return -along, stds[0], math.sqrt(max(across_squared, 0.0)), stds[1], -unsmoothed
-
-
-@compiled
-def unexplained(rows: Matrix, precision: Matrix) -> tuple[float, Array]:
-    """Joint torque that no wrench explains, whose unknowns make torque by ``rows``, (k,
-    n).
-
-    Returns the smallest singular value of the rows, and the quadratic form of a torque
-    that gives the mean square of this part, in units of its covariance, ``precision``
-    inverted; shape (n, n).
-    """
-    count, joints = rows.shape
-    gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
-    weakest_m = math.sqrt(max(np.linalg.eigvalsh(gram)[0], 0.0))
-    if count >= joints:
-        return weakest_m, np.zeros((joints, joints))
-    weighted = rows.dot(precision)
-    inverse = pseudo_inverse(weighted.dot(rows.T), 1e-12)[0]
-    left = precision - weighted.T.dot(inverse).dot(weighted)
-    return weakest_m, left / (joints - count)
-
-
-@compiled
-def _variances(axis: Vector, covariance: Matrix) -> tuple[float, float]:
-    """Variances of the axial force, and of the lateral force in the direction known
-    least.
-
-    Force and axis in the same axes; if a component is not observed, both are those of
-    the unseen.
-    """
-    if np.diag(covariance).max() >= _UNSEEN:
-        return _UNSEEN, _UNSEEN
-    across = np.eye(3) - np.outer(axis, axis)
-    lateral = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
-    return axis.dot(covariance).dot(axis), lateral
+    hidden_across = max(missed_across - 2.0 * variance_across, fading * hidden_N2[1])
+    hidden_N2[0] = min(hidden, MAX_HIDDEN_SIGMAS**2 * variance)
+    hidden_N2[1] = min(hidden_across, MAX_HIDDEN_SIGMAS**2 * variance_across)
+    std = math.sqrt(variance + hidden)
+    std_across = math.sqrt(variance_across + hidden_across)
+    lateral = math.sqrt(max(across_squared, 0.0))
+    return -along, std, lateral, std_across, -unsmoothed
 
 
 class WrenchEstimator:
@@ -283,7 +412,8 @@ class WrenchEstimator:
     Attributes:
         kinematics: Pose and Jacobian of the tool.
         size: Number of components, of force and of torque if the mode has one: 3 or 6.
-        gain: Gain of the last `weigh`.
+        gain: Gain of the last `compute_gain`.
+        observability: How well the joints see the contact there.
         torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n,
             n).
 
@@ -297,41 +427,41 @@ class WrenchEstimator:
         )
         self._in_base = config.axes == "base"
         self._joints = robot.nv
-        size = COMPONENTS[config.mode]
-        self.size = max(size, 3)
+        unknowns = COMPONENTS[config.mode]
+        self.size = max(unknowns, 3)
         # Components of force and torque, in the frame's axes, that each unknown stands
         # for.
-        self._directions = np.eye(6)[:size]
-        if size == 1:
-            self._directions = np.concatenate((self.kinematics.axis_in_tool, _NOTHING))[
-                None
-            ]
-        self._weighted = config.weighting == "covariance"
+        self._directions = np.eye(6)[:unknowns]
+        if unknowns == 1:
+            self._directions = force_direction(self.kinematics.axis_in_tool)
+        self._is_weighted = config.weighting == "covariance"
         # Diagonal of the damping: inverse square of the largest wrench that is
         # expected.
-        self._damping = np.zeros(size)
-        if self._weighted and config.expected_force_N is not None:
+        self._damping = np.zeros(unknowns)
+        if self._is_weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
-            self._damping = np.array(expected[:size]) ** -2.0
-        self.torque_covariance = self._inverse = self._noise = np.eye(robot.nv)
-        self._smoothed: Array | float = 0.0
-        self.weigh(np.zeros(robot.nv))
+            self._damping = np.array(expected[:unknowns]) ** -2.0
+        self.torque_covariance = np.eye(robot.nv)
+        self._inverse = self.torque_covariance
+        self._noise = self.torque_covariance
+        self._smoothed_noise: Array | float = 0.0
+        self.compute_gain(np.zeros(robot.nv))
 
     def set_torque_covariance(
         self,
         covariance_Nm2: Array,
         noise_Nm2: Array | None = None,
-        smoothed: Array | float = 0.0,
+        smoothed_noise_Nm2: Array | float = 0.0,
     ) -> None:
-        """Set how far the residual may be trusted, for the next `weigh`.
+        """Set how far the residual may be trusted, for the next `compute_gain`.
 
         Args:
-            covariance_Nm2: Covariance of the residual's error [Nm^2], (n, n), positive
+            covariance_Nm2: Covariance of the residual's error, shape (n, n), positive
                 definite.
             noise_Nm2: The part of it that is noise of a sample, of the same shape; None
                 for all.
-            smoothed: What `smoothing_step` removes of that while nothing changes
-                [Nm^2].
+            smoothed_noise_Nm2: What `smoothing_step` removes of that while nothing
+                changes.
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -350,123 +480,155 @@ class WrenchEstimator:
         self.torque_covariance = covariance
         self._inverse = inverse
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
-        self._smoothed = smoothed
+        self._smoothed_noise = smoothed_noise_Nm2
 
     def estimate(self, q: Array, residual: Array) -> WrenchEstimate:
-        """Wrench at a configuration [rad] from the external joint torque [Nm], both
-        shape (n,).
+        """Estimate the wrench at a configuration from the external joint torque.
+
+        Args:
+            q: Joint positions [rad], shape (n,).
+            residual: External joint torque [Nm], shape (n,).
 
         Raises:
             SampleError: For a wrong shape, or for numbers that are not real or not
                 finite.
         """
         q = np.ascontiguousarray(check_joint_vector("q", q, self._joints))
-        residual = np.ascontiguousarray(
-            check_joint_vector("residual", residual, self._joints)
-        )
-        self.weigh(q)
-        memory = np.zeros((3, self.size))
-        return WrenchEstimate(
-            *self.solve(q, residual, np.zeros(self._joints), memory, (0.0, 0.0))
-        )
+        # A copy, since the residual of an estimate is read-only.
+        own_residual = np.array(check_joint_vector("residual", residual, self._joints))
+        self.compute_gain(q)
+        state = WrenchFilterState.at_zero(self.size)
+        return self.solve(own_residual, state, NO_LAGS)
 
-    def weigh(self, q: Array) -> None:
-        """Compute the gain at a configuration [rad], shape (n,); `solve` uses it
-        until the next.
-        """
+    def compute_gain(self, q: Array) -> None:
+        """Compute the gain at a configuration [rad], shape (n,), for `solve`."""
         tool = self.kinematics
-        directions = self._directions
         tool.update(q)
         jacobian = tool.jacobian
-        axis = tool.axis_in_tool
-        size = self.size
+        direction = tool.axis_in_tool
         if self._in_base:
-            turn = tool.pose[:3, :3]
-            jacobian = np.concatenate((turn.dot(jacobian[:3]), turn.dot(jacobian[3:])))
-            axis = turn.dot(axis)
-        if len(directions) == 1:
-            directions = np.concatenate((axis, _NOTHING))[None]
+            rotation = tool.pose[:3, :3]
+            jacobian = np.concatenate(
+                (rotation.dot(jacobian[:3]), rotation.dot(jacobian[3:]))
+            )
+            direction = rotation.dot(direction)
+        is_axial = len(self._directions) == 1
+        directions = force_direction(direction) if is_axial else self._directions
         rows = directions.dot(jacobian)
-        inverse = self._inverse
-        precision = inverse if self._weighted else np.eye(self._joints)
-        error = self.torque_covariance - self._smoothed
-        gain, covariance, conditioning, removed = weighted_inverse(
-            rows, error, precision, self._damping
+        solution = weighted_inverse(
+            rows,
+            self.torque_covariance - self._smoothed_noise,
+            self._inverse if self._is_weighted else np.eye(self._joints),
+            self._damping,
         )
-        noise = gain.dot(self._noise).dot(gain.T) + _LEAST_NOISE_N2 * np.eye(len(gain))
-        variances = [covariance[0, 0], UNSEEN_STD**2, noise[0, 0], UNSEEN_STD**2]
-        if len(directions) > 1:
-            parts = (np.ascontiguousarray(each[:3, :3]) for each in (covariance, noise))
-            variances = np.ravel([_variances(axis, part) for part in parts])
+        matrix = solution.matrix
+        noise = matrix.dot(self._noise).dot(matrix.T) + MIN_NOISE_N2 * np.eye(
+            len(matrix)
+        )
         self.gain = WrenchGain(
-            np.vstack((q, directions[:, :size].T.dot(gain))),
-            np.append(axis, variances),
-            (covariance, conditioning, removed),
-            *unexplained(rows, inverse),
+            configuration_rad=q.copy(),
+            matrix=directions[:, : self.size].T.dot(matrix),
+            direction=direction,
+            variances_N2=_variances(direction, solution.covariance),
+            noises_N2=_variances(direction, noise),
         )
-        for array in (covariance, removed):
-            array.setflags(write=False)
+        self.observability = Observability(
+            covariance=solution.covariance,
+            conditioning=solution.conditioning,
+            damping_fraction=solution.damping_fraction,
+            smallest_singular_value_m=smallest_singular_value(rows),
+            unexplained=unexplained_form(rows, self._inverse),
+        )
+        self.observability.covariance.setflags(write=False)
+        self.observability.damping_fraction.setflags(write=False)
+
+    def renew_gain(self, q: Array) -> None:
+        """Compute the gain anew if the arm has turned too far for the last one.
+
+        The configuration [rad] has shape (n,).
+        """
+        if has_turned(q, self.gain.configuration_rad):
+            self.compute_gain(q)
 
     def solve(
         self,
-        q: Array,
         residual: Array,
-        offset: Array,
-        memory: Array,
-        lags: tuple[float, float],
-    ) -> tuple[Any, ...]:
-        """Wrench at a configuration [rad], shape (n,), from an external joint torque.
+        state: WrenchFilterState,
+        lags: StepLags,
+        assessment: Assessment = GOOD,
+    ) -> WrenchEstimate:
+        """Estimate the wrench from an external joint torque, by the last gain.
 
-        The offset [Nm], shape (n,), is what the residual reads here without contact;
-        the last two arguments are those of `wrench_step`.
+        Args:
+            residual: External joint torque after offset removal [Nm], shape (n,); it
+                becomes part of the estimate and read-only.
+            state: Of the smoothing; brought to the end of the tick.
+            lags: Of the smoothing and of the observer.
+            assessment: What the estimate says of itself.
 
-        Returns the numbers of a `WrenchEstimate`, from ``axial`` to ``residual``;
-        `SampleError` for numbers that are not finite.
+        Raises:
+            SampleError: For numbers that are not finite.
         """
-        rows, axis, reported, _, _ = self.gain
-        left = residual - offset
-        found = np.empty(self.size)
-        numbers = wrench_step(q, left, rows, axis, lags, memory, found)
-        if not math.isfinite(numbers[0]):
-            self.weigh(q)
-            rows, axis, reported, _, _ = self.gain
-            numbers = wrench_step(q, left, rows, axis, lags, memory, found)
-            if not math.isfinite(numbers[0]):
-                raise SampleError("q and residual must be finite; skip this sample")
-        # By position: by name this takes thrice as long, in every tick.
-        left.setflags(False)  # pyright: ignore[reportCallIssue]
-        found.setflags(False)  # pyright: ignore[reportCallIssue]
-        force, torque = (found, _NOTHING) if self.size == 3 else (found[:3], found[3:])
-        axial, std, lateral, across_std, raw = (
-            numbers  # unpacked twice with stars it takes longer
+        gain = self.gain
+        axial, axial_std, lateral, lateral_std, axial_unsmoothed = wrench_step(
+            residual,
+            gain.matrix,
+            gain.direction,
+            gain.variances_N2,
+            gain.noises_N2,
+            lags.smoothing,
+            lags.observer,
+            state.smoothed,
+            state.follower,
+            state.hidden_N2,
         )
-        seen, ratio, removed = reported
-        return (
-            axial,
-            std,
-            lateral,
-            across_std,
-            force,
-            torque,
-            seen,
-            ratio,
-            removed,
-            raw,
-            left,
+        if not math.isfinite(axial):
+            raise SampleError("q and residual must be finite; skip this sample")
+        residual.setflags(write=False)
+        wrench = state.smoothed.copy()
+        wrench.setflags(write=False)
+        return WrenchEstimate(
+            axial=axial,
+            axial_std=axial_std,
+            lateral=lateral,
+            lateral_std=lateral_std,
+            force=wrench if self.size == 3 else wrench[:3],
+            torque=_NOTHING if self.size == 3 else wrench[3:],
+            covariance=self.observability.covariance,
+            conditioning=self.observability.conditioning,
+            damping_fraction=self.observability.damping_fraction,
+            axial_unsmoothed=axial_unsmoothed,
+            residual=residual,
+            status=assessment.status,
+            message=assessment.message,
+            model_mismatch=assessment.model_mismatch,
+            warnings=assessment.warnings,
         )
 
     @property
-    def rows(self) -> Array:
-        """Joint torque per unit of each unknown, where the tool was moved last,
-        shape (k, n).
-        """
+    def contact_jacobian(self) -> Array:
+        """Joint torque per unit of each unknown where the tool is, shape (k, n)."""
         return self._directions.dot(self.kinematics.jacobian)
 
     def mismatch_squared(self, residual: Array) -> float:
-        """Mean square of the joint torque [Nm] that no wrench of the mode explains.
+        """Return the mean square of the joint torque that no wrench explains.
 
-        It is in units of the covariance at the last `weigh`: about 1 when the model
-        holds, 0 if the mode has as many unknowns as there are joints. The residual is
-        that after offset removal.
+        It is in units of the covariance at the last `compute_gain`: about 1 when the
+        model holds, 0 if the mode has as many unknowns as there are joints. The
+        residual [Nm] is that after offset removal, shape (n,).
         """
-        return max(float(residual.dot(self.gain.unexplained).dot(residual)), 0.0)
+        form = self.observability.unexplained
+        return max(float(residual.dot(form).dot(residual)), 0.0)
+
+
+def force_direction(direction: Array) -> Array:
+    """Return a force along a direction, shape (3,), as a wrench, shape (1, 6)."""
+    return np.concatenate((direction, _NOTHING))[None]
+
+
+def _variances(direction: Array, covariance: Array) -> Array:
+    """Return `axial_variances` of estimated components, shape (k, k), of any mode."""
+    if len(covariance) == 1:
+        # The mode ``axial`` assumes that there is no lateral force.
+        return np.array([covariance[0, 0], UNSEEN_VARIANCE])
+    return axial_variances(direction, np.ascontiguousarray(covariance[:3, :3]))

@@ -26,7 +26,11 @@ from benchmarks.report.tables import ResultTable, met_mark
 from groundtruth import Run, simulate
 from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
-from residual.wrench_estimator import WrenchEstimator
+from residual.wrench_estimator import (
+    NO_LAGS,
+    WrenchEstimator,
+    WrenchFilterState,
+)
 from urdf import Robot
 
 SCENARIO = "stack-constant"
@@ -178,8 +182,7 @@ class PlainEstimator:
         self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
         self._wrench = WrenchEstimator(robot, PUBLISHED)
         self._samples = signals.samples()
-        self._no_offset = np.zeros(robot.nv)
-        self._memory = np.zeros((3, 6))
+        self._filter = WrenchFilterState.at_zero(self._wrench.size)
         self.axial_N = 0.0
 
     def __call__(self, k: int) -> None:
@@ -187,10 +190,9 @@ class PlainEstimator:
         q, dq, tau, dt_s = self._samples[k]
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
-        found = self._wrench.solve(
-            q, residual, self._no_offset, self._memory, (0.0, 0.0)
-        )
-        self.axial_N = found[0]
+        self._wrench.renew_gain(q)
+        estimate = self._wrench.solve(residual, self._filter, NO_LAGS)
+        self.axial_N = estimate.axial
 
 
 Error = dict[str, float]

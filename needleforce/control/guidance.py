@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from needleforce.control.errors import SettingError
 from needleforce.control.tasks import JointVelocity
-from residual.checks.input import MOST_PLAUSIBLE, as_float, known_limits
+from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
@@ -200,7 +200,7 @@ class Guidance:
         zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
         decay = math.exp(-dt_s / LAG_s)
         beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
-        if is_valid and np.abs(beyond_Nm).max() < MOST_PLAUSIBLE:
+        if is_valid and np.abs(beyond_Nm).max() < MAX_PLAUSIBLE:
             self._beyond_Nm = beyond_Nm
             self._rejected_s = 0.0
         else:

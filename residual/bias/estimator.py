@@ -1,35 +1,38 @@
-"""Records free motion, fits the tare, subtracts the bias, and gives the covariance
-of the rest.
-"""
+"""Estimates the bias tick by tick: records free motion, fits the tare, follows it."""
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
 
 from foundation.advice import Message
+from foundation.arrays import Array
 from residual.advice import TareAdvice
 from residual.bias.fit import FreeMotionFit
-from residual.bias.joint_states import follow_joints
+from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.bias.tare_check import check_free_of_contact
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
-from residual.errors import Array, TareError
+from residual.errors import TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-MOST_BLOCKS = (
-    400  # Then the older half is merged in pairs: fitting 400 takes part of a second
-)
-WEIGH_S = 0.25
+MAX_BLOCKS = 400
+"""Number of recorded blocks at which the older half is merged in pairs: fitting 400
+takes part of a second."""
+
+COVARIANCE_S = 0.25
 """Time after which the covariance is renewed: it changes with pose and age, both
-slowly. It is renewed at once when motion makes a variance grow by `MOST_GROWTH` of
-itself."""
-MOST_GROWTH = 0.1
+slowly."""
+
+MAX_GROWTH_RATIO = 0.1
+"""Growth of a variance by motion, relative to itself, at which the covariance is
+renewed at once."""
+
 SMOOTHING_S = 0.05
 """Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder
 noise in it stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses
@@ -40,15 +43,18 @@ a sixth."""
 class TareRecorder:
     """Sums of residual, position and joint states over short blocks of free motion.
 
-    Memory is bounded: once there are `MOST_BLOCKS`, pairs of neighbours in the older
+    Memory is bounded: once there are `MAX_BLOCKS`, pairs of neighbours in the older
     half become one; the latest blocks stay short.
 
     Attributes:
         sums: Per block: number of samples, and the sums of their times [s], positions,
             residuals, squared residuals and states; shape (m, 5 + states, n).
         open: The same of the block that is not complete yet, shape (5 + states, n).
-        age_s: Length of that block so far [s].
+        age_s: Length of that block so far.
     """
+
+    GROWING: ClassVar[tuple[str, ...]] = ("sums",)
+    """Arrays of any number of rows, see `foundation.state`."""
 
     sums: Array
     open: Array
@@ -56,18 +62,24 @@ class TareRecorder:
 
     @classmethod
     def of_size(cls, joints: int, states: int) -> Self:
-        """Nothing recorded yet."""
+        """Return a recorder that has recorded nothing yet."""
         return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
 
     def add(
         self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float
     ) -> None:
-        """Add position [rad], joint states and residual [Nm] a time after the last
-        ones.
+        """Add a sample to the open block.
+
+        Args:
+            q: Position [rad], shape (n,).
+            states: Joint states, shape (states, n).
+            residual: Residual before offset removal [Nm], shape (n,).
+            now_s: Time of the sample.
+            dt_s: Time since the sample before.
         """
-        one = np.ones_like(q)
+        count = np.ones_like(q)
         self.open += np.vstack(
-            (one, now_s * one, q, residual, residual * residual, states)
+            (count, now_s * count, q, residual, residual * residual, states)
         )
         self.age_s += dt_s
 
@@ -76,23 +88,23 @@ class TareRecorder:
         self.sums = np.concatenate((self.sums, self.open[None]))
         self.open = np.zeros_like(self.open)
         self.age_s = 0.0
-        if len(self.sums) >= MOST_BLOCKS:
-            older = self.sums[: MOST_BLOCKS // 2]
-            self.sums = np.concatenate(
-                (older[::2] + older[1::2], self.sums[MOST_BLOCKS // 2 :])
-            )
+        if len(self.sums) >= MAX_BLOCKS:
+            older = self.sums[: MAX_BLOCKS // 2]
+            newer = self.sums[MAX_BLOCKS // 2 :]
+            self.sums = np.concatenate((older[::2] + older[1::2], newer))
 
     def blocks(self, now_s: float, window_s: float | None = None) -> TareBlocks:
-        """What was recorded, or the last ``window_s`` of it [s]; there must be a
-        block.
+        """Return the recorded blocks, or those of the last ``window_s``.
+
+        There must be one; the last one is always among them.
         """
         means = self.sums / self.sums[:, :1]
         age_s = means[:, 1, 0] - now_s
         if window_s is not None:
-            kept = -age_s <= window_s
-            kept[-1] = True
-            means = means[kept]
-            age_s = age_s[kept]
+            is_recent = -age_s <= window_s
+            is_recent[-1] = True
+            means = means[is_recent]
+            age_s = age_s[is_recent]
         scatter = np.maximum(means[:, 4] - means[:, 3] ** 2, 0.0)
         return TareBlocks(
             q_rad=means[:, 2],
@@ -106,42 +118,45 @@ class TareRecorder:
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class BiasState:
-    """All that a `BiasEstimator` remembers.
+    """State of a `BiasEstimator`.
 
     Attributes:
         recorder: Free motion recorded for the next tare.
+        plays: States of the play operators, see `residual.bias.joint_states`.
+        lagged_torque: Torque that they follow [Nm], shape (n,).
+        lagged_q: Position that they follow [rad], shape (n,).
         states: States of hysteresis and friction, shape (states, n).
         torque_sum: Sum of the torques since the last renewal [Nm], shape (n,).
         bias: Bias that is subtracted [Nm], shape (n,).
         motion_Nm2: Variance of the residual's error due to motion, shape (n,).
-        weighed_s: When the covariance was renewed last [s].
+        max_motion_Nm2: Value beyond which the covariance is renewed at once, shape
+            (n,).
+        covariance_s: When the covariance was renewed last.
         q: Last position [rad], shape (n,).
         dq: Last velocity [rad/s], shape (n,).
         smooth_dq: Lagged velocity, for the acceleration [rad/s], shape (n,).
         tare: The tare in force, the prior's before the first.
         started: Whether a sample has come.
         tared: Whether that tare is current: no new recording was started.
-        tared_s: When it was taken [s].
-        now_s: Time since the start [s].
-        renewed_s: When states and offset were renewed last [s].
-        due_s: When they are renewed next [s].
+        tared_s: When it was taken.
+        now_s: Time since the start.
+        renewed_s: When states and offset were renewed last.
+        due_s: When they are renewed next.
         summed: Number of torques in the sum.
         leapt_s: Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or
-            since free motion is recorded [s].
+            since free motion is recorded.
     """
 
     recorder: TareRecorder
-    joint_memory: (
-        Array  # Memory of hysteresis and friction, see `residual.bias.joint_states`
-    )
+    plays: Array
+    lagged_torque: Array
+    lagged_q: Array
     states: Array
     torque_sum: Array
     bias: Array
     motion_Nm2: Array
-    most_motion_Nm2: (
-        Array  # Value beyond which the covariance is renewed at once, shape (n,)
-    )
-    weighed_s: float = -WEIGH_S
+    max_motion_Nm2: Array
+    covariance_s: float = -COVARIANCE_S
     q: Array
     dq: Array
     smooth_dq: Array
@@ -162,57 +177,63 @@ class BiasEstimator:
     Until the first `tare` the prior is used: no offset, a large covariance.
 
     Attributes:
-        block_s: Length of a recorded block [s].
-        memory: All that it remembers, to be read every tick, not to be written; one of
-            the same robot and settings may stand in its place.
+        block_s: Length of a recorded block.
+        memory: Its state, to be read every tick, not to be written; one of the same
+            robot and settings may replace it.
     """
 
     RENEW_S = 0.02
     """Interval at which the bias is renewed: it changes slowly, with pose and
     torque."""
+
     LEAP_S = 60.0
     """A longer time step is a pause or a clock that was set: one step cannot show
     which. It counts as a pause and is reported until the next tare; free motion
     recorded before it is forgotten. Drift is hundredths of a newton in a minute,
     newtons in an hour."""
+
     BLOCK_LAGS = 2.0
     """Length of a recorded block in lags of the observer: blocks are then nearly
     independent."""
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._config = config
-        self._basis = basis = BiasModel(robot, config.tare, config.prior)
+        self._basis = BiasModel(robot, config.tare, config.prior)
         self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
         self._weightless = pin.Model(robot.model)
         self._data = robot.create_data()
         self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
-        loops_Nm = np.outer(config.prior.hysteresis_widths, basis.effort_Nm)
+        loops_Nm = np.outer(config.prior.hysteresis_widths, self._basis.effort_Nm)
         elements_rad = np.outer(config.prior.presliding_rad, np.ones(robot.nv))
         self._half_widths = np.vstack((loops_Nm, elements_rad))
         self.reset()
 
     @property
     def warning(self) -> str:
-        """Effect of a long time step on the tare or the recorded motion; empty
-        without one.
-        """
+        """Effect of a long time step on tare or recorded motion; empty without one."""
         if self.memory.leapt_s == 0.0:
             return ""
         return TARE_EXPIRED if self.memory.tared else FORGOTTEN
 
     @property
     def is_fresh(self) -> bool:
-        """Whether neither tare nor recorded motion is of any use now."""
+        """Whether there is neither a current tare nor recorded motion."""
         recorder = self.memory.recorder
         return not (self.memory.tared or len(recorder.sums) or recorder.open[0].any())
 
-    def follow(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
-        """Use position [rad], velocity, torque [Nm] `dt_s` after the last; kept, not
-        copied.
+    def update(self, q: Array, dq: Array, tau: Array, dt_s: float) -> bool:
+        """Follow the motion by one sample, and renew the bias when that is due.
 
-        Returns whether joint states and bias were renewed: the covariance may then be
-        renewed, too.
+        Args:
+            q: Position [rad], shape (n,); kept, not copied, like the velocity.
+            dq: Velocity [rad/s], shape (n,).
+            tau: Torque [Nm], shape (n,).
+            dt_s: Time since the sample before.
+
+        Returns:
+            Whether joint states and bias were renewed: the covariance may then be
+            renewed, too.
         """
         memory = self.memory
         memory.q = q
@@ -232,12 +253,9 @@ class BiasEstimator:
         return True
 
     def _renew(self) -> None:
-        """Renew what changes slowly: hysteresis, friction, the offset, and the error
-        by motion.
-        """
+        """Renew what changes slowly: joint states, bias and the error by motion."""
         memory = self.memory
-        basis = self._basis
-        q = self.memory.q
+        q = memory.q
         dt_s = memory.now_s - memory.renewed_s
         torque = memory.torque_sum / memory.summed
         memory.torque_sum = np.zeros(self._joints)
@@ -245,52 +263,67 @@ class BiasEstimator:
         memory.renewed_s = memory.now_s
         memory.due_s = memory.now_s + self.RENEW_S
         if not memory.started:
-            memory.joint_memory[-2:] = torque, q
+            memory.lagged_torque[:] = torque
+            memory.lagged_q[:] = q
             memory.smooth_dq = memory.dq
             memory.started = True
         if dt_s > 0.0:
-            followed = (memory.joint_memory, memory.states)
-            stribeck = basis.prior.stribeck_rad_s
-            follow_joints(
-                *followed, q, torque, self._half_widths, basis.loops, stribeck, dt_s
+            joint_states_step(
+                memory.plays,
+                memory.lagged_torque,
+                memory.lagged_q,
+                memory.states,
+                q,
+                torque,
+                self._half_widths,
+                self._basis.loops,
+                self._basis.prior.stribeck_rad_s,
+                dt_s,
             )
-        memory.bias = basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
+        memory.bias = self._basis.bias_Nm(memory.tare, q, memory.states, self._age_s)
+        self._renew_motion_error(dt_s)
+
+    def _renew_motion_error(self, dt_s: float) -> None:
+        """Renew the variance due to motion, a time after the last renewal."""
+        memory = self.memory
         # A tare is recorded in slow motion: it corrects masses and first moments as far
         # as gravity shows them. Torque that accelerates the links stays as uncertain as
         # the prior's masses.
         behind = memory.dq - memory.smooth_dq
         memory.smooth_dq = memory.smooth_dq - math.expm1(-dt_s / SMOOTHING_S) * behind
-        motion = pin.rnea(
-            self._weightless, self._data, q, memory.dq, behind / SMOOTHING_S
+        motion_Nm = pin.rnea(
+            self._weightless, self._data, memory.q, memory.dq, behind / SMOOTHING_S
         )
-        memory.motion_Nm2 = np.square(basis.prior.mass_fraction * motion)
+        memory.motion_Nm2 = np.square(self._basis.prior.mass_fraction * motion_Nm)
 
     def record(self, residual: Array, dt_s: float) -> None:
-        """Record one settled residual [Nm] of free motion; ignored once tared."""
+        """Record a residual [Nm] of free motion, unless there is a current tare."""
         memory = self.memory
-        if not memory.tared:
-            recorder = memory.recorder
-            recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
-            if recorder.age_s >= self.block_s - ROUNDING_S:
-                recorder.close_block()
+        if memory.tared:
+            return
+        recorder = memory.recorder
+        recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
+        if recorder.age_s >= self.block_s - ROUNDING_S:
+            recorder.close_block()
 
     @property
     def is_covariance_due(self) -> bool:
         """Whether `covariance_Nm2` may have changed since the last call."""
         memory = self.memory
-        if memory.now_s - memory.weighed_s >= WEIGH_S - ROUNDING_S:
+        if memory.now_s - memory.covariance_s >= COVARIANCE_S - ROUNDING_S:
             return True
-        return bool((memory.motion_Nm2 > memory.most_motion_Nm2).any())
+        return bool((memory.motion_Nm2 > memory.max_motion_Nm2).any())
 
     def covariance_Nm2(self) -> Array:
-        """Covariance of the corrected residual here and now [Nm^2], shape (n, n)."""
+        """Return the covariance of the corrected residual now, shape (n, n)."""
         memory = self.memory
         covariance = self._basis.covariance_Nm2(
             memory.tare, memory.q, memory.states, self._age_s
         )
         covariance += np.diag(memory.motion_Nm2)
-        memory.weighed_s = memory.now_s
-        memory.most_motion_Nm2 = memory.motion_Nm2 + MOST_GROWTH * covariance.diagonal()
+        memory.covariance_s = memory.now_s
+        tolerated_growth = MAX_GROWTH_RATIO * covariance.diagonal()
+        memory.max_motion_Nm2 = memory.motion_Nm2 + tolerated_growth
         return covariance
 
     @property
@@ -304,10 +337,16 @@ class BiasEstimator:
         ignore_contact: bool,
         is_external: bool = False,
     ) -> Tare:
-        """Fit the offset to what was recorded; arguments as of `check_free_of_contact`.
+        """Fit the offset to the recorded free motion.
 
-        `TareError` without new data, or with contact in sight; the tare in force then
-        stays.
+        Args:
+            wrench: See `check_free_of_contact`, as ``is_external``.
+            ignore_contact: Do not check for a contact.
+            is_external: Whether torques are the robot's own external ones.
+
+        Raises:
+            TareError: Without new data, or with contact in sight; the tare in force
+                then stays.
         """
         memory = self.memory
         if memory.tared:
@@ -316,12 +355,12 @@ class BiasEstimator:
                 "start_tare_recording(), move in free air, then tare() again"
             )
         if not len(memory.recorder.sums):
-            nothing = Message(
+            reason = Message(
                 "no settled free motion has been recorded (less than "
                 f"{self.block_s:g} s of it); ",
                 TareAdvice.MOVE_FREELY,
             )
-            raise TareError(Message.joined("; ", (nothing, self.warning)))
+            raise TareError(Message.joined("; ", (reason, self.warning)))
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         fit = FreeMotionFit(self._basis, blocks)
         if not ignore_contact:
@@ -336,9 +375,7 @@ class BiasEstimator:
         return fit.tare
 
     def start_tare_recording(self) -> None:
-        """Forget what was recorded and record anew; the tare in force stays until
-        the next.
-        """
+        """Record free motion anew; the tare in force stays until the next."""
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared = False
         self.memory.leapt_s = 0.0
@@ -349,12 +386,14 @@ class BiasEstimator:
         states = self._basis.states
         self.memory = BiasState(
             recorder=TareRecorder.of_size(self._joints, states),
-            joint_memory=np.zeros((states, self._joints)),
+            plays=np.zeros(self._half_widths.shape),
+            lagged_torque=np.zeros(self._joints),
+            lagged_q=np.zeros(self._joints),
             states=np.zeros((states, self._joints)),
             torque_sum=np.zeros(self._joints),
             bias=still,
             motion_Nm2=still,
-            most_motion_Nm2=still,
+            max_motion_Nm2=still,
             q=still,
             dq=still,
             smooth_dq=still,

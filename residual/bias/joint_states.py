@@ -1,5 +1,4 @@
-"""What a joint's torque sensor and bearing remember: states of hysteresis and of
-friction.
+"""States of hysteresis and friction of a joint's torque sensor and bearing.
 
 Both are play operators. That of a torque sensor follows the torque, that of a bearing
 the position: on both ways of a free stroke the two are alike, at contact they part, and
@@ -10,20 +9,22 @@ motion, and it stays at rest.
 
 import numpy as np
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled
-from residual.errors import Array
 
 TORQUE_LAG_S = 0.05
+"""Lag of the torque that hysteresis follows. The residual is 14 ms late: states that
+are much later turn round too late in each stroke, and hysteresis and friction are
+confused."""
+
 POSITION_LAG_S = 0.01
-"""Lags of the torque and the position that are followed [s]. The residual is 14 ms
-late: states that are much later than it turn round too late in each stroke, and
-hysteresis and friction are confused."""
+"""Lag of the position that friction follows: that of the residual or less, for the same
+reason."""
 
 
 @compiled
 def play_operator(state: Matrix, change: Vector, half_width: Matrix) -> Array:
-    """+1 once a signal has risen by the loop's width, -1 once it has fallen by it.
+    """Return +1 once a signal has risen by the loop's width, -1 once it has fallen.
 
     It remembers at rest, as strain gauges and bearings do. States, -1 to 1, and half
     widths have the shape (loops, n), the change (n,); half widths and change are in the
@@ -33,8 +34,10 @@ def play_operator(state: Matrix, change: Vector, half_width: Matrix) -> Array:
 
 
 @compiled
-def follow_joints(
-    memory: WrittenMatrix,
+def joint_states_step(  # noqa: PLR0913 - tuples are slow to pass from Python
+    plays: WrittenMatrix,
+    lagged_torque: WrittenVector,
+    lagged_q: WrittenVector,
     states: WrittenMatrix,
     q: Vector,
     torque: Vector,
@@ -43,25 +46,33 @@ def follow_joints(
     stribeck_rad_s: float,
     dt_s: float,
 ) -> None:
-    """Follow position [rad] and torque [Nm], both (n,), a time > 0 [s] after the last
-    ones.
+    """Bring the states of hysteresis and friction to the end of a time step.
 
-    The memory is brought up to date: states of the torques' loops and of the bearings'
-    elements, then torque [Nm] and position [rad] with their lags; shape (loops +
-    elements + 2, n). The states are written, of the same shape: what
-    `residual.bias.model.BiasModel` has columns for, loops, elements, what friction has
-    more at low speed (see its prior), and speed [rad/s]. Half widths are those of loops
-    [Nm] and elements [rad], shape (loops + elements, n).
+    Args:
+        plays: States of the torques' loops, then of the bearings' elements, shape
+            (loops + elements, n); brought to the end, like the next two.
+        lagged_torque: Torque behind its lag [Nm], shape (n,).
+        lagged_q: Position behind its lag [rad], shape (n,).
+        states: Output, shape (loops + elements + 2, n): what
+            `residual.bias.model.BiasModel` has columns for, loops, elements, what
+            friction has more at low speed (see its prior), and speed [rad/s].
+        q: Position [rad], shape (n,).
+        torque: Torque [Nm], shape (n,).
+        half_widths: Half widths of loops [Nm] and elements [rad], shape (loops +
+            elements, n).
+        loops: Number of loops.
+        stribeck_rad_s: See `residual.bias.model.BiasPrior`.
+        dt_s: Time since the step before, > 0.
     """
-    plays = len(half_widths)
-    twist = (torque - memory[plays]) * (dt_s / (TORQUE_LAG_S + dt_s))
-    way = (q - memory[plays + 1]) * (dt_s / (POSITION_LAG_S + dt_s))
-    memory[:loops] = play_operator(memory[:loops], twist, half_widths[:loops])
-    memory[loops:plays] = play_operator(memory[loops:plays], way, half_widths[loops:])
-    memory[plays] += twist
-    memory[plays + 1] += way
-    speed = way / dt_s
-    sliding = memory[loops:plays].sum(axis=0) / (plays - loops)
-    states[:plays] = memory[:plays]
-    states[plays] = sliding * np.exp(-np.abs(speed) / stribeck_rad_s)
-    states[plays + 1] = speed
+    count = len(plays)
+    torque_change = (torque - lagged_torque) * (dt_s / (TORQUE_LAG_S + dt_s))
+    q_change = (q - lagged_q) * (dt_s / (POSITION_LAG_S + dt_s))
+    plays[:loops] = play_operator(plays[:loops], torque_change, half_widths[:loops])
+    plays[loops:] = play_operator(plays[loops:], q_change, half_widths[loops:])
+    lagged_torque += torque_change
+    lagged_q += q_change
+    speed = q_change / dt_s
+    sliding = plays[loops:].sum(axis=0) / (count - loops)
+    states[:count] = plays
+    states[count] = sliding * np.exp(-np.abs(speed) / stribeck_rad_s)
+    states[count + 1] = speed

@@ -16,16 +16,34 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
 from residual.checks.input import check_choice, known_limits
-from residual.errors import Array, ConfigurationError
+from residual.errors import ConfigurationError
 from urdf import Robot
 
 TareKind = Literal["constant", "model"]
 """``constant``: the paper's r_0, one number per joint. ``model``: r_0 and the torque of
 a small error of every link's mass and first moments, of the sensors' hysteresis and of
 their drift."""
+
+CONSTANT_PRIOR_RATIO = 100.0
+"""Prior deviation of the kind ``constant``, relative to that of the offset: practically
+any, since its offset stands for all causes."""
+
+PRIOR_NOISE_FRACTION = 1e-3
+"""Noise of a single residual before a tare, as a fraction of the effort limit."""
+
+MIN_LINK_MASS_KG = 1e-3
+"""Smallest mass of a link that its prior counts with: it keeps deviations positive."""
+
+LINK_PARAMETERS = 4
+"""Static parameters of a link: its mass and three first moments."""
+
+INERTIAL_PARAMETERS = 10
+"""Parameters of a link in Pinocchio's regressors; the static ones come first."""
+
+SECONDS_PER_MINUTE = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -124,15 +142,15 @@ class Tare(NamedTuple):
         noise_Nm2: Covariance of a single residual about the model, shape (n, n).
         scatter_Nm2: Part of its diagonal that the mean of a recorded block removes,
             shape (n,).
+        walk_Nm2_per_s: Variance that the sensors' random walk adds in a second, shape
+            (n,).
     """
 
     mean: Array
     covariance: Array
     noise_Nm2: Array
     scatter_Nm2: Array
-    walk_Nm2_per_s: (
-        Array  # Variance that the sensors' random walk adds in a second, shape (n,)
-    )
+    walk_Nm2_per_s: Array
 
     @property
     def kind(self) -> TareKind:
@@ -149,8 +167,18 @@ def all_columns(
     fading_s: float,
     ripple_per_rad: Vector,
 ) -> Array:
-    """H of a `BiasModel` with the columns of the links, shape (n, 4 links)."""
-    joints, first = links.shape
+    """Return H of a `BiasModel`, shape (n, m).
+
+    Args:
+        links: Its columns of the links, shape (n, 4 links).
+        q: Position [rad], shape (n,).
+        states: Of hysteresis and friction, shape (states, n).
+        age_s: Age of the tare.
+        fading_s: See `BiasPrior`.
+        ripple_per_rad: Ripple of every joint's sensor per rotation, shape (n,); of
+            length 0 where it is not known.
+    """
+    joints, link_columns = links.shape
     count = len(states)
     # Regressors of each joint's own parameters, one row per parameter.
     own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
@@ -160,30 +188,49 @@ def all_columns(
     if len(ripple_per_rad):
         own[count + 2] = np.sin(ripple_per_rad * q)
         own[count + 3] = np.cos(ripple_per_rad * q)
-    columns = np.zeros((joints, joints + first + own.size))
-    columns[:, joints : joints + first] = links
+    own_start = joints + link_columns
+    columns = np.zeros((joints, own_start + own.size))
+    columns[:, joints:own_start] = links
     for k in range(joints):
-        columns[k, joints + first + k :: joints] = own[:, k]
+        columns[k, own_start + k :: joints] = own[:, k]
         columns[k, k] = 1.0
     return columns
 
 
 class BiasModel:
-    """The linear model of a residual without contact: ``bias = H(q, states, age)
-    theta``.
+    """Linear model of a residual without contact: ``H(q, states, age) theta``.
 
     Columns in order: offset per joint; mass and first moments per link (static columns
     of the joint-torque regressor, [18]); then per joint hysteresis, friction, drift
     and, where gear ratios are known, ripple. The constant kind has the first group
     only.
 
-    The states, shape (states, n), are what `residual.bias.joint_states` follows: loops of
+    The states, shape (states, n), are those of `residual.bias.joint_states`: loops of
     hysteresis, friction elements, their excess at low speed, and speed.
+
+    Args:
+        robot: The arm with its payload.
+        kind: See `TareKind`.
+        prior: Sizes of the causes.
+
+    Attributes:
+        joints: Number of joints.
+        kind: As given.
+        prior: As given.
+        effort_Nm: Effort limit per joint, shape (n,).
+        ripple_per_rad: Ripple of every joint's sensor per rotation, shape (n,); of
+            length 0 where no gear ratios are known.
+        loops: Number of hysteresis loops.
+        elements: Number of friction elements.
+        states: Number of states of every joint.
+        std: Prior standard deviation of every parameter, shape (m,).
+        groups: Parameters of every cause, by its name.
     """
 
     def __init__(self, robot: Robot, kind: TareKind, prior: BiasPrior) -> None:
         check_choice("tare", kind, get_args(TareKind))
-        n = self.joints = robot.nv
+        n = robot.nv
+        self.joints = n
         self.kind: TareKind = kind
         self.prior = prior
         self._data = robot.create_data()
@@ -193,7 +240,8 @@ class BiasModel:
         ratio = prior.gear_ratio if kind == "model" else ()
         if ratio and len(ratio) != n:
             raise ConfigurationError(
-                f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or none"
+                f"gear_ratio has {len(ratio)} numbers, expected {n}: one per joint, or "
+                "none"
             )
         self.ripple_per_rad = 2.0 * np.array(ratio, dtype=np.float64)
         self.loops = len(prior.hysteresis_widths)
@@ -205,66 +253,76 @@ class BiasModel:
         self.groups = dict(zip(std, map(slice, [0, *ends], ends), strict=True))
 
     def _prior_std(self) -> dict[str, Array]:
-        """Prior standard deviations of every group of columns, in order."""
+        """Return the prior standard deviations of every group of columns, in order."""
         prior = self.prior
         effort = self.effort_Nm
         if self.kind == "constant":
-            return {"offset": 100.0 * prior.offset_fraction * effort}
-        links = []
-        for inertia in list(self._model.inertias)[1:]:
-            mass = max(inertia.mass, 1e-3)
-            moment = mass * np.hypot(
-                prior.com_m, prior.mass_fraction * np.abs(inertia.lever)
-            )
-            links += [prior.mass_fraction * mass, *moment]
-        coulomb = prior.friction_fraction
-        viscous = prior.viscous_fraction_s
+            return {"offset": CONSTANT_PRIOR_RATIO * prior.offset_fraction * effort}
+        coulomb = np.tile(prior.friction_fraction * effort, self.elements + 1)
+        viscous = prior.viscous_fraction_s * effort
+        drift_per_s = prior.drift_fraction_per_min / SECONDS_PER_MINUTE
         std = {
             "offset": prior.offset_fraction * effort,
-            "links": np.array(links),
+            "links": self._link_std(),
             "hysteresis": np.tile(prior.hysteresis_fraction * effort, self.loops),
-            "friction": np.concatenate(
-                (np.tile(coulomb * effort, self.elements + 1), viscous * effort)
-            ),
-            "drift": np.tile(prior.drift_fraction_per_min / 60.0 * effort, 2),
+            "friction": np.concatenate((coulomb, viscous)),
+            "drift": np.tile(drift_per_s * effort, 2),
         }
         if len(self.ripple_per_rad):
-            std["sine"] = std["cosine"] = prior.ripple_fraction * effort
+            std["sine"] = prior.ripple_fraction * effort
+            std["cosine"] = std["sine"]
         return std
 
+    def _link_std(self) -> Array:
+        """Return the prior deviations of mass and first moments, shape (4 links,)."""
+        prior = self.prior
+        stds: list[float] = []
+        for inertia in list(self._model.inertias)[1:]:
+            mass = max(inertia.mass, MIN_LINK_MASS_KG)
+            moments = mass * np.hypot(
+                prior.com_m, prior.mass_fraction * np.abs(inertia.lever)
+            )
+            stds += [prior.mass_fraction * mass, *moments]
+        return np.array(stds)
+
     def gravity_Nm(self, q: Array) -> Array:
-        """Torque that holds the arm against gravity [Nm], shape (n,)."""
+        """Return the torque that holds the arm against gravity, shape (n,)."""
         return pin.computeGeneralizedGravity(self._model, self._data, q)
 
     def regressor(self, q: Array) -> Array:
-        """Static torque per mass and first moment of every link, shape (n, 4 links)."""
+        """Return the static torque per mass and first moment, shape (n, 4 links)."""
         still = self._still
         full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
-        # Of ten parameters per link the first four; of a single joint it comes as a
-        # vector.
-        return full.reshape(self.joints, -1, 10)[:, :, :4].reshape(self.joints, -1)
+        # For a single joint it comes as a vector.
+        by_link = full.reshape(self.joints, -1, INERTIAL_PARAMETERS)
+        return by_link[:, :, :LINK_PARAMETERS].reshape(self.joints, -1)
 
     def columns(self, q: Array, states: Array, age_s: float) -> Array:
-        """H at a position [rad], states and age of the tare [s], shape (n, m)."""
+        """Return H at a position [rad], states and age of the tare, shape (n, m)."""
         if self.kind == "constant":
             return np.eye(self.joints)
-        fading_s = self.prior.fading_s
-        ripple_per_rad = self.ripple_per_rad
         return all_columns(
-            self.regressor(q), q, states, age_s, fading_s, ripple_per_rad
+            self.regressor(q),
+            q,
+            states,
+            age_s,
+            self.prior.fading_s,
+            self.ripple_per_rad,
         )
 
     def bias_Nm(self, tare: Tare, q: Array, states: Array, age_s: float) -> Array:
-        """Residual without contact at a position, states and age: H theta, shape
-        (n,).
+        """Return the residual without contact, H theta, shape (n,).
+
+        Arguments beside the tare are those of `columns`.
         """
         return self.columns(q, states, age_s).dot(tare.mean)
 
     def covariance_Nm2(
         self, tare: Tare, q: Array, states: Array, age_s: float
     ) -> Array:
-        """Covariance of the residual's error after the tare: noise, model and drift,
-        (n, n).
+        """Return the covariance of the residual's error after the tare, shape (n, n).
+
+        It has noise, model and drift. Arguments beside the tare are those of `columns`.
         """
         columns = self.columns(q, states, age_s)
         model = columns.dot(tare.covariance).dot(columns.T)
@@ -272,19 +330,22 @@ class BiasModel:
 
     @property
     def prior_tare(self) -> Tare:
-        """The tare before any free motion was seen: no offset, the prior's
-        covariance.
-        """
-        noise = np.diag((1e-3 * self.effort_Nm) ** 2)
-        steady = np.zeros(self.joints)
-        none = np.zeros(len(self.std))
-        return Tare(none, np.diag(self.std**2), noise, steady, self.walk_Nm2_per_s())
+        """Tare before free motion was recorded: no offset, the prior's covariance."""
+        return Tare(
+            mean=np.zeros(len(self.std)),
+            covariance=np.diag(self.std**2),
+            noise_Nm2=np.diag((PRIOR_NOISE_FRACTION * self.effort_Nm) ** 2),
+            scatter_Nm2=np.zeros(self.joints),
+            walk_Nm2_per_s=self.walk_Nm2_per_s(),
+        )
 
     def walk_Nm2_per_s(self) -> Array:
-        """Variance that a random walk of the prior's size adds in a second [Nm^2/s],
-        shape (n,).
+        """Return the variance that a random walk adds in a second, shape (n,).
+
+        Its size is the prior's.
         """
-        return np.square(self.prior.walk_fraction_per_sqrt_min * self.effort_Nm) / 60.0
+        walk_per_sqrt_min = self.prior.walk_fraction_per_sqrt_min * self.effort_Nm
+        return np.square(walk_per_sqrt_min) / SECONDS_PER_MINUTE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -296,17 +357,21 @@ class TareBlocks:
         states: Of hysteresis and friction, shape (m, states, n).
         residual_Nm: Residuals before offset removal, shape (m, n).
         age_s: Time relative to the end of the tare, <= 0, shape (m,).
+        scatter_Nm2: Variance of single residuals about their block's mean, shape (n,).
     """
 
     q_rad: Array
     states: Array
     residual_Nm: Array
     age_s: Array
-    scatter_Nm2: (
-        Array  # Variance of single residuals about their block's mean, shape (n,)
-    )
+    scatter_Nm2: Array
 
-    def part(self, kept: NDArray[np.bool_]) -> "TareBlocks":
-        """Some of the blocks, shape (m,)."""
-        names = ("q_rad", "states", "residual_Nm", "age_s")
-        return replace(self, **{name: getattr(self, name)[kept] for name in names})
+    def select(self, is_selected: NDArray[np.bool_]) -> "TareBlocks":
+        """Return some of the blocks; the selection has the shape (m,)."""
+        return replace(
+            self,
+            q_rad=self.q_rad[is_selected],
+            states=self.states[is_selected],
+            residual_Nm=self.residual_Nm[is_selected],
+            age_s=self.age_s[is_selected],
+        )

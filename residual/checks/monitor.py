@@ -1,4 +1,4 @@
-"""Slow checks of every few samples: joint limits, singular poses, model mismatch.
+"""Checks, every few samples: joint limits, singular poses, model mismatch.
 
 The checks of measured velocities and of pushes on the arm stand beside this module, in
 `velocity` and `pushed_arm`.
@@ -9,11 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from residual.checks.pushed_arm import (
     BESIDE,
     LEARNED_S,
     TorqueChange,
     change_step,
+    first_change,
     unusual_change,
 )
 from residual.checks.velocity import (
@@ -22,37 +24,51 @@ from residual.checks.velocity import (
     velocity_fault,
     velocity_match_step,
 )
-from residual.errors import Array, named_joints
+from residual.errors import named_joints
 from residual.estimate import SensorWarning, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-LIMIT_MARGIN_RAD = 0.01  # half a degree from its limit a joint counts as being there
-MOST_RAD = (
-    4.0 * math.pi
-)  # two turns: beyond a limit and this a position is hardly in radians
-LEAST_SINGULAR_VALUE = 0.05
-"""[m] At this value a newton makes a twentieth of a newton metre in all joints
-together, as much as the noise of one torque sample; below it the pose is near singular."""
-MISMATCH_MEMORY_S = 0.2  # a knock of a few milliseconds is no model mismatch
-MOST_MISMATCH = 4.0  # so many standard deviations in all joints together are no chance
+LIMIT_MARGIN_RAD = 0.01
+"""Half a degree from its limit a joint counts as being there."""
+
+MAX_POSITION_RAD = 4.0 * math.pi
+"""Two turns: a position beyond a limit and this is hardly in radians."""
+
+MIN_SINGULAR_VALUE_M = 0.05
+"""At this value a newton makes a twentieth of a newton metre in all joints together, as
+much as the noise of one torque sample; below it the pose is near singular."""
+
+MISMATCH_MEMORY_S = 0.2
+"""Time constant of the model mismatch: a knock of a few milliseconds is none."""
+
+MAX_MISMATCH = 4.0
+"""Largest model mismatch that may be chance, in standard deviations of all joints
+together."""
+
+VARIANCE_GAIN = 2.0
+"""Growth of the covariance with the model mismatch squared: four directions show a
+variance only within a factor of two."""
+
+WIDENING_RATIO = 1.1
+"""Ratio of the wanted to the present widening from which the covariance is renewed."""
 
 
 class MonitorState(NamedTuple):
-    """All that a `ConsistencyMonitor` remembers.
+    """State of a `ConsistencyMonitor`; its arrays are never written again.
 
     Attributes:
+        mismatch_squared: Smoothed mean square of the model mismatch, in units of the
+            covariance before it was widened.
         widening: Factor by which the covariance in use was widened.
         warnings: Of the last check, as a number.
         at_limit: Indices of joints at a position limit in that check.
         match: Of measured velocities with positions; None before a check, and where
             velocities are estimated.
-        change: None before the tare.
+        change: Of the torque; None before the tare.
     """
 
-    mismatch_squared: float = (
-        0.0  # Smoothed, in units of the covariance before it was widened
-    )
+    mismatch_squared: float = 0.0
     widening: float = 1.0
     warnings: int = 0
     at_limit: tuple[int, ...] = ()
@@ -61,14 +77,13 @@ class MonitorState(NamedTuple):
 
 
 class ConsistencyMonitor:
-    """Checks, every few samples, what changes slowly and costs too much for every
-    sample.
+    """Checks, every few samples, what changes slowly and costs too much for each.
 
     Attributes:
-        state: All that it remembers; its arrays are never written again.
+        state: Its state.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
-        velocity_fault: What is surely wrong with measured velocities, in words; empty
-            if nothing is.
+        velocity_fault: Certain faults of measured velocities, in words; empty if there
+            are none.
         warnings: Warnings of the last check.
         message: The same in words.
     """
@@ -78,86 +93,121 @@ class ConsistencyMonitor:
         upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
         # A joint without a range has no limit: descriptions write 0 and 0 for
         # "unknown".
-        free = upper <= lower
-        self._lower = np.where(free, -np.inf, lower).tolist()
-        self._upper = np.where(free, np.inf, upper).tolist()
+        is_free = upper <= lower
+        self._lower_rad = np.where(is_free, -np.inf, lower).tolist()
+        self._upper_rad = np.where(is_free, np.inf, upper).tolist()
         self._wrench = wrench
         self.restore(MonitorState())
 
     def check(
         self, q: Array, dq: Array | None, residual: Array, dt_s: float, *, tared: bool
     ) -> None:
-        """Check the sample for which a wrench was just estimated.
+        """Check a sample for which the wrench estimator has a gain.
 
-        Its configuration [rad], its velocity as measured [rad/s], None where it is
-        estimated, and its residual after offset removal [Nm] have shape (n,); ``dt_s``
-        is the time since the last check [s], ``tared`` says whether the residual's
-        covariance is a fitted one.
+        Args:
+            q: Configuration [rad], shape (n,).
+            dq: Velocity as measured [rad/s], shape (n,); None where it is estimated.
+            residual: External joint torque after offset removal [Nm], shape (n,).
+            dt_s: Time since the last check.
+            tared: Whether the residual's covariance is a fitted one.
         """
-        found = SensorWarning.NONE
-        lower = self._lower
-        upper = self._upper
-        at_limit = tuple(
-            i for i, at in enumerate(q.tolist()) if not lower[i] < at < upper[i]
-        )
+        at_limit = self._joints_at_limit(q)
+        mismatch_squared = self._next_mismatch(residual, dt_s, tared=tared)
+        change = self._next_change(residual, dt_s) if tared else None
+        match_before = self.state.match
+        match = self._next_match(q, dq, dt_s)
+        warnings = SensorWarning.NONE
         if at_limit:
-            found |= SensorWarning.JOINT_LIMIT
-        if self._wrench.gain.weakest_m < LEAST_SINGULAR_VALUE:
-            found |= SensorWarning.NEAR_SINGULAR
-        widening = self.state.widening
-        last = self.state.mismatch_squared
-        now = widening * self._wrench.mismatch_squared(residual) if tared else 0.0
-        square = last - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (now - last)
-        if square > MOST_MISMATCH**2:
-            found |= SensorWarning.MODEL_MISMATCH
-        change = self._changed(residual, dt_s) if tared else None
+            warnings |= SensorWarning.JOINT_LIMIT
+        observability = self._wrench.observability
+        if observability.smallest_singular_value_m < MIN_SINGULAR_VALUE_M:
+            warnings |= SensorWarning.NEAR_SINGULAR
+        if mismatch_squared > MAX_MISMATCH**2:
+            warnings |= SensorWarning.MODEL_MISMATCH
         if change is not None and change.pushed_s > 0.0:
-            found |= SensorWarning.ARM_PUSHED
-        match = self.state.match
-        if dq is None:
-            match = None
-        elif match is None or dt_s <= 0.0:
-            match = first_match(q, dq)
-        else:
-            match = velocity_match_step(match, q, dq, dt_s)
-        last_match = self.state.match
-        fault = self.velocity_fault
-        self.state = MonitorState(square, widening, int(found), at_limit, match, change)
-        # While nothing moves the sums stay.
-        if match is None or last_match is None or match.beyond is not last_match.beyond:
-            fault = "" if match is None else velocity_fault(match)
-        self._report(fault)
+            warnings |= SensorWarning.ARM_PUSHED
+        self.state = MonitorState(
+            mismatch_squared=mismatch_squared,
+            widening=self.state.widening,
+            warnings=int(warnings),
+            at_limit=at_limit,
+            match=match,
+            change=change,
+        )
+        self._report(self._next_velocity_fault(match, match_before))
 
-    def _changed(self, residual: Array, dt_s: float) -> TorqueChange:
-        """The next `TorqueChange`: how far torques have changed as no wrench changes
-        them.
-        """
-        last = self.state.change
-        n = len(residual)
-        if last is None or dt_s <= 0.0:
-            return last or TorqueChange(
-                np.vstack((residual, residual, np.zeros((n, n))))
-            )
-        return TorqueChange(*change_step(self._wrench.rows, residual, *last, dt_s))
+    def _joints_at_limit(self, q: Array) -> tuple[int, ...]:
+        return tuple(
+            i
+            for i, position_rad in enumerate(q.tolist())
+            if not self._lower_rad[i] < position_rad < self._upper_rad[i]
+        )
+
+    def _next_mismatch(self, residual: Array, dt_s: float, *, tared: bool) -> float:
+        """Return the next `MonitorState.mismatch_squared`; arguments of `check`."""
+        square = 0.0  # before the tare the covariance is the prior's
+        if tared:
+            square = self.state.widening * self._wrench.mismatch_squared(residual)
+        smoothed = self.state.mismatch_squared
+        return smoothed - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (square - smoothed)
+
+    def _next_change(self, residual: Array, dt_s: float) -> TorqueChange:
+        """Return the next change of torque, after a residual [Nm], shape (n,)."""
+        change = self.state.change
+        if change is None:
+            return first_change(residual)
+        if dt_s <= 0.0:
+            return change
+        return change_step(
+            self._wrench.contact_jacobian,
+            residual,
+            change.present,
+            change.reference,
+            change.usual,
+            change.learned_s,
+            change.pushed_s,
+            dt_s,
+        )
+
+    def _next_match(
+        self, q: Array, dq: Array | None, dt_s: float
+    ) -> VelocityMatch | None:
+        """Return the next match of velocities with positions; arguments of `check`."""
+        if dq is None:
+            return None
+        match = self.state.match
+        if match is None or dt_s <= 0.0:
+            return first_match(q, dq)
+        return velocity_match_step(match, q, dq, dt_s)
+
+    def _next_velocity_fault(
+        self, match: VelocityMatch | None, match_before: VelocityMatch | None
+    ) -> str:
+        """Return the faults of measured velocities after a check, in words."""
+        if match is None:
+            return ""
+        # While nothing moves the sums stay.
+        if match_before is not None and match.sums is match_before.sums:
+            return self.velocity_fault
+        return velocity_fault(match)
 
     @property
-    def _wanted(self) -> float:
-        return 1.0 + 2.0 * max(0.0, self.state.mismatch_squared - 1.0)
+    def _wanted_widening(self) -> float:
+        return 1.0 + VARIANCE_GAIN * max(0.0, self.state.mismatch_squared - 1.0)
 
     @property
     def wants_widening(self) -> bool:
-        """Whether the covariance in use is clearly too small for what is seen now."""
-        return self._wanted > 1.1 * self.state.widening
+        """Whether the covariance in use is clearly too small for the mismatch."""
+        return self._wanted_widening > WIDENING_RATIO * self.state.widening
 
-    def widened(self, covariance_Nm2: Array) -> Array:
-        """A covariance widened by what no wrench explains: a push on the arm, a wrong
-        model.
+    def widen(self, covariance_Nm2: Array) -> Array:
+        """Return a covariance widened by the joint torque that no wrench explains.
 
-        This is the variance factor of least squares: errors seen in directions that no
-        wrench explains are likely in the other directions, too. Twice that, since four
-        directions show a variance only within a factor of two.
+        It may come of a push on the arm, or of a wrong model. This is the variance
+        factor of least squares: errors seen in directions that no wrench explains are
+        likely in the other directions, too. See `VARIANCE_GAIN`.
         """
-        self.state = self.state._replace(widening=self._wanted)
+        self.state = self.state._replace(widening=self._wanted_widening)
         return self.state.widening * covariance_Nm2
 
     def forget_velocity(self) -> None:
@@ -165,30 +215,35 @@ class ConsistencyMonitor:
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
         self.restore(self.state._replace(match=None, warnings=warnings))
 
-    def recheck(self, last: WrenchEstimate, before: WrenchEstimate) -> WrenchEstimate:
-        """The last estimate, with a warning if its torques, or their change, fit no
-        needle force.
+    def recheck(
+        self, estimate: WrenchEstimate, estimate_before: WrenchEstimate
+    ) -> WrenchEstimate:
+        """Return an estimate with a warning if its torques fit no needle force.
 
-        Meant for alarms and for the end of a gap, not for every sample: a knock raises
-        it, too. The sample before must show it as well, since an arm that brakes hard
-        raises it for one sample.
+        Their change is checked, too. Meant for alarms and for the end of a gap, not for
+        every sample: a knock raises the warning, too. The estimate before must show it
+        as well, since an arm that brakes hard raises it for one sample.
         """
         square = min(
-            self._wrench.mismatch_squared(each.residual) for each in (last, before)
+            self._wrench.mismatch_squared(estimate.residual),
+            self._wrench.mismatch_squared(estimate_before.residual),
         )
-        is_off = self.state.widening * square > MOST_MISMATCH**2
-        found = SensorWarning.MODEL_MISMATCH if is_off else SensorWarning.NONE
-        if (change := self.state.change) is not None and change.learned_s >= LEARNED_S:
-            axial = self._wrench.kinematics.axial_jacobian[None]
-            torques = change.torques
-            if (
-                unusual_change(axial, torques[0] - torques[1], torques[2:], BESIDE)
-                > BESIDE
-            ):
-                found |= SensorWarning.ARM_PUSHED
-        reasons = [text for one, text in _REASONS.items() if one in found]
-        message = "; ".join(filter(None, (last.message, *reasons)))
-        return last._replace(warnings=last.warnings | found, message=message)
+        warnings = SensorWarning.NONE
+        if self.state.widening * square > MAX_MISMATCH**2:
+            warnings |= SensorWarning.MODEL_MISMATCH
+        if self._has_push_begun():
+            warnings |= SensorWarning.ARM_PUSHED
+        message = "; ".join(filter(None, (estimate.message, *_reasons(warnings))))
+        return estimate._replace(warnings=estimate.warnings | warnings, message=message)
+
+    def _has_push_begun(self) -> bool:
+        """Return whether the torques change as no force along the needle does."""
+        change = self.state.change
+        if change is None or change.learned_s < LEARNED_S:
+            return False
+        axial = self._wrench.kinematics.axial_jacobian[None]
+        difference = change.present - change.reference
+        return unusual_change(axial, difference, change.usual, BESIDE) > BESIDE
 
     @property
     def limit(self) -> str:
@@ -198,13 +253,13 @@ class ConsistencyMonitor:
 
     @property
     def question(self) -> str:
-        """The same if positions are so far beyond that they are hardly in radians;
-        else empty.
-        """
-        is_far = (
-            self.state.at_limit and np.abs(self._wrench.gain.rows[0]).max() > MOST_RAD
+        """Whether q is in degrees, asked where positions are far beyond; else empty."""
+        if not self.state.at_limit:
+            return ""
+        largest_rad = np.abs(self._wrench.gain.configuration_rad).max()
+        return (
+            f"{self.limit}: is q in degrees?" if largest_rad > MAX_POSITION_RAD else ""
         )
-        return f"{self.limit}: is q in degrees?" if is_far else ""
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
@@ -212,23 +267,27 @@ class ConsistencyMonitor:
         self._report("" if state.match is None else velocity_fault(state.match))
 
     def _report(self, velocity_fault: str) -> None:
+        """Set the attributes that report the result of a check."""
         self.velocity_fault = velocity_fault
-        self.message = ""
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)
-        if self.velocity_fault:
+        self.message = ""
+        if velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
-            reasons = [text for one, text in _REASONS.items() if one in self.warnings]
-            self.message = "; ".join(
-                filter(
-                    None, (self.velocity_fault, self.question or self.limit, *reasons)
-                )
-            )
+            position = self.question or self.limit
+            texts = (velocity_fault, position, *_reasons(self.warnings))
+            self.message = "; ".join(filter(None, texts))
 
 
 _REASONS = {
     SensorWarning.NEAR_SINGULAR: "the joints hardly feel a force in this pose",
     SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
-    SensorWarning.ARM_PUSHED: "the joint torques change as no force at the tip changes them",
+    SensorWarning.ARM_PUSHED: (
+        "the joint torques change as no force at the tip changes them"
+    ),
 }
+
+
+def _reasons(warnings: SensorWarning) -> list[str]:
+    return [reason for warning, reason in _REASONS.items() if warning in warnings]

@@ -1,116 +1,187 @@
-"""Notices a push on the arm: joint torques change as no force at the tip changes them."""
+"""Detects a push on the arm: torques change as no force at the tip changes them."""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
-from residual.errors import Array
 
-# memory of the torque now, before, of their difference
-NOW_S = 0.06
-BEFORE_S = 0.6
+PRESENT_S = 0.06
+"""Time constant of the smoothed torque of the present."""
+
+REFERENCE_S = 0.6
+"""Time constant of the torque that it is compared with."""
+
 USUAL_S = 8.0
+"""Time constant of the usual difference of the two."""
+
 PUSHED = 15.0
-LET_GO = 12.0
+"""Mean square of a torque change that no wrench explains, in units of the usual one,
+from which on the arm counts as pushed."""
+
+RELEASED = 12.0
+"""The same below which a pushed arm counts as released."""
+
 USUAL = 6.0
+"""The same below which a change is learnt as usual."""
+
 BESIDE = 4.0
-"""Mean square of a torque change that no wrench explains, in units of the usual one.
-From PUSHED on the arm is pushed, until below LET_GO; below USUAL it is learnt as usual.
-From BESIDE on, for what no axial force explains, a rupture is not reported."""
-LONGEST_PUSH_S = 2.5  # what lasts longer is no hand's push: a cable, or another load
-LEARNED_S = 1.0  # learning time before anything is called unusual
-LEAST_CHANGE_NM = 3e-4
-CHANGE_ERROR = 0.02
-"""A change up to this may be hysteresis of a joint's sensor; one up to this fraction of
-the largest explained change may be an error of the lever arms."""
+"""The same of what no axial force explains, from which on a rupture is not reported."""
+
+MAX_PUSH_S = 2.5
+"""Longest push of a hand: what lasts longer is a cable, or another load."""
+
+LEARNED_S = 1.0
+"""Learning time before anything is called unusual."""
+
+MIN_CHANGE_NM = 3e-4
+"""A change up to this may be hysteresis of a joint's sensor."""
+
+CHANGE_ERROR_RATIO = 0.02
+"""A change up to this fraction of the largest explained one may be an error of the
+lever arms."""
+
+DIAGONAL_WEIGHT = 0.2
+"""Weight of the diagonal in the covariance of usual changes, which is learnt from few
+samples; the rest is that of the whole matrix."""
+
+UNSEEN_RATIO = 1e-12
+"""Regularisation of the normal equations, relative to their trace: what no joint feels
+is left at zero."""
+
+MIN_INFORMATION = 1e-30
+"""Regularisation of normal equations that are zero."""
 
 
 class TorqueChange(NamedTuple):
-    """Joint torque without its offset, now and before, both smoothed.
+    """How the joint torque, without its offset, changes; arrays are not written again.
 
     Attributes:
-        torques: Torque now; torque before, kept while the arm is pushed [Nm]; then the
-            mean product of their differences [Nm^2]; shape (n + 2, n).
+        present: Smoothed torque of the present [Nm], shape (n,).
+        reference: Smoothed torque of a while ago [Nm], shape (n,); kept while the arm
+            is pushed.
+        usual: Mean product of their differences without a push [Nm^2], shape (n, n).
         learned_s: Time over which that product was learned.
         pushed_s: Time since the arm has been pushed.
     """
 
-    torques: Array
+    present: Array
+    reference: Array
+    usual: Array
     learned_s: float = 0.0
     pushed_s: float = 0.0
 
+    def find_damage(self) -> str:
+        """Return the shapes of the arrays if they do not fit each other, else ""."""
+        joints = self.present.shape
+        if self.reference.shape == joints and self.usual.shape == joints + joints:
+            return ""
+        return f"arrays have shapes {[array.shape for array in self[:3]]}"
+
+
+def first_change(residual: Array) -> TorqueChange:
+    """Return the change after a first residual [Nm], shape (n,)."""
+    joints = len(residual)
+    return TorqueChange(residual.copy(), residual.copy(), np.zeros((joints, joints)))
+
+
+class SplitChange(NamedTuple):
+    """A change of torque, split by whether a wrench explains it.
+
+    Attributes:
+        unexplained: Mean square of the part that no wrench explains, in units of a
+            covariance.
+        explained: The other part [Nm], shape (n,).
+    """
+
+    unexplained: float
+    explained: Array
+
 
 @compiled
-def unexplained_change(
-    rows: Matrix, covariance: Matrix, change: Vector
-) -> tuple[float, Array]:
-    """Like `unusual_change`, for a given covariance [Nm^2]; also the explained part
-    [Nm], (n,).
+def split_change(rows: Matrix, covariance: Matrix, change: Vector) -> SplitChange:
+    """Split a change of torque [Nm], shape (n,), by least squares.
+
+    Unknowns of a wrench make torque by ``rows``, shape (k, n); the covariance [Nm^2]
+    has the shape (n, n).
     """
-    precision = np.linalg.inv(covariance).T  # the same, with its rows in order
+    precision = np.linalg.inv(covariance).T  # symmetric: transposed for its layout
     weighted = rows.dot(precision)
     information = weighted.dot(rows.T)
-    # What no joint feels is left at zero.
-    information += (1e-12 * np.trace(information) + 1e-30) * np.eye(len(rows))
+    information += (UNSEEN_RATIO * np.trace(information) + MIN_INFORMATION) * np.eye(
+        len(rows)
+    )
     explained = np.linalg.solve(information, weighted.dot(change)).dot(rows)
-    left = change - explained
-    return left.dot(precision).dot(left) / (len(change) - len(rows)), explained
+    remaining = change - explained
+    square = remaining.dot(precision).dot(remaining) / (len(change) - len(rows))
+    return SplitChange(square, explained)
 
 
 @compiled
-def unusual_change(rows: Matrix, change: Vector, usual: Matrix, enough: float) -> float:
-    """Mean square of a change of joint torque [Nm], shape (n,), that no wrench
-    explains.
+def unusual_change(rows: Matrix, change: Vector, usual: Matrix, limit: float) -> float:
+    """Return the mean square of a change of torque that no wrench explains.
 
-    Unknowns make torque by ``rows``, (k, n). The unit is ``usual``, the mean product of
-    changes without a push [Nm^2], shape (n, n), shrunk towards its diagonal. A value
-    beyond ``enough`` is computed again with errors of sensors and lever arms in the
-    explained part, which lowers it.
+    Args:
+        rows: Torque per unit of each unknown of a wrench, shape (k, n).
+        change: Change of joint torque [Nm], shape (n,).
+        usual: Unit of the result: mean product of changes without a push [Nm^2], shape
+            (n, n); it is shrunk towards its diagonal.
+        limit: A value beyond it is computed again with errors of sensors and lever arms
+            in the explained part, which lowers it.
     """
     if len(rows) >= len(change):
         return 0.0
-    covariance = 0.8 * usual + np.diag(0.2 * np.diag(usual) + LEAST_CHANGE_NM**2)
-    square, explained = unexplained_change(rows, covariance, change)
-    if square > enough:
-        covariance += (CHANGE_ERROR * np.abs(explained).max()) ** 2 * np.eye(
-            len(change)
-        )
-        square, explained = unexplained_change(rows, covariance, change)
-    return square
+    diagonal = DIAGONAL_WEIGHT * np.diag(usual) + MIN_CHANGE_NM**2
+    covariance = (1.0 - DIAGONAL_WEIGHT) * usual + np.diag(diagonal)
+    split = split_change(rows, covariance, change)
+    if split.unexplained > limit:
+        error_Nm = CHANGE_ERROR_RATIO * np.abs(split.explained).max()
+        covariance += error_Nm**2 * np.eye(len(change))
+        split = split_change(rows, covariance, change)
+    return split.unexplained
 
 
 @compiled
 def change_step(
     rows: Matrix,
     residual: Vector,
-    last: Matrix,
+    present: Vector,
+    reference: Vector,
+    usual: Matrix,
     learned_s: float,
     pushed_s: float,
     dt_s: float,
-) -> tuple[Array, float, float]:
-    """The next `TorqueChange` after the last, from a residual [Nm] a time ``dt_s`` >
-    0 later.
+) -> TorqueChange:
+    """Return the `TorqueChange` a time ``dt_s`` > 0 later.
+
+    Args:
+        rows: Torque per unit of each unknown of a wrench, shape (k, n).
+        residual: External joint torque after offset removal [Nm], shape (n,).
+        present: Field of the `TorqueChange` before, like the next four.
+        reference: See there.
+        usual: See there.
+        learned_s: See there.
+        pushed_s: See there.
+        dt_s: Time since then.
     """
-    torques = last.copy()
     square = 0.0
-    now = torques[0]
-    before = torques[1]
-    usual = torques[2:]
-    now -= math.expm1(-dt_s / NOW_S) * (residual - now)
-    change = now - before
+    present = present - math.expm1(-dt_s / PRESENT_S) * (residual - present)
+    change = present - reference
     if learned_s >= LEARNED_S:
         square = unusual_change(rows, change, usual, USUAL)
-    if square > (LET_GO if pushed_s > 0.0 else PUSHED):
-        if pushed_s < LONGEST_PUSH_S:
-            return torques, learned_s, pushed_s + dt_s
-        before[:] = now
+    if square > (RELEASED if pushed_s > 0.0 else PUSHED):
+        if pushed_s < MAX_PUSH_S:
+            return TorqueChange(
+                present, reference.copy(), usual.copy(), learned_s, pushed_s + dt_s
+            )
+        reference = present.copy()
     if square < USUAL:
         learned_s += dt_s
-        usual += min(dt_s / min(learned_s, USUAL_S), 1.0) * (
-            np.outer(change, change) - usual
-        )
-    before -= math.expm1(-dt_s / BEFORE_S) * (now - before)
-    return torques, learned_s, 0.0
+        weight = min(dt_s / min(learned_s, USUAL_S), 1.0)
+        usual = usual + weight * (np.outer(change, change) - usual)
+    else:
+        usual = usual.copy()
+    reference = reference - math.expm1(-dt_s / REFERENCE_S) * (present - reference)
+    return TorqueChange(present, reference, usual, learned_s, 0.0)

@@ -13,28 +13,47 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Blocks, Matrix, Vector
+from foundation.arrays import Array, Blocks, Matrix, Vector
 from foundation.jit import compiled
-from residual.errors import Array, named_joints
+from residual.errors import named_joints
 
-TRAVEL_S = 1.0  # in which travel fades: if less, slow strokes look short; if more, bias adds up
+TRAVEL_S = 1.0
+"""Time constant with which travel fades: if it were less, slow strokes would look
+short; if more, bias would add up."""
+
 MEMORY_S = 10.0
-"""Memory of the comparison; time at rest does not count, so an arm that waits for its
-tare does not forget."""
-LONGEST_S = 0.2  # a trapezoid over a longer step means nothing
-MOST_ACCELERATION_RAD_S2 = 20.0  # as in `residual.checks.outliers`: a jump has no rate
-LEAST_TRAVEL_RAD = (
-    0.015  # ten steps of a very coarse encoder; 60 mm in air make thrice as much
-)
-DQ_RATIO = 20.0  # with so many times that travel by dq alone a joint is checked whatever q does
-TOLERATED_LAG_S = (
-    0.03  # a filtered velocity or position is late by 20 ms, a held one by ten
-)
-TOLERATED_RAD = (
-    0.02  # 6 rad/s^2 of a vibration of 50 Hz, seen every 20 ms, make this travel
-)
-LEAST_SECONDS = 1.0  # of motion, before anything is reported
-LEAST_BEYOND = 0.01  # least rms difference beyond the tolerated, relative to the travel
+"""Time constant of the sums that compare both travels. Time at rest does not count, so
+an arm that waits for its tare does not forget."""
+
+MAX_TRAPEZOID_S = 0.2
+"""Longest time step over which a trapezoid of two velocities is a travel."""
+
+MAX_ACCELERATION_RAD_S2 = 20.0
+"""Largest acceleration of a joint, as in `residual.checks.outliers`: a position that
+changes its rate faster has jumped."""
+
+MIN_TRAVEL_RAD = 0.015
+"""Smallest travel that is checked: ten steps of a very coarse encoder; 60 mm in air
+make three times as much."""
+
+DQ_TRAVEL_RATIO = 20.0
+"""With so many times `MIN_TRAVEL_RAD` by dq alone a joint is checked, whatever q
+does."""
+
+TOLERATED_LAG_S = 0.03
+"""Lag between position and velocity that is no fault: a filtered one is late by 20 ms,
+a held one by ten."""
+
+TOLERATED_RAD = 0.02
+"""Difference of both travels that is no fault: 6 rad/s^2 of a vibration of 50 Hz, seen
+every 20 ms, make it."""
+
+MIN_CHECKED_S = 1.0
+"""Time of motion before anything is reported."""
+
+MIN_EXCESS_RATIO = 0.01
+"""Smallest rms difference beyond what is tolerated that is a fault, relative to the
+travel."""
 
 FACTORS = {
     math.degrees(1.0): "is it in deg/s?",
@@ -43,41 +62,67 @@ FACTORS = {
     0.5 / math.pi: "is it in revolutions per second?",
     1.0: "is its sign the other one?",
 }
-"""Factors with a likely reason; each may come with the other sign."""
+"""Factors between velocity and rate with a likely reason; each may come with the other
+sign."""
+
 OTHER_FACTOR = (
     "is it in other units, or of the motor before its gear, or are time stamps wrong?"
 )
-NEAR = 0.05
-"""Relative distance within which a factor is one of these, or dq's travel is another
-joint's."""
-MOST_OFF = (
-    0.4  # relative rms difference of dq's travel from q's that noise does not reach
-)
-LEAST_OFF = 0.12  # the same if another joint or a lag explains the difference
-UNEXPLAINED = 0.1
-"""Fraction that may be left: by a factor of dq's mean square travel, by a lag of the
-difference."""
-LONGEST_LAG_S = 0.1
-LAG_SECONDS = 2.0
-"""A longer lag is reported, after so many seconds of motion; a filtered velocity is
-late by only 20 ms."""
-STILL = (
-    1e-3  # a signal whose travel is less than this fraction of the other's stands still
-)
+"""Likely reasons of any other factor."""
 
-Sums = tuple[Vector, Vector, Blocks, Matrix, Matrix]
+FACTOR_TOLERANCE = 0.05
+"""Relative distance within which a factor is one of `FACTORS`, or the travel of dq is
+that of another joint."""
+
+MAX_DIFFERENCE_RATIO = 0.4
+"""Relative rms difference of both travels that noise does not reach."""
+
+MIN_DIFFERENCE_RATIO = 0.12
+"""The same where another joint or a lag explains the difference."""
+
+MAX_UNEXPLAINED_RATIO = 0.1
+"""Fraction that an explanation may leave over: a factor, of the mean square travel of
+dq; a lag, of the difference."""
+
+MIN_REPORTED_LAG_S = 0.1
+"""Shortest lag that is reported; a filtered velocity is late by only 20 ms."""
+
+MIN_LAG_CHECKED_S = 2.0
+"""Time of motion before a lag is reported."""
+
+STILL_RATIO = 1e-3
+"""A signal whose travel is less than this fraction of the other's stands still."""
+
+MIN_OTHER_TRAVEL_RATIO = 0.2
+"""Travel of another joint that may be the one meant, relative to `MIN_TRAVEL_RAD`."""
 
 
-class VelocityMatch(NamedTuple):
-    """How velocities match positions; the sums fade over `MEMORY_S` and are taken in
-    motion.
+class JointTravel(NamedTuple):
+    """Motion of the joints at a check; arrays of shape (n,), never written again.
 
     Attributes:
-        motion: Position [rad], velocity as measured and rate of the position [rad/s] at
-            the last check; then fading travel of q and of dq [rad]; shape (5, n).
-        seconds: Time for which a joint has been checked [s], shape (n,).
-        beyond: Sum of squares of the difference of both travels beyond the tolerated
-            [rad^2 s], shape (n,).
+        q: Position [rad].
+        dq: Velocity as measured [rad/s].
+        rate: Rate of the position since the check before [rad/s].
+        travel: Travel of the position, fading [rad].
+        travel_dq: Travel by the measured velocity, fading [rad].
+        excess: Square of the difference of both travels beyond the tolerated [rad^2].
+    """
+
+    q: Array
+    dq: Array
+    rate: Array
+    travel: Array
+    travel_dq: Array
+    excess: Array
+
+
+class TravelSums(NamedTuple):
+    """Sums over the time in motion, fading over `MEMORY_S`; never written again.
+
+    Attributes:
+        checked_s: Time for which a joint has been checked, shape (n,).
+        excess: Sum of `JointTravel.excess` [rad^2 s], shape (n,).
         moments: Sums of pairwise products of dq's travel, q's, and the rate of q's;
             shape (n, 3, 3).
         squares: Row i, column j: square of the travel of joint j while joint i is
@@ -86,179 +131,239 @@ class VelocityMatch(NamedTuple):
             (n, n).
     """
 
-    motion: Array
-    seconds: Array
-    beyond: Array
+    checked_s: Array
+    excess: Array
     moments: Array
     squares: Array
     products: Array
 
 
-def first_match(q: Array, dq: Array) -> VelocityMatch:
-    """A match that knows one check only, of position [rad] and velocity [rad/s],
-    shape (n,).
+class VelocityMatch(NamedTuple):
+    """How measured velocities match positions.
+
+    Attributes:
+        motion: At the last check.
+        sums: Of all checks.
     """
+
+    motion: JointTravel
+    sums: TravelSums
+
+
+def first_match(q: Array, dq: Array) -> VelocityMatch:
+    """Return the match after a first check, of position [rad] and velocity [rad/s]."""
     n = len(q)
-    still = np.zeros(len(q))
-    sums = still, still, np.zeros((n, 3, 3)), np.zeros((n, n)), np.zeros((n, n))
-    return VelocityMatch(np.stack((q, dq, still, still, still)), *sums)
+    zeros = np.zeros(n)
+    motion = JointTravel(q.copy(), dq.copy(), zeros, zeros, zeros, zeros)
+    sums = TravelSums(
+        checked_s=zeros,
+        excess=zeros,
+        moments=np.zeros((n, 3, 3)),
+        squares=np.zeros((n, n)),
+        products=np.zeros((n, n)),
+    )
+    return VelocityMatch(motion, sums)
 
 
 @compiled
-def travels(motion: Matrix) -> NDArray[np.bool_]:
-    """Which joints have moved far enough to be checked, shape (n,)."""
-    most = np.maximum(DQ_RATIO * np.abs(motion[3]), np.abs(motion[4]))
-    return most > DQ_RATIO * LEAST_TRAVEL_RAD
+def is_travelling(travel: Vector, travel_dq: Vector) -> NDArray[np.bool_]:
+    """Return which joints have moved far enough to be checked, shape (n,)."""
+    scaled_rad = np.maximum(DQ_TRAVEL_RATIO * np.abs(travel), np.abs(travel_dq))
+    return scaled_rad > DQ_TRAVEL_RATIO * MIN_TRAVEL_RAD
 
 
 @compiled
 def travel_step(
-    motion: Matrix, q: Vector, dq: Vector, dt_s: float
-) -> tuple[Array, bool]:
-    """``motion`` of a `VelocityMatch` at the next check, and whether any joint
-    travels.
+    q_before: Vector,
+    dq_before: Vector,
+    rate_before: Vector,
+    travel_before: Vector,
+    travel_dq_before: Vector,
+    q: Vector,
+    dq: Vector,
+    dt_s: float,
+) -> JointTravel:
+    """Return the motion at a check, a time ``dt_s`` > 0 after the check before.
+
+    Arguments are fields of the `JointTravel` before and position and velocity now.
+    Where a position has jumped, or the step is too long, travel begins anew.
     """
-    way = q - motion[0]
-    way_dq = 0.5 * dt_s * (dq + motion[1])
-    now = np.zeros_like(motion)
-    now[0] = q
-    now[1] = dq
-    now[2] = way / dt_s
-    jump = np.abs(now[2] - motion[2]).max()
-    if jump <= MOST_ACCELERATION_RAD_S2 * dt_s and dt_s <= LONGEST_S:
-        kept = math.exp(-dt_s / TRAVEL_S)
-        now[3] = kept * motion[3] + way
-        now[4] = kept * motion[4] + way_dq
-    return now, bool(travels(now).any())
+    step = q - q_before
+    step_dq = 0.5 * dt_s * (dq + dq_before)
+    rate = step / dt_s
+    travel = np.zeros_like(q)
+    travel_dq = np.zeros_like(q)
+    rate_change = np.abs(rate - rate_before).max()
+    if rate_change <= MAX_ACCELERATION_RAD_S2 * dt_s and dt_s <= MAX_TRAPEZOID_S:
+        fading = math.exp(-dt_s / TRAVEL_S)
+        travel = fading * travel_before + step
+        travel_dq = fading * travel_dq_before + step_dq
+    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
+        np.abs(step), np.abs(step_dq)
+    )
+    excess = np.maximum(np.abs(travel_dq - travel) - tolerated, 0.0) ** 2
+    return JointTravel(q.copy(), dq.copy(), rate, travel, travel_dq, excess)
 
 
 @compiled
-def sums_step(
-    last: Matrix, motion: Matrix, sums: Sums, dt_s: float
-) -> tuple[Array, ...]:
-    """What follows ``motion`` in a `VelocityMatch`, a time ``dt_s`` > 0 after the
-    last motion.
+def sums_step(  # noqa: PLR0913 - tuples of read-only arrays cannot be passed
+    checked_s: Vector,
+    excess_sum: Vector,
+    moments: Blocks,
+    squares: Matrix,
+    products: Matrix,
+    travel_before: Vector,
+    travel: Vector,
+    travel_dq: Vector,
+    excess: Vector,
+    dt_s: float,
+) -> TravelSums:
+    """Return the sums after a check, a time ``dt_s`` > 0 after the check before.
+
+    The first arguments are the fields of the `TravelSums` before; then follow travel at
+    the check before, and fields of the `JointTravel` now.
     """
-    a = motion[3]
-    b = motion[4]
-    way = motion[0] - last[0]
-    way_dq = 0.5 * dt_s * (motion[1] + last[1])
-    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
-        np.abs(way), np.abs(way_dq)
-    )
-    beyond = np.maximum(np.abs(b - a) - tolerated, 0.0) ** 2
-    own = np.stack((b, a, (a - last[3]) / dt_s), axis=1)
+    own = np.stack((travel_dq, travel, (travel - travel_before) / dt_s), axis=1)
     pairs = own.reshape(-1, 3, 1) * own.reshape(-1, 1, 3)
+    square = (travel * travel).reshape(1, -1)
+    product = np.outer(travel_dq, travel)
     faded = 1.0 - math.exp(-dt_s / MEMORY_S)
-    moves = 1.0 * travels(motion)
-    each = moves.reshape(-1, 1)
-    row = (a * a).reshape(1, -1)
-    return (
-        sums[0] + moves * (dt_s - faded * sums[0]),
-        sums[1] + moves * (dt_s * beyond - faded * sums[1]),
-        sums[2] + each.reshape(-1, 1, 1) * (dt_s * pairs - faded * sums[2]),
-        sums[3] + each * (dt_s * row - faded * sums[3]),
-        sums[4] + each * (dt_s * np.outer(b, a) - faded * sums[4]),
+    moving = 1.0 * is_travelling(travel, travel_dq)
+    row_moving = moving.reshape(-1, 1)
+    block_moving = moving.reshape(-1, 1, 1)
+    return TravelSums(
+        checked_s + moving * (dt_s - faded * checked_s),
+        excess_sum + moving * (dt_s * excess - faded * excess_sum),
+        moments + block_moving * (dt_s * pairs - faded * moments),
+        squares + row_moving * (dt_s * square - faded * squares),
+        products + row_moving * (dt_s * product - faded * products),
     )
 
 
 def velocity_match_step(
     match: VelocityMatch, q: Array, dq: Array, dt_s: float
 ) -> VelocityMatch:
-    """The match after the next check, q [rad] and dq [rad/s], a time ``dt_s`` > 0
-    later.
+    """Return the match after the next check, a time ``dt_s`` > 0 later.
+
+    Position [rad] and velocity [rad/s] have shape (n,).
     """
-    motion, is_moving = travel_step(match.motion, q, dq, dt_s)
-    if not is_moving:
-        return match._replace(motion=motion)
-    return VelocityMatch(motion, *sums_step(match.motion, motion, match[1:], dt_s))
+    motion_before = match.motion
+    motion = travel_step(
+        motion_before.q,
+        motion_before.dq,
+        motion_before.rate,
+        motion_before.travel,
+        motion_before.travel_dq,
+        q,
+        dq,
+        dt_s,
+    )
+    if not is_travelling(motion.travel, motion.travel_dq).any():
+        return VelocityMatch(motion, match.sums)
+    sums = sums_step(
+        *match.sums,
+        motion_before.travel,
+        motion.travel,
+        motion.travel_dq,
+        motion.excess,
+        dt_s,
+    )
+    return VelocityMatch(motion, sums)
 
 
 def velocity_fault(match: VelocityMatch) -> str:
-    """What is wrong with velocities, joint by joint, with likely reasons; empty if
-    nothing is.
-    """
-    square_dq = match.moments[:, 0, 0]
-    product = match.moments[:, 0, 1]
-    own = match.moments[:, 1, 1]
-    differs = (match.beyond > LEAST_BEYOND**2 * own) & (match.seconds >= LEAST_SECONDS)
-    if not differs.any():
+    """Return the faults of velocities by joint, with likely reasons; "" without one."""
+    sums = match.sums
+    is_checked = sums.checked_s >= MIN_CHECKED_S
+    square_dq = sums.moments[:, 0, 0]
+    product = sums.moments[:, 0, 1]
+    square = sums.moments[:, 1, 1]
+    if not (is_checked & (sums.excess > MIN_EXCESS_RATIO**2 * square)).any():
         return ""
-    difference = square_dq - 2.0 * product + own
-    off = (match.seconds >= LEAST_SECONDS) & (difference > LEAST_OFF**2 * own)
-    joints: dict[str, list[int]] = {}
+    difference = square_dq - 2.0 * product + square
+    differs = is_checked & (difference > MIN_DIFFERENCE_RATIO**2 * square)
+    joints_by_fault: dict[str, list[int]] = {}
     is_sure = False
-    for i in np.flatnonzero(off).tolist():
-        fault = _other_joint(match, i, off) or _late(match, i)
-        least = LEAST_BEYOND
-        if not fault and difference[i] > MOST_OFF**2 * own[i]:
-            fault = _factor(match, i)
-            least = MOST_OFF
+    for i in np.flatnonzero(differs).tolist():
+        fault = _other_joint_fault(sums, i, differs) or _lag_fault(sums, i)
+        min_ratio = MIN_EXCESS_RATIO
+        if not fault and difference[i] > MAX_DIFFERENCE_RATIO**2 * square[i]:
+            fault = _factor_fault(sums, i)
+            min_ratio = MAX_DIFFERENCE_RATIO
         if fault:
-            joints.setdefault(fault, []).append(i)
-            is_sure |= bool(match.beyond[i] > least**2 * own[i])
+            joints_by_fault.setdefault(fault, []).append(i)
+            is_sure |= bool(sums.excess[i] > min_ratio**2 * square[i])
     if not is_sure:
         return ""
     return "; ".join(
-        f"dq at {named_joints(found)} {fault}" for fault, found in joints.items()
+        f"dq at {named_joints(joints)} {fault}"
+        for fault, joints in joints_by_fault.items()
     )
 
 
-def _other_joint(match: VelocityMatch, i: int, off: NDArray[np.bool_]) -> str:
-    """The joint whose rate dq of joint i is, if there is one; its own dq must be
-    wrong, too.
+def _other_joint_fault(sums: TravelSums, i: int, differs: NDArray[np.bool_]) -> str:
+    """Return that dq of joint i is the rate of another joint; "" if it is none's.
+
+    The other joint's own dq must be wrong, too.
     """
-    squares = match.squares[i]
-    products = match.products[i]
-    square_dq = match.moments[i, 0, 0]
-    is_right = (match.seconds >= LEAST_SECONDS) & ~off
-    moves = squares > match.seconds[i] * (0.2 * LEAST_TRAVEL_RAD) ** 2
-    left = np.where(moves & ~is_right, square_dq - 2.0 * products + squares, np.inf)
-    left[i] = np.inf
-    other = int(np.argmin(left))
-    if left[other] > NEAR**2 * square_dq:
+    squares = sums.squares[i]
+    square_dq = sums.moments[i, 0, 0]
+    is_right = (sums.checked_s >= MIN_CHECKED_S) & ~differs
+    min_travel_rad = MIN_OTHER_TRAVEL_RATIO * MIN_TRAVEL_RAD
+    is_moving = squares > sums.checked_s[i] * min_travel_rad**2
+    difference = square_dq - 2.0 * sums.products[i] + squares
+    difference = np.where(is_moving & ~is_right, difference, np.inf)
+    difference[i] = np.inf
+    other = int(np.argmin(difference))
+    if difference[other] > FACTOR_TOLERANCE**2 * square_dq:
         return ""
-    return f"is the rate of q at {named_joints([other])}: is the order of the joints another?"
+    return (
+        f"is the rate of q at {named_joints([other])}: is the order of the joints "
+        "another?"
+    )
 
 
-def _late(match: VelocityMatch, i: int) -> str:
-    """Lag of a velocity, if that is all that is wrong.
+def _lag_fault(sums: TravelSums, i: int) -> str:
+    """Return the lag of a velocity if that is all that is wrong, else "".
 
-    Found by least squares of dq's travel on q's and on the rate of q's.
+    It is found by least squares of dq's travel on q's and on the rate of q's.
     """
-    (square_dq, *others), (product, own, _), (_, _, change) = match.moments[i]
-    normal = match.moments[i, 1:, 1:]
-    if np.linalg.det(normal) <= 0.0 or match.seconds[i] < LAG_SECONDS:
+    moments = sums.moments[i]
+    square_dq = moments[0, 0]
+    normal_matrix = moments[1:, 1:]
+    right_side = moments[0, 1:]
+    if np.linalg.det(normal_matrix) <= 0.0 or sums.checked_s[i] < MIN_LAG_CHECKED_S:
         return ""
-    found = np.linalg.solve(normal, others)
-    late_s = -found[1]
-    left = square_dq - found.dot(others)
-    difference = square_dq - 2.0 * product + own
-    explained = late_s**2 * change
-    is_all = left < UNEXPLAINED * difference < 2.0 * UNEXPLAINED * explained
-    if abs(late_s) < LONGEST_LAG_S or not is_all:
+    coefficients = np.linalg.solve(normal_matrix, right_side)
+    lag_s = -coefficients[1]
+    remaining = square_dq - coefficients.dot(right_side)
+    difference = square_dq - 2.0 * moments[1, 0] + moments[1, 1]
+    explained = lag_s**2 * moments[2, 2]
+    tolerated = MAX_UNEXPLAINED_RATIO * difference
+    is_all = remaining < tolerated < 2.0 * MAX_UNEXPLAINED_RATIO * explained
+    if abs(lag_s) < MIN_REPORTED_LAG_S or not is_all:
         return ""
-    where = "behind" if late_s > 0.0 else "ahead of"
-    return f"is {abs(late_s):.1f} s {where} q: is one of them late?"
+    side = "behind" if lag_s > 0.0 else "ahead of"
+    return f"is {abs(lag_s):.1f} s {side} q: is one of them late?"
 
 
-def _factor(match: VelocityMatch, i: int) -> str:
-    """Likely reason of a constant factor between velocity and rate, or that there is
-    none.
-    """
-    (square_dq, product, _), (_, own, _), _ = match.moments[i]
-    if square_dq < STILL**2 * own:
+def _factor_fault(sums: TravelSums, i: int) -> str:
+    """Return the constant factor between velocity and rate, or that there is none."""
+    square_dq = sums.moments[i, 0, 0]
+    product = sums.moments[i, 0, 1]
+    square = sums.moments[i, 1, 1]
+    if square_dq < STILL_RATIO**2 * square:
         return "stands still while q moves: is it sent at all?"
-    if own < STILL**2 * square_dq:
+    if square < STILL_RATIO**2 * square_dq:
         return "moves while q stands still: is q sent at all?"
-    if product**2 < (1.0 - UNEXPLAINED) * square_dq * own:
+    if product**2 < (1.0 - MAX_UNEXPLAINED_RATIO) * square_dq * square:
         return "does not follow q: is it late, stale, or another joint's?"
-    factor = float(f"{product / own:.2g}")
+    factor = float(f"{product / square:.2g}")
     reason = OTHER_FACTOR
-    for known, text in FACTORS.items():
-        if abs(abs(product) / own / known - 1.0) < NEAR:
-            factor = math.copysign(known, product)
-            reason = text
+    for known_factor, known_reason in FACTORS.items():
+        if abs(abs(product) / square / known_factor - 1.0) < FACTOR_TOLERANCE:
+            factor = math.copysign(known_factor, product)
+            reason = known_reason
     if factor < 0.0 and factor != -1.0:
         reason = f"is its sign the other one, and {reason}"
     return f"is {factor:.3g} times the rate of q: {reason}"

@@ -67,7 +67,9 @@ def robot_of(joint, count):
     ("joint", "count"),
     [(pin.JointModelPZ(), 1), (pin.JointModelRX(), 1), (pin.JointModelRY(), 3)],
 )
-def test_robots_of_one_joint_and_without_limits_work(joint, count, with_velocity, mode):
+def test_robots_without_limits_or_with_one_joint_work(
+    joint, count, with_velocity, mode
+):
     robot = robot_of(joint, count)
     sensor = VirtualForceSensor(robot, replace(DEFAULT, mode=mode))
     _, q, dq, tau = swing(
@@ -98,7 +100,7 @@ def with_limits(effort):
 
 
 @pytest.mark.parametrize("effort", [-1.0, np.nan, np.inf])
-def test_an_effort_limit_that_is_none_counts_as_unknown(effort):
+def test_an_impossible_effort_limit_counts_as_unknown(effort):
     sensor, expected = (VirtualForceSensor(with_limits(one)) for one in (effort, 0.0))
     _, q, dq, tau = swing(with_limits(effort), seconds=1.0, amplitude=0.03)
     rows = list(zip(q, dq, tau, strict=True))
@@ -108,7 +110,7 @@ def test_an_effort_limit_that_is_none_counts_as_unknown(effort):
 
 
 @pytest.mark.parametrize("joint", [pin.JointModelRUBZ(), pin.JointModelSpherical()])
-def test_what_no_sensor_can_work_with_is_refused_at_construction(joint):
+def test_an_unusable_robot_is_refused_at_construction(joint):
     with pytest.raises(UnsupportedJointError, match="joint 'joint_0' has"):
         robot_of(joint, 1)
     with pytest.raises(ConfigurationError, match=r"effort limits at joints 1, 2"):
@@ -204,7 +206,7 @@ def test_settings_that_cannot_work_are_refused(name):
         (lambda _, **settings: VelocityEstimator(**settings), {"joints": -1}),
     ],
 )
-def test_each_part_refuses_settings_that_cannot_work_by_name(lwr, make, settings):
+def test_each_part_refuses_impossible_settings_by_name(lwr, make, settings):
     with pytest.raises(ConfigurationError, match=next(iter(settings))):
         make(lwr, **settings)
 
@@ -237,7 +239,7 @@ WRONG = {
 
 @pytest.mark.parametrize("preset", [DEFAULT, PUBLISHED])
 @pytest.mark.parametrize("kind", WRONG)
-def test_a_refused_tare_names_what_the_torques_look_like(lwr, kind, preset):
+def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
     bend, settings, words = WRONG[kind]
     q, dq, tau = signals(lwr, 3.0)
     sensor = VirtualForceSensor(lwr, replace(preset, **settings))
@@ -264,7 +266,7 @@ OTHERS = np.arange(7) != 3
         ),
     ],
 )
-def test_a_refused_tare_asks_for_units_and_missing_signals(lwr, bend, words):
+def test_a_refused_tare_asks_for_units_and_signals(lwr, bend, words):
     q, _, tau = signals(lwr, 3.0)
     sensor = VirtualForceSensor(lwr)
     q, tau = bend(q, tau)
@@ -289,9 +291,7 @@ def test_a_tare_without_data_says_what_was_rejected(lwr):
         (0.0, 2.5, r"lacks about 2(\.[2-6])? kg"),
     ],
 )
-def test_a_hand_left_in_the_model_or_missing_there_is_named(
-    lwr, in_model, on_arm, words
-):
+def test_a_wrong_mass_at_the_flange_is_named(lwr, in_model, on_arm, words):
     robot, model = (
         lwr.with_payload(lwr.payload + hand(kg)) if kg else lwr
         for kg in (on_arm, in_model)
@@ -333,7 +333,7 @@ def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
 
 
 @pytest.mark.parametrize("dt_s", [1.0, 5.0])
-def test_a_time_step_in_milliseconds_is_reported_with_its_number(lwr, dt_s):
+def test_a_time_step_in_milliseconds_is_reported(lwr, dt_s):
     sensor = VirtualForceSensor(lwr)
     last = feed(sensor, zip(*signals(lwr, 0.1), strict=True), dt_s)[-1]
     assert last.status is Status.INITIALIZING
@@ -344,7 +344,7 @@ def test_a_time_step_in_milliseconds_is_reported_with_its_number(lwr, dt_s):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point"])
-def test_a_tip_offset_is_a_tool_frame_further_out(lwr, mode):
+def test_a_tip_offset_equals_a_displaced_frame(lwr, mode):
     offset = np.array([0.02, -0.03, 0.1])
     model = pin.Model(lwr.bare_model)
     at = model.frames[lwr.tool_frame_id]

@@ -45,9 +45,7 @@ def step(before, after, gain, dt_s, alignment="trapezoid"):
     gain=st.floats(0.1, 1000.0),
     dt=st.floats(1e-5, 0.05),
 )
-def test_two_half_steps_equal_one_step_for_a_held_input(
-    residual, slope, held, gain, dt
-):
+def test_half_steps_equal_one_for_held_input(residual, slope, held, gain, dt):
     gain = np.array([gain])
     start = rows(0.0, 1.0, 2.0, held, residual)
     middle = rows(slope * dt / 2, 1.0, 2.0, held)
@@ -67,9 +65,7 @@ def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
 
 
 @pytest.mark.parametrize(("alignment", "torque"), [("hold", 1.0), ("trapezoid", 3.0)])
-def test_torque_counts_as_held_from_the_start_of_a_tick_or_as_its_mean(
-    alignment, torque
-):
+def test_alignment_weights_the_torque_of_a_tick(alignment, torque):
     found = step(rows(0, 0, 0, 1.0), rows(0, 0, 0, 5.0), 50.0, 1e-3, alignment)
     assert found == pytest.approx(np.expm1(-0.05) * torque)
 
@@ -146,7 +142,7 @@ def test_start_on_a_moving_arm_has_no_spike(lwr):
     assert np.abs(feed(observer, rows_of(q, dq, tau))).max() < 1e-3
 
 
-def test_gap_in_time_restarts_without_integrating_across_the_hole(lwr):
+def test_a_gap_in_time_is_not_integrated(lwr):
     times, q, dq, tau = swing(lwr, seconds=2.0)
     observer = MomentumObserver(lwr, 50.0)
     feed(observer, rows_of(q, dq, tau)[:500])
@@ -174,7 +170,7 @@ def test_modelled_friction_does_not_read_as_force(lwr):
     assert worst_known < 0.01 < 0.5 < worst_unknown
 
 
-def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_reset(lwr):
+def test_state_resumes_bit_equal_and_reset_forgets_it(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.1)
     one = MomentumObserver(lwr, 50.0)
     other = MomentumObserver(lwr, 50.0)
@@ -197,7 +193,7 @@ def test_the_state_with_its_smoothing_resumes_bit_equal_and_is_forgotten_by_rese
         np.testing.assert_array_equal(one.update(*sample), fresh.update(*sample))
 
 
-def test_smooth_friction_opposes_motion_and_reaches_coulomb_plus_viscous():
+def test_smooth_friction_reaches_coulomb_plus_viscous():
     friction = JointFriction(viscous_Nms=[2.0], coulomb_Nm=[1.0], offset_Nm=[0.25])
     assert friction.torque(np.array([0.5]))[0] == pytest.approx(2.0 * 0.5 + 1.0 + 0.25)
     assert friction.torque(np.array([-0.5]))[0] == pytest.approx(
@@ -206,7 +202,7 @@ def test_smooth_friction_opposes_motion_and_reaches_coulomb_plus_viscous():
     assert friction.torque(np.array([0.0]))[0] == pytest.approx(0.25)
 
 
-def test_sigmoid_friction_is_zero_at_rest_and_follows_its_formula():
+def test_sigmoid_friction_follows_its_formula():
     friction = SigmoidFriction(
         amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.04]
     )
@@ -235,7 +231,7 @@ def test_parameters_that_cannot_be_are_refused(change, match):
 
 
 @given(split=st.floats(0.05, 0.95), start=st.floats(-5, 5), end=st.floats(-5, 5))
-def test_two_part_steps_equal_one_for_a_straight_input(split, start, end):
+def test_partial_steps_equal_one_for_straight_input(split, start, end):
     def outputs(before, first, last, dt_s):
         return lag_pair_coefficients(120.0, dt_s)[:2] @ (*before, first, last)
 
@@ -246,7 +242,7 @@ def test_two_part_steps_equal_one_for_a_straight_input(split, start, end):
     np.testing.assert_allclose(parts, whole, atol=1e-12)
 
 
-def test_velocity_of_a_ramp_is_exact_and_position_lags_by_the_stated_delay():
+def test_a_ramp_has_exact_velocity_and_stated_delay():
     estimator = VelocityEstimator(1, 200.0)
     rng = np.random.default_rng(0)
     time = 0.0

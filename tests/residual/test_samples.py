@@ -98,7 +98,7 @@ STEPS = [1e-3, np.float32(1e-3), np.longdouble(1e-3), Fraction(1, 1000)]
 
 
 @pytest.mark.parametrize("dt_s", STEPS, ids=[type(one).__name__ for one in STEPS])
-def test_a_time_step_may_be_any_real_number(lwr, dt_s):
+def test_time_steps_may_be_any_real_number(lwr, dt_s):
     _, q, dq, tau = swing(lwr, seconds=0.02)
     sensor = VirtualForceSensor(lwr)
     velocity = VelocityEstimator(7)

@@ -41,8 +41,8 @@ def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
     np.testing.assert_allclose(estimate.force, force, atol=0.03)
     # The tare does not fade.
     _, q, dq, tau = swing(lwr, seconds=3.0, start=2.5, amplitude=0.03)
-    last = feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))
-    assert max(np.abs(e.force).max() for e in last[500:]) < 0.03
+    later = feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))
+    assert max(np.abs(e.force).max() for e in later[500:]) < 0.03
 
 
 def test_paper_preset_reads_the_same_force_later(lwr):
@@ -76,7 +76,7 @@ def test_status_is_initializing_then_not_tared_then_ok(lwr):
     assert not sensor.tared
 
 
-def test_before_the_tare_the_standard_deviation_is_that_of_the_prior(lwr):
+def test_the_prior_gives_the_deviation_before_taring(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0, amplitude=0.03)
     estimate = feed(sensor, rows_of(q, dq, tau - BIAS))[-1]
@@ -132,9 +132,7 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
 
 
-def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_as_it_was(
-    lwr,
-):
+def test_tare_in_contact_is_refused_unless_ignored(lwr):
     sensor = VirtualForceSensor(lwr)
     twin = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
@@ -153,7 +151,7 @@ def test_tare_in_contact_is_refused_unless_ignored_and_leaves_the_next_estimate_
     assert sensor.tared
 
 
-def test_external_torque_of_the_robot_takes_the_same_way(lwr):
+def test_external_torque_gives_the_same_force(lwr):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode="point"))
     q = swing(lwr, seconds=1.0, amplitude=0.03)[1]
     for k in range(500):
@@ -177,16 +175,16 @@ def force_noise(robot, config, amplitude):
     for size in (0.01, amplitude):
         _, q, dq, tau = swing(robot, seconds=3.0, amplitude=size)
         noisy = dq + 2e-4 * rng.normal(size=dq.shape)
-        found = [
+        forces_N = [
             sensor.update(*sample, 1e-3).axial
             for sample in zip(q, noisy, tau, strict=True)
         ]
         if not sensor.tared:
             sensor.tare()
-    return np.std(found[200:])
+    return np.std(forces_N[200:])
 
 
-def test_smoothed_momentum_is_quieter_and_steps_aside_when_the_arm_accelerates(lwr):
+def test_smoothed_momentum_is_quiet_and_follows_acceleration(lwr):
     smoothed = replace(DEFAULT, force_bandwidth_per_s=None)
     plain = replace(smoothed, smooth_momentum=False)
     assert force_noise(lwr, smoothed, 0.005) < 0.5 * force_noise(lwr, plain, 0.005)
@@ -201,13 +199,13 @@ def worst_force_in_quick_free_motion(robot, config):
     for size in (0.02, 0.1):
         _, q, _, tau = swing(robot, seconds=3.0, amplitude=size)
         rows = rows_of(q + 1e-5 * rng.normal(size=q.shape), None, tau)
-        found = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
+        forces_N = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
         if not sensor.tared:
             sensor.tare()
-    return np.abs(found[500:]).max()
+    return np.abs(forces_N[500:]).max()
 
 
-def test_the_setting_for_hands_reads_less_force_in_quick_motion_without_velocity(lwr):
+def test_hand_settings_read_less_force_in_quick_motion(lwr):
     default = worst_force_in_quick_free_motion(lwr, DEFAULT)
     assert worst_force_in_quick_free_motion(lwr, HAND_DRIVEN) < 0.5 * default
 
@@ -228,7 +226,7 @@ SIX = np.ones(6)
         {"friction": type("NoNumber", (), {"torque": lambda self, dq: dq + np.nan})()},
     ],
 )
-def test_settings_of_another_arm_are_refused_when_the_sensor_is_made(lwr, settings):
+def test_settings_of_another_arm_are_refused(lwr, settings):
     with pytest.raises(ConfigurationError, match=next(iter(settings))):
         VirtualForceSensor(lwr, SensorConfig(**settings))
 
@@ -246,14 +244,14 @@ def with_friction(viscous_7):
     return replace(DEFAULT, friction=friction)
 
 
-def test_settings_are_compared_by_what_they_do_and_in_all_digits(lwr):
-    kept = VirtualForceSensor(lwr, with_friction(0.1)).snapshot()
-    VirtualForceSensor(lwr, with_friction(0.1)).restore(kept)
+def test_settings_are_compared_in_all_digits(lwr):
+    state = VirtualForceSensor(lwr, with_friction(0.1)).snapshot()
+    VirtualForceSensor(lwr, with_friction(0.1)).restore(state)
     with pytest.raises(SnapshotError, match="other settings"):
-        VirtualForceSensor(lwr, with_friction(0.1 + 1e-10)).restore(kept)
+        VirtualForceSensor(lwr, with_friction(0.1 + 1e-10)).restore(state)
 
 
-def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
+def test_a_damaged_snapshot_changes_nothing(lwr):
     sensor, rows = tared(lwr, more=0.2)
     twin, _ = tared(lwr, more=0.2)
     state = sensor.snapshot()
@@ -261,9 +259,7 @@ def test_a_damaged_snapshot_leaves_a_running_sensor_as_it_was(lwr):
         state._replace(offset=replace(state.offset, recorder=None)),
         state._replace(torque_covariance=-np.eye(7)),
         state._replace(monitor=None),
-        state._replace(
-            offset=replace(state.offset, joint_memory=np.full((8, 7), np.nan))
-        ),
+        state._replace(offset=replace(state.offset, plays=np.full((6, 7), np.nan))),
     ):
         with pytest.raises(SnapshotError, match="damaged"):
             sensor.restore(damaged)

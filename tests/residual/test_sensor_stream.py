@@ -30,7 +30,7 @@ def test_a_second_tare_needs_new_motion(lwr):
     assert abs(sensor.update(q[-1], dq[-1], shifted[-1], 1e-3).axial) < 0.02
 
 
-def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
+def test_force_hidden_by_lag_widens_the_deviation(lwr):
     sensor = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.8, start=2.0, amplitude=0.03)
     calm = sensor.update(q[0], dq[0], tau[0] - BIAS, 1e-3).axial_std
@@ -45,9 +45,7 @@ def test_change_that_the_lag_hides_widens_the_standard_deviation(lwr):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
-def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only(
-    lwr, mode
-):
+def test_bad_first_samples_give_finite_read_only_numbers(lwr, mode):
     sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
     size = {"axial": 1, "point": 3, "full": 6}[mode]
     good = np.zeros(7)
@@ -69,7 +67,7 @@ def test_a_bad_first_sample_gives_finite_numbers_and_all_handed_out_is_read_only
 
 
 @pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
-def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt_s):
+def test_a_clock_set_forward_is_reported_once(lwr, dt_s):
     sensor = tared_sensor(lwr)
     twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
@@ -83,14 +81,12 @@ def test_a_clock_that_was_set_forward_is_reported_and_goes_on_from_there(lwr, dt
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(
-    lwr, with_velocity
-):
+def test_external_torque_has_deviation_and_motion(lwr, with_velocity):
     sensor = VirtualForceSensor(lwr, SensorConfig(force_bandwidth_per_s=None))
     _, q, dq, _ = swing(lwr, seconds=2.0, amplitude=0.03)
     rng = np.random.default_rng(0)
     noise = 0.03 * rng.normal(size=q.shape)
-    found = []
+    estimates = []
     for k in range(2000):
         if k == 1000:
             sensor.tare()
@@ -99,21 +95,21 @@ def test_the_robots_own_estimate_has_its_own_standard_deviation_and_motion(
         estimate = sensor.update_external_torque(
             q[k], dq[k] if with_velocity else None, torque, 1e-3
         )
-        found.append(estimate)
+        estimates.append(estimate)
         if estimate.status is not Status.INITIALIZING:
             at = k if with_velocity else k - 10
             np.testing.assert_allclose(sensor.velocity_rad_s, dq[at], atol=2e-3)
-    assert found[60].status is Status.NOT_TARED
-    stated = np.array([e.axial_std for e in found[1000:]])
-    error = np.array([e.axial for e in found[1000:]]) - np.mean(
-        [e.axial for e in found[1000:]]
+    assert estimates[60].status is Status.NOT_TARED
+    stated = np.array([e.axial_std for e in estimates[1000:]])
+    error = np.array([e.axial for e in estimates[1000:]]) - np.mean(
+        [e.axial for e in estimates[1000:]]
     )
     assert stated.max() < 0.2
     assert 0.3 < np.std(error) / stated.mean() < 3.0
     assert sensor.lag_s == 0.0
 
 
-def test_the_lag_is_that_of_the_stream_in_use(lwr):
+def test_lag_is_that_of_the_current_stream(lwr):
     sensor = tared_sensor(lwr)
     assert sensor.lag_s > 0.0
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
@@ -125,7 +121,7 @@ def test_the_lag_is_that_of_the_stream_in_use(lwr):
     assert sensor.lag_s > 0.0
 
 
-def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
+def test_a_tare_serves_one_kind_of_torque(lwr):
     sensor = tared_sensor(lwr)
     twin = tared_sensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.01, start=2.0, amplitude=0.03)
@@ -146,7 +142,7 @@ def test_a_tare_of_one_kind_of_torque_is_not_used_for_the_other(lwr):
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
-def test_no_state_is_an_array_of_the_caller(lwr, with_velocity):
+def test_no_state_shares_arrays_with_the_caller(lwr, with_velocity):
     sensor = VirtualForceSensor(lwr)
     twin = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=0.7, amplitude=0.03)
@@ -171,14 +167,14 @@ def run(robot, stamps_s, *, with_velocity=True):
     q, dq, tau = signals(robot, 3.0)
     steps = np.diff(stamps_s, prepend=stamps_s[0] - 1e-3).tolist()
     sensor = VirtualForceSensor(robot)
-    found = []
+    estimates = []
     for k, dt_s in enumerate(steps):
         if k == 2000:
             sensor.tare()
-        found.append(
+        estimates.append(
             sensor.update(q[k], dq[k] if with_velocity else None, tau[k], dt_s)
         )
-    return found
+    return estimates
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])
@@ -198,7 +194,7 @@ def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
         assert np.abs(np.diff(axial[2000:])).max() < 1e-4
 
 
-def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
+def test_a_clock_leap_is_reported_until_the_tare(lwr):
     sensor, rows = tared(lwr)
     sensor.update(*rows[0], 59.0)  # a pause
     quiet = feed(sensor, rows[1:50])[-1]
@@ -221,7 +217,7 @@ def test_a_leap_of_the_clock_is_reported_until_the_next_tare(lwr):
     assert last.axial_std < 2.0 * quiet.axial_std
 
 
-def test_a_leap_while_recording_is_reported_and_what_was_before_it_forgotten(lwr):
+def test_a_clock_leap_forgets_the_recording_before(lwr):
     rows = list(zip(*signals(lwr, 3.0), strict=True))
     sensor = VirtualForceSensor(lwr)
     assert not feed(sensor, [(q, dq, tau + 2.0) for q, dq, tau in rows[:1000]])[

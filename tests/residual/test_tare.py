@@ -146,7 +146,7 @@ def test_constant_kind_is_the_mean_residual(lwr):
 @pytest.mark.parametrize(
     "push", [1.0 * LATE, -1.0 * LATE, np.full(300, 60.0), 0.5 * GROWING]
 )
-def test_contact_on_the_way_standing_or_growing_is_refused(lwr, basis, push):
+def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     wrench = WrenchEstimator(lwr)
     stands = push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
@@ -202,7 +202,7 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
         BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))
 
 
-def test_torque_trend_remembers_at_rest_and_turns_over_the_width():
+def test_hysteresis_state_remembers_and_turns_over_width():
     half_width = np.array([[0.01]])
     trend = np.zeros((1, 1))
     for _ in range(10):
@@ -275,7 +275,7 @@ class Arm:
             pushed = -force(t) * self.wrench.kinematics.axial_jacobian
             residual = self.offset + rubbed + pushed
             tau = estimator._basis.gravity_Nm(q) - residual
-            estimator.follow(q, dq, tau, DT_S)
+            estimator.update(q, dq, tau, DT_S)
             residual = residual + NOISE_NM * self.rng.standard_normal(7)
             if record:
                 estimator.record(residual, DT_S)
@@ -288,7 +288,7 @@ class Arm:
 
 @pytest.mark.parametrize(("factor", "most_N"), [(1.0, 0.05), (3.0, 0.1)])
 @pytest.mark.parametrize("seed", [0, 1])
-def test_friction_is_learnt_from_forward_and_back_strokes(lwr, factor, most_N, seed):
+def test_friction_is_learnt_from_strokes_both_ways(lwr, factor, most_N, seed):
     arm = Arm(lwr, seed, factor)
     estimator = BiasEstimator(lwr, DEFAULT)
     arm.feed(estimator, 0.0, 13.0)
@@ -310,7 +310,7 @@ def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
         estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
 
 
-def test_a_short_tare_says_what_it_does_not_know(lwr):
+def test_a_short_tare_states_its_ignorance(lwr):
     arm = Arm(lwr, 5)
     estimator = BiasEstimator(lwr, DEFAULT)
     arm.feed(estimator, 0.0, 1.0)

@@ -2,6 +2,7 @@
 never are."""
 
 import re
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -48,19 +49,26 @@ def shaking():
     return times, 0.3 * (1.0 - np.cos(phase)), 0.3 * omega * np.sin(phase)
 
 
+class Report(NamedTuple):
+    """What one check reports of the velocities."""
+
+    time_s: float
+    text: str
+
+
 def reports(times, q, dq):
-    """What is reported at every check, with its time, and the last match."""
+    """The report of every check, and the match after the last one."""
     q = np.ascontiguousarray(q)
     dq = np.ascontiguousarray(dq)
     match = first_match(q[0], dq[0])
-    last = 0
-    found = []
+    checked_s = times[0]
+    checks = []
     for k in range(1, len(times)):
-        if times[k] - times[last] > 0.02 - 1e-9:
-            match = velocity_match_step(match, q[k], dq[k], times[k] - times[last])
-            found.append((times[k], velocity_fault(match)))
-            last = k
-    return found, match
+        if times[k] - checked_s > 0.02 - 1e-9:
+            match = velocity_match_step(match, q[k], dq[k], times[k] - checked_s)
+            checks.append(Report(times[k], velocity_fault(match)))
+            checked_s = times[k]
+    return checks, match
 
 
 def late(values, seconds):
@@ -167,42 +175,45 @@ SECONDS = {"late by 0.5 s": 6.5, "stale": 6.5}
 @pytest.mark.parametrize("motion", [stroke, shaking])
 def test_right_signals_are_never_reported(motion, source):
     times, q, dq = motion()
-    found, _ = reports(times, *RIGHT[source](q, dq))
-    assert not any(text for _, text in found)
+    checks, _ = reports(times, *RIGHT[source](q, dq))
+    assert not any(check.text for check in checks)
 
 
-def test_jitter_of_the_clock_and_gaps_are_not_reported():
+def test_clock_jitter_and_gaps_are_not_reported():
     times, q, dq = stroke()
     rng = np.random.default_rng(2)
     stamps = np.maximum.accumulate(times + 5e-3 * rng.uniform(size=len(times)))
-    assert not any(text for _, text in reports(stamps, q, dq)[0])
-    kept = np.ones(len(times), dtype=bool)
+    checks, _ = reports(stamps, q, dq)
+    assert not any(check.text for check in checks)
+    is_sent = np.ones(len(times), dtype=bool)
     for start, length in zip(
         rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True
     ):
-        kept &= ~((times >= start) & (times < start + length))
-    assert not any(text for _, text in reports(times[kept], q[kept], dq[kept])[0])
+        is_sent &= ~((times >= start) & (times < start + length))
+    checks, _ = reports(times[is_sent], q[is_sent], dq[is_sent])
+    assert not any(check.text for check in checks)
 
 
 @pytest.mark.parametrize("kind", WRONG)
-def test_wrong_velocities_are_reported_within_seconds_and_stay_reported_at_rest(kind):
+def test_wrong_velocities_are_reported_and_stay_so(kind):
     bend, words = WRONG[kind]
     times, q, dq = stroke()
-    found, match = reports(times, *bend(q, dq))
-    first_s = next(time_s for time_s, text in found if text)
+    checks, match = reports(times, *bend(q, dq))
+    first_s = next(check.time_s for check in checks if check.text)
+    final_text = checks[-1].text
     assert REST_S < first_s < REST_S + SECONDS.get(kind, 2.5)
-    assert re.search(words, found[-1][1]), found[-1][1]
+    assert re.search(words, final_text), final_text
     q_end = bend(q, dq)[0][-1]
     still = np.zeros(7)
     for _ in range(3000):
         match = velocity_match_step(match, q_end, still, 0.02)
-    assert velocity_fault(match) == found[-1][1]
+    assert velocity_fault(match) == final_text
 
 
-def test_a_position_that_stands_still_under_a_velocity_is_reported():
+def test_a_stuck_position_under_velocity_is_reported():
     times, q, dq = stroke()
-    found = reports(times, 0.0 * q, 0.0 * dq + 1.0)[0]
-    assert "moves while q stands still" in found[-1][1]
+    checks, _ = reports(times, 0.0 * q, 0.0 * dq + 1.0)
+    assert "moves while q stands still" in checks[-1].text
 
 
 def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
@@ -214,12 +225,12 @@ def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
 
 @pytest.mark.parametrize("config", [DEFAULT, PUBLISHED])
 @pytest.mark.parametrize("factor", [DEGREES, -1.0])
-def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, config):
+def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
     sensor = VirtualForceSensor(lwr, config)
-    found = feed(sensor, rows_of(lwr, factor=factor))
-    assert SensorWarning.VELOCITY in found[-1].warnings
-    assert found[-1].status is Status.NOT_TARED
-    assert f"is {factor:.3g} times the rate of q" in found[-1].message
+    estimates = feed(sensor, rows_of(lwr, factor=factor))
+    assert SensorWarning.VELOCITY in estimates[-1].warnings
+    assert estimates[-1].status is Status.NOT_TARED
+    assert f"is {factor:.3g} times the rate of q" in estimates[-1].message
     with pytest.raises(TareError, match="times the rate of q") as refused:
         sensor.tare()
     assert "in contact" not in str(refused.value)
@@ -231,7 +242,7 @@ def test_the_tare_is_refused_with_the_reason_and_not_with_contact(lwr, factor, c
     assert "times the rate of q" in later.message
 
 
-def test_right_velocities_are_not_reported_and_without_velocities_nothing_is(lwr):
+def test_right_or_missing_velocities_are_not_reported(lwr):
     sensor, rows = tared(lwr)
     assert not any(e.warnings for e in feed(sensor, rows))
     sensor, rows = tared(lwr, with_velocity=False)
@@ -248,8 +259,8 @@ def test_free_motion_recorded_anew_is_judged_anew(lwr):
     # A jump of all velocities, which the filters have to forget first.
     feed(sensor, rows_of(lwr, 0.5, start=4.0))
     sensor.start_tare_recording()
-    found = feed(sensor, rows_of(lwr, start=4.5))
-    assert not any(e.warnings for e in found)
+    estimates = feed(sensor, rows_of(lwr, start=4.5))
+    assert not any(e.warnings for e in estimates)
     sensor.tare()
     sensor.start_tare_recording()
     assert (
@@ -258,14 +269,14 @@ def test_free_motion_recorded_anew_is_judged_anew(lwr):
     )
 
 
-def test_the_robots_own_external_torque_is_judged_the_same_way(lwr):
+def test_external_torque_has_its_velocities_checked(lwr):
     sensor = VirtualForceSensor(lwr)
     rows = rows_of(lwr, factor=-1.0)
-    found = [sensor.update_external_torque(q, dq, BIAS, 1e-3) for q, dq, _ in rows]
-    assert SensorWarning.VELOCITY in found[-1].warnings
+    estimates = [sensor.update_external_torque(q, dq, BIAS, 1e-3) for q, dq, _ in rows]
+    assert SensorWarning.VELOCITY in estimates[-1].warnings
     sensor.reset()
-    found = [sensor.update_external_torque(q, None, BIAS, 1e-3) for q, _, _ in rows]
-    assert not any(e.warnings for e in found)
+    estimates = [sensor.update_external_torque(q, None, BIAS, 1e-3) for q, _, _ in rows]
+    assert not any(e.warnings for e in estimates)
 
 
 def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
@@ -275,8 +286,10 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
     with pytest.raises(TareError, match="times the rate of q"):
         session.tare()
     session.tare(ignore_contact=True)
-    found = [session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)]
+    estimates = [
+        session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)
+    ]
     assert all(
         SensorWarning.VELOCITY in e.warnings and not e.used_for_identification
-        for e in found
+        for e in estimates
     )

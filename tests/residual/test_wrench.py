@@ -10,6 +10,7 @@ from residual import PUBLISHED, ConfigurationError, SensorConfig, WrenchEstimato
 from residual.checks.pushed_arm import unusual_change
 from residual.estimate import UNSEEN_STD
 from residual.tool_kinematics import ToolKinematics
+from residual.wrench_estimator import NO_LAGS, StepLags, WrenchFilterState
 from tests.residual.residual_signals import (
     MIDDLE,
     external_torque_of,
@@ -20,6 +21,8 @@ from urdf import UrdfError, load_lwr
 
 POINTING_DOWN = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.14159265, 0.0])
 MODES = ["axial", "point", "full"]
+SMOOTHING = StepLags(smoothing=100.0 / 3.0, observer=0.0)
+"""Lag of 30 1/s in ticks of 1 ms."""
 
 
 def estimator_of(robot, **settings):
@@ -31,7 +34,7 @@ def tip_axis(robot, q):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
+def test_a_hanging_weight_reads_as_force_down(lwr, mode):
     assert tip_axis(lwr, POINTING_DOWN) == pytest.approx([0, 0, -1], abs=1e-6)
     weight = np.array([0.0, 0.0, -2.0])
     for robot in (lwr, load_lwr()):  # without a needle at its flange
@@ -45,7 +48,7 @@ def test_weight_hung_on_the_tip_reads_as_a_wrench_down(lwr, mode):
 
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("axes", ["base", "tool"])
-def test_tissue_that_pushes_back_is_a_positive_axial_force(lwr, mode, axes):
+def test_tissue_pushing_back_reads_positive(lwr, mode, axes):
     push_back = -1.5 * tip_axis(lwr, MIDDLE)
     torque = external_torque_of(lwr, MIDDLE, push_back)
     estimate = estimator_of(lwr, mode=mode, axes=axes).estimate(MIDDLE, torque)
@@ -54,7 +57,7 @@ def test_tissue_that_pushes_back_is_a_positive_axial_force(lwr, mode, axes):
     np.testing.assert_allclose(estimate.force, expected, atol=2e-3)
 
 
-def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
+def test_force_and_torque_act_at_named_frames(lwr):
     wrench = np.array([1.0, -2.0, 3.0, 0.1, 0.2, -0.3])
     jacobian = jacobian_of(lwr, MIDDLE, "flange")
     estimator = estimator_of(lwr, mode="full", frame="flange", expected_force_N=None)
@@ -64,7 +67,7 @@ def test_force_and_torque_are_reported_apart_at_any_named_frame(lwr):
     )
 
 
-def test_unweighted_full_mode_is_the_pseudo_inverse_of_equation_13(lwr):
+def test_unweighted_full_mode_is_equation_13(lwr):
     torque = np.random.default_rng(0).normal(size=7)
     estimator = WrenchEstimator(lwr, PUBLISHED)
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
@@ -125,7 +128,7 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
     assert 1.0 <= estimate.conditioning < 10.0
 
 
-def test_results_are_read_only_and_the_covariance_is_copied(lwr):
+def test_results_are_read_only_and_covariance_copied(lwr):
     covariance = np.eye(7) * 0.01
     estimator = WrenchEstimator(lwr)
     estimator.set_torque_covariance(covariance)
@@ -136,7 +139,7 @@ def test_results_are_read_only_and_the_covariance_is_copied(lwr):
         assert not array.flags.writeable
 
 
-def test_an_unknown_frame_and_what_is_no_covariance_are_refused(lwr):
+def test_unknown_frames_and_invalid_covariances_are_refused(lwr):
     with pytest.raises(UrdfError, match="needle_tip"):
         estimator_of(lwr, frame="nowhere")
     skew = 1.0 * np.eye(7) + np.triu(np.ones((7, 7)), 1)
@@ -153,7 +156,7 @@ def test_length_of_the_insertion_axis_does_not_matter(lwr):
         assert estimate.axial == pytest.approx(1.0, abs=2e-3)
 
 
-def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
+def test_only_changes_without_a_force_are_unusual(lwr):
     rows = jacobian_of(lwr, MIDDLE)[:3]
     rng = np.random.default_rng(0)
     stds = rng.uniform(1e-3, 1e-2, 7)
@@ -168,47 +171,47 @@ def test_a_change_is_unusual_only_as_far_as_no_force_makes_it(lwr):
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_noise_of_the_force_is_smoothed_and_a_rupture_passes_as_it_is(lwr, mode):
+def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     estimator = estimator_of(lwr, mode=mode)
-    found = []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
-    estimator.weigh(MIDDLE)
-    memory = np.zeros((3, estimator.size))
+    estimator.compute_gain(MIDDLE)
+    state = WrenchFilterState.at_zero(estimator.size)
     torques = np.random.default_rng(0).normal(size=(4000, 7))
     torques *= 0.02
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
+    estimates = []
     for k, torque in enumerate(torques):
-        lags = (100.0 / 3.0 if k else 0.0, 0.0)  # of 1 ms at 30 1/s
-        found.append(estimator.solve(MIDDLE, torque, np.zeros(7), memory, lags))
-    axial, stated, unsmoothed = np.array([(one[0], one[1], one[-2]) for one in found]).T
+        lags = SMOOTHING if k else NO_LAGS
+        estimates.append(estimator.solve(torque, state, lags))
+    axial = np.array([estimate.axial for estimate in estimates])
+    unsmoothed = np.array([estimate.axial_unsmoothed for estimate in estimates])
+    std = estimates[-1].axial_std
     at_rest = slice(500, 2000)
     # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let
     # more pass.
     assert np.std(axial[at_rest]) < 0.35 * np.std(unsmoothed[at_rest])
-    assert np.std(unsmoothed[at_rest]) == pytest.approx(stated[-1], rel=0.1)
-    assert np.abs(axial[2001:] - 2.0).max() < 2.5 * stated[-1]
+    assert np.std(unsmoothed[at_rest]) == pytest.approx(std, rel=0.1)
+    assert np.abs(axial[2001:] - 2.0).max() < 2.5 * std
 
 
-def test_deviation_knows_what_a_lag_hides_of_a_force_that_swings(lwr):
-    # ticks of 1 ms
+def test_deviation_covers_what_a_lag_hides(lwr):
     estimator = estimator_of(lwr)
-    lag = 40
-    errors = []
     estimator.set_torque_covariance(0.02**2 * np.eye(7))
-    estimator.weigh(MIDDLE)
-    memory = np.zeros((3, estimator.size))
-    felt_N = 0.0
+    estimator.compute_gain(MIDDLE)
+    state = WrenchFilterState.at_zero(estimator.size)
     unit = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
-    for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):  # of a heart
-        felt_N += (true_N - felt_N) / (1.0 + lag)
-        found = estimator.solve(
-            MIDDLE, felt_N * unit, np.zeros(7), memory, (100.0 / 3.0, lag)
-        )
-        errors.append(abs(found[0] - true_N) / found[1])
+    lags = SMOOTHING._replace(observer=40)
+    errors = []
+    felt_N = 0.0
+    # A heart's 1.3 Hz, in ticks of 1 ms.
+    for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):
+        felt_N += (true_N - felt_N) / (1.0 + lags.observer)
+        estimate = estimator.solve(felt_N * unit, state, lags)
+        errors.append(abs(estimate.axial - true_N) / estimate.axial_std)
     assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
 
 
-def test_a_copy_of_the_tool_sees_its_own_joints():
+def test_copies_of_the_tool_are_independent():
     one = ToolKinematics(
         load_lwr(), insertion_axis=(0.1, 0.2, 1.0), offset_m=(0.01, 0.0, 0.02)
     )
