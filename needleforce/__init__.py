@@ -9,8 +9,8 @@ package; each is imported when it is first used, so that ``import needleforce`` 
 next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`, `control` (what
-moves the needle), `anatomy` (what it enters).
+it), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
+`control` (what moves the needle), `anatomy` (what it enters).
 """
 
 from importlib import import_module
@@ -43,16 +43,42 @@ if TYPE_CHECKING:
     from urdf import load_urdf as load_urdf
 
 _NAMES_OF = {
-    "identification": "Estimate Identifier LayerEstimate MultilayerConfig PublishedConfig Rupture "
-    "replay",
-    "needleforce.session": "InsertionError InsertionSession SessionEstimate SessionSnapshot",
-    "needleforce.state": "SnapshotFileError read_snapshot write_snapshot",
-    "residual": "SensorConfig SensorWarning Status VirtualForceSensor WrenchEstimate",
-    "urdf": "NeedleTool Payload Robot load_lwr load_urdf",
+    "identification": (
+        "Estimate",
+        "Identifier",
+        "LayerEstimate",
+        "MultilayerConfig",
+        "PublishedConfig",
+        "Rupture",
+        "replay",
+    ),
+    "needleforce.session": (
+        "InsertionError",
+        "InsertionSession",
+        "SessionEstimate",
+        "SessionSnapshot",
+    ),
+    "needleforce.state": (
+        "SnapshotFileError",
+        "read_snapshot",
+        "write_snapshot",
+    ),
+    "residual": (
+        "SensorConfig",
+        "SensorWarning",
+        "Status",
+        "VirtualForceSensor",
+        "WrenchEstimate",
+    ),
+    "urdf": (
+        "NeedleTool",
+        "Payload",
+        "Robot",
+        "load_lwr",
+        "load_urdf",
+    ),
 }
-_MODULE_OF = {
-    name: module for module, names in _NAMES_OF.items() for name in names.split()
-}
+_MODULE_OF = {name: module for module, names in _NAMES_OF.items() for name in names}
 
 __all__ = sorted(_MODULE_OF)  # pyright: ignore[reportUnsupportedDunderAll]
 

@@ -14,42 +14,62 @@ from typing import BinaryIO
 def whole_file(
     path: str | os.PathLike[str], *, is_in_place: bool = False
 ) -> Iterator[BinaryIO]:
-    """Open a file that takes the place of an older one when the block has ended without
-    an error.
+    """Open a file that replaces an older one when the block ends without an error.
 
     Otherwise the older one stays as it was. A pipe or a device stays what it is and is
-    written to, and so is what shall be written in place; of a link what it points at is
-    replaced. `OSError` if the file cannot be written.
+    written to, and so is what shall be written in place; of a link the file that it
+    points at is replaced.
+
+    Args:
+        path: The file.
+        is_in_place: Write into the older file itself.
+
+    Raises:
+        OSError: The file cannot be written.
     """
-    place = part = Path(os.path.realpath(path))
-    stays = is_in_place or (place.exists() and not place.is_file())
-    if not stays:
-        # A new file, under a name where nobody can plant a link.
-        part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
-    stream = (
-        _open_pipe(place) if place.is_fifo() else part.open("wb" if stays else "xb")
-    )
+    target = Path(os.path.realpath(path))
+    stays = is_in_place or (target.exists() and not target.is_file())
+    if stays:
+        stream = _open_pipe(target) if target.is_fifo() else target.open("wb")
+        with _closed_quietly(stream):
+            yield stream
+            stream.flush()
+        return
+    # A new file, under a name where nobody can plant a link.
+    new_file = target.with_name(f".{target.name}.{secrets.token_hex(4)}.part")
+    stream = new_file.open("xb")
+    try:
+        with _closed_quietly(stream):
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+            new_file.replace(target)
+    finally:
+        new_file.unlink(missing_ok=True)
+
+
+@contextmanager
+def _closed_quietly(stream: BinaryIO) -> Iterator[BinaryIO]:
+    """Close a file at the end of a block, without an error of its own.
+
+    On a full disk closing fails, too, but that has been reported by writing.
+    """
     try:
         yield stream
-        stream.flush()
-        if not stays:
-            os.fsync(stream.fileno())
-            part.replace(place)
     finally:
-        with suppress(
-            OSError
-        ):  # on a full disk closing fails, too, but that has been reported
+        with suppress(OSError):
             stream.close()
-        if not stays:
-            part.unlink(missing_ok=True)
 
 
 def _open_pipe(path: Path) -> BinaryIO:
-    """Wait for its reader; Ctrl-C ends that at once, whatever else it is taken for."""
+    """Open a pipe once it has a reader; Ctrl-C ends the waiting at once.
+
+    Whatever else the signal is used for, it interrupts here.
+    """
     if threading.current_thread() is not threading.main_thread():
         return path.open("wb")
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         return path.open("wb")
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)

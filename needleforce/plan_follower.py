@@ -11,12 +11,13 @@ if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
 
 STEP_m = 0.1e-3
-"""Travel after which the plan is evaluated again, besides at events: an evaluation takes
-much longer than a tick."""
+"""Travel after which the plan is evaluated again, besides at events.
+
+An evaluation takes much longer than a tick."""
 
 
 class Plan(Protocol):
-    """Interface of a plan that a session can follow, as `needleforce.anatomy.PlanMatch`.
+    """Interface of a plan to follow; `needleforce.anatomy.PlanMatch` is one.
 
     Attributes:
         fingerprint: Text that is equal for equal plans.

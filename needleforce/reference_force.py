@@ -1,6 +1,4 @@
-"""A force/torque sensor beside a session: the axial force it reads, and how far the
-two differ.
-"""
+"""A force/torque sensor beside a session: its axial force, and the difference."""
 
 import math
 from collections import deque
@@ -12,22 +10,25 @@ from numpy.typing import ArrayLike, NDArray
 from residual import Status, WrenchEstimate
 from residual.tool_kinematics import unit_axis
 
-ZERO_READINGS = 500  # The zero is the mean of so many before it: half a second at 1 kHz
-LOST_TICKS = 100  # Without a reading: the last one is then too old to be shown
+ZERO_READINGS = 500
+"""Number of readings whose mean is the zero: half a second at 1 kHz."""
+MAX_SILENT_TICKS = 100
+"""Ticks without a reading after which the last one is too old to be shown."""
 
 
 class ForceSensor(Protocol):
     """A sensor between flange and tool, as `needleforce.devices.NetFT`."""
 
     def read(self) -> NDArray[np.float64] | None:
-        """The newest force [N] and torque [Nm], shape (6,), in its axes; None if
-        nothing came.
+        """Return the newest force [N] and torque [Nm], shape (6,), in its axes.
+
+        None if nothing came.
         """
         ...
 
 
 class ReferenceForce:
-    """What a sensor between flange and tool says of the force that a session estimates.
+    """The force that a sensor between flange and tool reads, beside the estimated one.
 
     Its zero is set with the tare and holds the weight of the tool: a needle that leans
     more or less afterwards reads otherwise. The lag of the estimate counts as
@@ -47,20 +48,19 @@ class ReferenceForce:
         self._axis = unit_axis(axis)
         self._sensor = sensor
         self._readings = deque[float](maxlen=ZERO_READINGS)
-        self._zero_N = self.axial_N = math.nan
+        self._zero_N = math.nan
+        self.axial_N = math.nan
         self._squares_N2 = 0.0
         self.count = 0
-        self._silent = 0
+        self._silent_ticks = 0  # since the last reading
 
     @property
     def rms_N(self) -> float:
-        """Root mean square of estimate less reading since the zero [N]; NaN before
-        any.
-        """
+        """RMS of estimate less reading since the zero [N]; NaN before any."""
         return math.sqrt(self._squares_N2 / self.count) if self.count else math.nan
 
     def zero(self) -> bool:
-        """Take the mean of the latest readings for no force; False if there is none."""
+        """Take the mean of the latest readings for no force; False without any."""
         self._zero_N = float(np.mean(self._readings)) if self._readings else math.nan
         self._squares_N2 = 0.0
         self.count = 0
@@ -69,7 +69,7 @@ class ReferenceForce:
     def update(self, wrench: WrenchEstimate) -> None:
         """Read the sensor, and compare with the session's estimate of the same tick."""
         reading = self._sensor.read()
-        self._silent = self._silent + 1 if reading is None else 0
+        self._silent_ticks = self._silent_ticks + 1 if reading is None else 0
         if reading is not None:
             resistance_N = -float(self._axis.dot(reading[:3]))
             self._readings.append(resistance_N)
@@ -78,6 +78,6 @@ class ReferenceForce:
             if wrench.status is Status.OK and math.isfinite(difference_N):
                 self._squares_N2 += difference_N**2
                 self.count += 1
-        elif self._silent >= LOST_TICKS:
+        elif self._silent_ticks >= MAX_SILENT_TICKS:
             self.axial_N = math.nan
-            self._readings.clear()  # of another posture perhaps
+            self._readings.clear()  # the posture may have changed since

@@ -19,7 +19,7 @@ from identification import (
 )
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
-from needleforce.tip_travel import TipTravel, TravelLags, TravelZero, tip_motion
+from needleforce.tip_travel import TipTravel, TravelZero, tip_motion
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import (
     SensorConfig,
@@ -71,21 +71,21 @@ class SnapshotFileError(InsertionError, ValueError):
 
 
 class SessionEstimate(NamedTuple):
-    """State of knowledge after one tick. Every number is finite.
+    """Estimate after one tick. Every number is finite.
 
     Attributes:
         wrench: Force on the needle, see `WrenchEstimate`.
         depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
-        speed_m_s: Its rate.
-        identification: Layers, friction, tip force: that of the last tick used for
-            identification, its events (``rupture``, ``identified_layer``,
-            ``retracted``) only in the tick that brought them. Times are on this
+        speed_m_s: Speed of the tip along the needle.
+        identification: Layers, friction, tip force: those of the last tick used for
+            identification. Its events (``rupture``, ``identified_layer``,
+            ``retracted``) stand only in the tick that brought them. Times are on this
             session's clock, depths from its zero.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
         time_s: Sum of the time steps since the first sample after `reset` [s]: the
             clock of all events. Rejected samples count, a clock that was set does not.
-        plan: What plan and ruptures say together: the layer, the next boundary, the
+        plan: State of plan and ruptures together: the layer, the next boundary, the
             offset; None before the tare, and without `InsertionSession.follow`.
     """
 
@@ -100,7 +100,7 @@ class SessionEstimate(NamedTuple):
 
     @property
     def warnings(self) -> SensorWarning:
-        """What may be wrong with the force beyond its standard deviation."""
+        """Possible errors of the force beyond its standard deviation."""
         return self.wrench.warnings
 
 
@@ -229,7 +229,7 @@ class InsertionSession:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers traversed so far, in order, as known now."""
+        """Layers traversed so far, in order, as estimated now."""
         return self._identifier.layers
 
     def update(
@@ -494,7 +494,8 @@ class InsertionSession:
             position_m - self._start_m,
             speed_m_s,
             sensor.elapsed_s,
-            TravelLags(speed_s=self._speed_lag_s, force_s=sensor.filter_lag_s),
+            speed_lag_s=self._speed_lag_s,
+            force_lag_s=sensor.filter_lag_s,
         )
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
@@ -509,7 +510,7 @@ class InsertionSession:
         )
 
     def _accept(self, identification: Estimate) -> None:
-        """Keep the identification of this sample, and match its events with the plan."""
+        """Keep the identification of this sample, and match its events with a plan."""
         self._identification = identification
         self._had_events = identification.has_events
         due_s = self._checkpoints.newer.time_s + CHECKPOINT_PERIOD_S
@@ -532,7 +533,7 @@ class InsertionSession:
         self._is_checkpoint_due = False
 
     def _skip_sample(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
-        """Leave a valid sample out of the identification; rewind where a push begins."""
+        """Leave a valid sample out of the identification; rewind if a push begins."""
         self._unused_s += elapsed_s
         if self._is_rewindable(elapsed_s) and wrench.warnings & PUSHED:
             self._rewind()

@@ -3,17 +3,13 @@
 import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from foundation.arrays import Matrix, Vector
+from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
 from foundation.linear_algebra import dot
 
-Array = NDArray[np.float64]
-Needle = tuple[
-    Vector, Matrix, Matrix, Vector, Vector
-]  # `residual.ToolKinematics.needle`
+Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
+"""Type of `residual.ToolKinematics.needle`: a plain tuple, for Python passes one to
+compiled code ten times as fast as a named tuple."""
 
 
 class TravelZero(NamedTuple):
@@ -26,18 +22,6 @@ class TravelZero(NamedTuple):
 
     start_in_base_m: Array
     axis_in_base: Array
-
-
-class TravelLags(NamedTuple):
-    """Time constants of the low-passes of `TipTravel`; 0 for none.
-
-    Attributes:
-        speed_s: Low-pass of the speed.
-        force_s: Lag of the force estimate, which depth and speed are delayed by.
-    """
-
-    speed_s: float
-    force_s: float
 
 
 class TipTravel(NamedTuple):
@@ -61,9 +45,15 @@ class TipTravel(NamedTuple):
     delayed_speed_m_s: float = 0.0
 
     def advanced(
-        self, depth_m: float, speed_m_s: float, dt_s: float, lags: TravelLags
+        self,
+        depth_m: float,
+        speed_m_s: float,
+        dt_s: float,
+        *,
+        speed_lag_s: float,
+        force_lag_s: float,
     ) -> "TipTravel":
-        """Return the travel a time step later, from its present depth and speed.
+        """Return the travel a time step later.
 
         With the lag T each low-pass follows x by y += (1 - exp(-dt / T)) (x - y).
 
@@ -71,21 +61,18 @@ class TipTravel(NamedTuple):
             depth_m: Measured depth [m].
             speed_m_s: Measured speed [m/s].
             dt_s: Time since the step before [s].
-            lags: Time constants of the low-passes.
+            speed_lag_s: Time constant of the low-pass of the speed [s]; 0 for none.
+            force_lag_s: Lag of the force [s], by which both are delayed; 0 for none.
         """
-        if lags.speed_s > 0.0:
-            passed = -math.expm1(-dt_s / lags.speed_s)
+        if speed_lag_s > 0.0:
+            passed = -math.expm1(-dt_s / speed_lag_s)
             speed_m_s = self.speed_m_s + passed * (speed_m_s - self.speed_m_s)
-        if lags.force_s <= 0.0:
+        if force_lag_s <= 0.0:
             return TipTravel(depth_m, speed_m_s, depth_m, speed_m_s)
-        remaining = math.exp(-dt_s / lags.force_s)
-        return TipTravel(
-            depth_m=depth_m,
-            speed_m_s=speed_m_s,
-            delayed_depth_m=depth_m + remaining * (self.delayed_depth_m - depth_m),
-            delayed_speed_m_s=speed_m_s
-            + remaining * (self.delayed_speed_m_s - speed_m_s),
-        )
+        remaining = math.exp(-dt_s / force_lag_s)
+        late_depth_m = depth_m + remaining * (self.delayed_depth_m - depth_m)
+        late_speed_m_s = speed_m_s + remaining * (self.delayed_speed_m_s - speed_m_s)
+        return TipTravel(depth_m, speed_m_s, late_depth_m, late_speed_m_s)
 
 
 @compiled
@@ -102,10 +89,10 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         dq: Joint velocities [rad/s], shape (n,).
     """
     place, axes, jacobian, tip, direction = needle
-    at = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
+    position = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
     along = direction[0] * axes[0] + direction[1] * axes[1] + direction[2] * axes[2]
     twist = dq.dot(jacobian)
-    x, y, z = at
+    x, y, z = position
     a, b, c = along
     speed = a * twist[0] + b * twist[1] + c * twist[2]
     speed += (
@@ -113,4 +100,4 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         + (z * a - x * c) * twist[4]
         + (x * b - y * a) * twist[5]
     )
-    return float(dot(axis, at)), float(speed)
+    return float(dot(axis, position)), float(speed)
