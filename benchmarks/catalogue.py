@@ -86,9 +86,9 @@ _ROBUSTNESS = tuple(
 )
 _TITLES = {
     "panda-real": "residual of a real Panda in free motion",
-    "panda-liver": "real liver force on the real torques of a Panda; one insertion per seed",
+    "panda-liver": "real liver force on a Panda's real torques; one insertion per seed",
     "ur10e-payload": "weight of a known payload from the currents of a real UR10e",
-    "liver-real": "friction in 19 insertions into real liver against the pull-out force",
+    "liver-real": "friction in 19 insertions into liver against the pull-out force",
     "bovine-real": "the ruptures of an insertion into real bovine liver",
 }
 _RECORDED = tuple(
@@ -117,9 +117,12 @@ ALL = "all"
 """Names all benchmarks that belong to no group."""
 STUDIES = ("control", "anatomy")
 """Groups of which a part may be named, as control-priority."""
-IDS: Mapping[str, Sequence[str]] = {"tissue": TISSUE} | {
+IDS: Mapping[str, Sequence[str]] = {
+    "tissue": TISSUE,
+    "robustness": tuple(PERTURBED + name for name in ROBUST),
+} | {
     group: tuple(item.id for item in BENCHMARKS.values() if item.group == group)
-    for group in ("robustness", *STUDIES)
+    for group in STUDIES
 }
 """Names of several benchmarks."""
 
@@ -189,8 +192,8 @@ def make_plan(request: Request) -> Plan:
     for plant in request.plants:
         if plant not in (*PLANTS, *PERTURBATIONS, MIXED):
             raise UnknownIdError(
-                f"no plant {plant!r}; choose from: {', '.join(PLANTS)}, or, for robustness, "
-                f"{', '.join(PERTURBATIONS)}"
+                f"no plant {plant!r}; choose from: {', '.join(PLANTS)}, or, for "
+                f"robustness, {', '.join(PERTURBATIONS)}"
             )
     if request.data is not None and not request.data.is_dir():
         raise DataError(f"no folder of recordings at {request.data}")

@@ -42,9 +42,9 @@ USAGE = 2
 
 app = App(
     name="python -m benchmarks",
-    help="Estimators against ground truth: simulated insertions and real recordings.\n\nExit "
-    "codes: 0 all well, 1 a target missed (--strict), a regression or a benchmark that failed, 2 "
-    "wrong usage or unreadable files.",
+    help="Estimators against ground truth: simulated insertions and real "
+    "recordings.\n\nExit codes: 0 all well, 1 a target missed (--strict), a "
+    "regression or a benchmark that failed, 2 wrong usage or unreadable files.",
     version_flags=[],
     suppress_keyboard_interrupt=False,
     default_parameter=Parameter(negative=""),
@@ -82,17 +82,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def progress_of(jobs: int) -> Iterator[Callable[[int, float], None]]:
-    """A bar for many jobs: yields what takes the index of one and the fraction of it
-    done.
+    """Show a bar for many jobs.
+
+    Yields what takes the index of a job and the fraction of it that is done.
     """
-    done = dict.fromkeys(range(jobs), 0.0)
+    fractions = dict.fromkeys(range(jobs), 0.0)
     total = 0.0
     with progress_bar(f"{jobs} benchmarks") as show:
 
         def update(index: int, fraction: float) -> None:
             nonlocal total
-            total += fraction - done[index]
-            done[index] = fraction
+            total += fraction - fractions[index]
+            fractions[index] = fraction
             show(total / jobs)
 
         yield update
@@ -100,7 +101,7 @@ def progress_of(jobs: int) -> Iterator[Callable[[int, float], None]]:
 
 @app.command(name="list")
 def list_benchmarks() -> None:
-    """What can be run."""
+    """List what can be run."""
     from benchmarks.catalogue import BENCHMARKS, PLANTS
     from benchmarks.report.tables import ResultTable, new_console
 
@@ -118,9 +119,9 @@ def list_benchmarks() -> None:
             )
             for item in BENCHMARKS.values()
         ),
-        caption="* runs when nothing is named; 'tissue' names the scenarios with tissue, "
-        "'robustness' the worlds in which they are perturbed, 'control' and 'anatomy' "
-        "their parts, 'all' all others but the faults",
+        caption="* runs when nothing is named; 'tissue' names the scenarios with "
+        "tissue, 'robustness' the worlds in which they are perturbed, 'control' and "
+        "'anatomy' their parts, 'all' all others but the faults",
     )
     console = new_console()
     console.print(table.rich())
@@ -216,7 +217,10 @@ def check_output(output: OutputOptions, workers: Workers) -> None:
 def plant_names(plant: Sequence[str]) -> list[str]:
     """Return the names of plants, which may be joined by commas."""
     names = [
-        name.strip() for given in plant for name in given.split(",") if name.strip()
+        name.strip()
+        for names_given in plant
+        for name in names_given.split(",")
+        if name.strip()
     ]
     if plant and not names:
         raise BenchmarkError("--plant: expected at least one name")
@@ -272,18 +276,18 @@ def compare(old: Path, new: Path) -> int:
     from benchmarks.results import read_results
     from benchmarks.targets import Change, compare_rows
 
-    found = compare_rows(read_results(old), read_results(new))
-    if not found:
+    comparisons = compare_rows(read_results(old), read_results(new))
+    if not comparisons:
         raise ResultsError(f"{old} and {new} have no rows: nothing to compare")
     console = new_console()
-    changed = [item for item in found if item.change is not Change.SAME]
+    changed = [item for item in comparisons if item.change is not Change.SAME]
     if changed:
         console.print(comparison_table(changed).rich())
-    counts = Counter(item.change for item in found)
+    counts = Counter(item.change for item in comparisons)
     console.print(
         ", ".join(f"{counts[change]} {change}" for change in Change if counts[change])
     )
-    return FAILURE if any(item.is_failure for item in found) else 0
+    return FAILURE if any(item.is_failure for item in comparisons) else 0
 
 
 @app.command(name="results")
@@ -367,9 +371,9 @@ def time_updates(
 
     with progress_bar("timing") as update:
         if soak:
-            found = run_soak(ticks, update)
-            tables = [soak_table(found, ticks)]
-            is_met = found.is_met
+            soak_result = run_soak(ticks, update)
+            tables = [soak_table(soak_result, ticks)]
+            is_met = soak_result.is_met
         elif loop is not None:
             from benchmarks.performance.device_loop import loop_table
 
@@ -434,16 +438,16 @@ def stream_recordings(
         strict: Exit with 1 if a target is missed.
     """
     from benchmarks.performance.long_runs import (
-        LEAST_SECONDS,
+        MIN_SECONDS,
         RECORDINGS,
         measure_stream,
         stream_table,
     )
     from benchmarks.report.tables import new_console
 
-    if seconds < LEAST_SECONDS:
+    if seconds < MIN_SECONDS:
         raise BenchmarkError(
-            f"--seconds must be at least {LEAST_SECONDS:g}: the tare takes half"
+            f"--seconds must be at least {MIN_SECONDS:g}: the tare takes half"
         )
     cases = list(product(RECORDINGS, format or [".csv"]))
     with progress_of(len(cases)) as update:

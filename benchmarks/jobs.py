@@ -12,7 +12,7 @@ from needleforce.plots import PageFigure
 
 RECORDING = "recording"
 """The plant of a benchmark on real data."""
-NO_PLANT = "none"
+NO_PLANT = "no-arm"
 """The plant of a benchmark in which no arm plays a part."""
 Progress = Callable[[float], None]
 """Takes the fraction done, 0 to 1."""
@@ -35,14 +35,15 @@ class Fact:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """One benchmark on one plant with one seed: a piece of work for a process of its
-    own.
+    """One benchmark on one plant with one seed.
+
+    It is a piece of work for a process of its own.
 
     Attributes:
         benchmark: Its name.
         case: Which of the benchmark's cases; empty where it has only one.
         plant: Plant model of a simulation, ``needle`` for one without an arm,
-            ``recording`` for real data, ``none`` where no arm plays a part.
+            ``recording`` for real data, ``no-arm`` where none plays a part.
         seed: Of everything drawn; of real data, the number of the recording.
         data: Folder of recordings, for benchmarks that need it.
         drawings: Folder for figures; None for none.
@@ -179,5 +180,5 @@ class Benchmark:
 
 
 def progress_part(progress: Progress, start: float, end: float) -> Progress:
-    """Progress of a part, 0 to 1, as progress of the whole from start to end."""
+    """Return progress of a part, 0 to 1, as progress from start to end."""
     return lambda fraction: progress(start + (end - start) * fraction)

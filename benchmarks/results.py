@@ -1,7 +1,8 @@
 """One number of the results, files of them, and every metric a row may carry.
 
 Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table
-of `benchmarks.report.tables` that shows the metric (``none``: it stands in the results only);
+of `benchmarks.report.tables` that shows the metric (``none``: it stands in the results
+only);
 `best`, `tolerance` and `relative_tolerance` say which change is one for the worse;
 `meaning` is one line. A relative tolerance of 1 marks a number shown for reference, by
 which nothing is judged.
@@ -32,7 +33,16 @@ best, where theirs is 5/s."""
 
 
 class RowKey(NamedTuple):
-    """What makes two rows of two runs comparable."""
+    """What makes two rows of two runs comparable.
+
+    Attributes:
+        scenario: As in `Row`.
+        plant: As in `Row`.
+        seed: As in `Row`.
+        source: As in `Row`.
+        method: As in `Row`.
+        metric: As in `Row`.
+    """
 
     scenario: str
     plant: str
@@ -51,8 +61,8 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     Attributes:
         scenario: Name of the benchmark and, where it has several, of the case.
-        plant: Plant model of a simulation, ``recording`` for real data, ``none`` where
-            no arm plays a part.
+        plant: Plant model of a simulation, ``recording`` for real data, ``no-arm``
+            where none plays a part.
         seed: Seed of a simulation, number of the recording for real data.
         source: See `Source`.
         method: See `Method`.
@@ -86,8 +96,9 @@ SIGNIFICANT_DIGITS = 6
 
 
 def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
-    """Rows, and how many each run has, so that equal runs give equal bytes; not
-    finite: null.
+    """Return rows and how many each run has as JSON.
+
+    Equal runs give equal bytes; what is not finite becomes null.
     """
     lines = b",\n  ".join(map(_line, rows))
     counts = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
@@ -95,13 +106,15 @@ def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
 
 
 def _line(row: Row) -> bytes:
+    """Return a row as JSON, with six digits."""
     value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
     return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
 def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> None:
-    """Write rows to a file, whole or not at all; raises `ResultsError` where that
-    cannot be.
+    """Write rows to a file, whole or not at all.
+
+    Raises `ResultsError` where that cannot be.
     """
     from needleforce.plots import FiguresError
     from needleforce.plots.chart import write_file
@@ -113,10 +126,14 @@ def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> N
 
 
 class _Line(Row, frozen=True, kw_only=True):
+    """A row as it stands in a file: null for a number that is not finite."""
+
     value: float | None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
 class _File(msgspec.Struct):
+    """A file of results."""
+
     schema: Literal[1]
     rows: list[msgspec.Raw]
 
@@ -140,16 +157,16 @@ def read_results(path: str | Path) -> list[Row]:
         raise ResultsError(f"{path} is not a file of results: {error}") from error
     except (msgspec.DecodeError, ValueError) as error:
         raise ResultsError(f"{path} is not JSON: {error}") from error
-    found: set[RowKey] = set()
+    keys: set[RowKey] = set()
     for row in rows:
-        if row.key in found:
+        if row.key in keys:
             raise ResultsError(f"{path} has more than one row for: {row.key}")
-        found.add(row.key)
+        keys.add(row.key)
     return rows
 
 
 def _row(line: _Line) -> Row:
-    """A campaign has millions: each text is kept once."""
+    """Return the row of a line; each text is kept once: a campaign has millions."""
     texts = {name: intern(getattr(line, name)) for name in TEXTS}
     return Row(
         seed=line.seed, value=math.nan if line.value is None else line.value, **texts
@@ -157,16 +174,14 @@ def _row(line: _Line) -> Row:
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
-    """Rows of several files; a later one replaces those of the same scenario and
-    plant.
-    """
-    found: dict[tuple[str, str], list[Row]] = {}
+    """Read several files; a later one replaces the same scenario and plant."""
+    by_scenario: dict[tuple[str, str], list[Row]] = {}
     for path in paths:
         rows = read_results(path)
-        found |= {(row.scenario, row.plant): [] for row in rows}
+        by_scenario |= {(row.scenario, row.plant): [] for row in rows}
         for row in rows:
-            found[row.scenario, row.plant].append(row)
-    return [row for rows in found.values() for row in rows]
+            by_scenario[row.scenario, row.plant].append(row)
+    return [row for rows in by_scenario.values() for row in rows]
 
 
 UNITS = {
@@ -219,14 +234,13 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def may_be_undefined(self) -> bool:
-        """Whether nan is a result of it, no failure: without an alarm there is no
-        precision.
-        """
+        """Whether nan is a result: without an alarm there is no precision."""
         return self.name == "rupture_precision"
 
     def is_regression(self, old: float, new: float) -> bool:
-        """Whether the new value is worse beyond tolerance; a number that is not
-        finite always.
+        """Return whether the new value is worse beyond tolerance.
+
+        A number that is not finite always is.
         """
         if not (math.isfinite(old) and math.isfinite(new)):
             return not math.isfinite(new)
@@ -235,8 +249,9 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def table_lines(path: Path) -> Iterator[dict[str, str]]:
-    """Lines of one of this package's data tables by column; ``#`` begins a comment
-    line.
+    """Yield the lines of one of this package's data tables by column.
+
+    ``#`` begins a comment line.
     """
     with path.open(encoding="utf-8", newline="") as lines:
         yield from csv.DictReader(line for line in lines if not line.startswith("#"))
@@ -250,7 +265,7 @@ METRICS: Mapping[str, Metric] = {
 
 
 def metric(name: str) -> Metric:
-    """The metric of that name.
+    """Return the metric of that name.
 
     Raises:
         UnknownMetricError: There is none.

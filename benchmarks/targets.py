@@ -1,9 +1,8 @@
-"""Every limit this toolkit has set itself, the published numbers, and how runs are
-judged.
+"""Every limit this toolkit has set itself, and how runs are judged by them.
 
-Columns of `targets.csv`: `metric`, `plant` and `source` as in the results, where the
-source ``any`` stands for all; `scenarios` are names, patterns of names or groups
-(`GROUPS`), none for all; `at_least` and `at_most` are limits in the
+And the published numbers. Columns of `targets.csv`: `metric`, `plant` and `source` as
+in the results, where the source ``any`` stands for all; `scenarios` are names, patterns
+of names or groups (`GROUPS`), none for all; `at_least` and `at_most` are limits in the
 metric's unit; `statistic` of all runs must keep them; `relative_to` says that they hold
 for the ratio to the published method in the same run (``published where reported``: a
 run in which that method has no such number is left out); `what` is one line for people.
@@ -78,14 +77,16 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def applies_to(self, scenario: str) -> bool:
         """Whether a scenario is among those it is for."""
         patterns = self.scenarios
-        return not patterns or any(fnmatchcase(scenario, each) for each in patterns)
+        return not patterns or any(
+            fnmatchcase(scenario, pattern) for pattern in patterns
+        )
 
     def is_met_by(self, value: float) -> bool:
         """Whether a value keeps the limits; one that is not finite does not."""
         return math.isfinite(value) and self.at_least <= value <= self.at_most
 
     def excess(self, value: float) -> float:
-        """How far a value is beyond the nearer limit, negative inside."""
+        """Return how far a value is beyond the nearer limit, negative inside."""
         if not math.isfinite(value):
             return math.inf
         return max(value - self.at_most, self.at_least - value)
@@ -104,17 +105,17 @@ class Target(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def _target(line: dict[str, str]) -> Target:
-    """A line of `targets.csv`; what is empty there has its default."""
-    given = {name: text for name, text in line.items() if text}
-    names = given.pop("scenarios", "").split()
-    relative_to = given.pop("relative_to", "")
-    scenarios = [each for name in names for each in GROUPS.get(name, (name,))]
+    """Return the target of a line; what is empty there has its default."""
+    filled = {name: text for name, text in line.items() if text}
+    names = filled.pop("scenarios", "").split()
+    relative_to = filled.pop("relative_to", "")
+    scenarios = [scenario for name in names for scenario in GROUPS.get(name, (name,))]
     relative = {
         "of_published": bool(relative_to),
         "where_reported": relative_to == "published where reported",
     }
     return msgspec.convert(
-        given | relative | {"scenarios": scenarios}, Target, strict=False
+        filled | relative | {"scenarios": scenarios}, Target, strict=False
     )
 
 
@@ -145,7 +146,14 @@ scenario [N]."""
 
 
 class PublishedFriction(NamedTuple):
-    """A line of Table I: mean and spread over both speeds [Ns/m]."""
+    """A line of Table I: mean and spread over both speeds [Ns/m].
+
+    Attributes:
+        offline: Mean of what was identified offline.
+        offline_spread: Its spread.
+        online: Mean of what was identified online.
+        online_spread: Its spread.
+    """
 
     offline: int
     offline_spread: int
@@ -165,6 +173,7 @@ class Evaluation(NamedTuple):
     """How one target stands.
 
     Attributes:
+        target: The target.
         value: What is judged: the worst, mean or median of the runs; nan if one is not
             finite.
         runs: How many.
@@ -298,25 +307,26 @@ def compare_rows(old: Iterable[Row], new: Iterable[Row]) -> list[Comparison]:
     before; only a value that its metric leaves undefined may stay so. A metric that
     `metrics.csv` does not list must not change at all.
     """
-    before = {row.key: row for row in old}
-    after = {row.key: row for row in new}
-    found = []
-    for key in dict.fromkeys((*before, *after)):
-        earlier = before.get(key)
-        later = after.get(key)
-        found.append(
+    old_rows = {row.key: row for row in old}
+    new_rows = {row.key: row for row in new}
+    comparisons = []
+    for key in dict.fromkeys((*old_rows, *new_rows)):
+        earlier = old_rows.get(key)
+        later = new_rows.get(key)
+        comparisons.append(
             Comparison(
                 key=key,
-                unit=(later or before[key]).unit,
+                unit=(later or old_rows[key]).unit,
                 old=math.nan if earlier is None else earlier.value,
                 new=math.nan if later is None else later.value,
                 change=_change(key.metric, earlier, later),
             )
         )
-    return found
+    return comparisons
 
 
 def _change(metric: str, old: Row | None, new: Row | None) -> Change:
+    """Return what became of one row."""
     kind = METRICS.get(metric)
     if new is None:
         return Change.MISSING
@@ -343,8 +353,11 @@ class Headline(NamedTuple):
     """A line of the README's summary: one metric over a group of runs.
 
     Attributes:
+        metric: A name of `metrics.csv`.
         form: Format of a number.
         what: For people, with the unit.
+        source: See `Source`.
+        plant: Plant model.
         scenarios: One of `GROUPS`, or a scenario.
     """
 

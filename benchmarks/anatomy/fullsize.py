@@ -1,7 +1,7 @@
-"""Time and memory of a scan at full size: 88 million voxels, 61 structures, in a fresh
-process.
+"""Time and memory of a CT at full size, in a fresh process.
 
-The structures are those of the real CT, four times as fine.
+The scan has 88 million voxels and 61 structures. The structures are those of the real
+CT, four times as fine.
 """
 
 import resource
@@ -58,8 +58,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
 
 
 def _write_finer(source: Path, path: Path) -> int:
-    """Write the labels with smaller voxels; boundaries by linear interpolation of
-    each mask.
+    """Write the labels with smaller voxels; return how many there are.
+
+    Boundaries are those of each mask by linear interpolation.
     """
     import SimpleITK
     from scipy.ndimage import zoom
@@ -71,7 +72,7 @@ def _write_finer(source: Path, path: Path) -> int:
         fine = zoom(mask, FINER, order=1, grid_mode=True, mode="nearest")[
             (slice(FINER, -FINER),) * 3
         ]
-        box = tuple(slice(FINER * part.start, FINER * part.stop) for part in item.box)
+        box = tuple(slice(FINER * span.start, FINER * span.stop) for span in item.box)
         values[box][fine > 0.5] = item.value
     image = SimpleITK.GetImageFromArray(values.T)
     image.SetSpacing((1e3 * labels.grid.spacing_m / FINER).tolist())
@@ -80,8 +81,9 @@ def _write_finer(source: Path, path: Path) -> int:
 
 
 def _run(path: Path) -> None:
-    """Read and mesh in this process; writes fractions done, then the results in one
-    line.
+    """Read and mesh in this process.
+
+    Writes fractions done, then the results in one line.
     """
     begin = perf_counter()
     labels = read_labels(path)
@@ -89,16 +91,17 @@ def _run(path: Path) -> None:
     seconds = perf_counter() - begin
     gigabytes = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e9
     ratios = [
-        found.mesh.volume / (labels[name].voxels * labels.grid.voxel_m3)
-        for name, found in surfaces.items()
+        surface.mesh.volume / (labels[name].voxels * labels.grid.voxel_m3)
+        for name, surface in surfaces.items()
     ]
-    closed = sum(found.mesh.is_volume for found in surfaces.values())
+    closed = sum(surface.mesh.is_volume for surface in surfaces.values())
     worst = 100.0 * max(abs(ratio - 1.0) for ratio in ratios)
-    triangles = sum(len(found.triangles) for found in surfaces.values())
+    triangles = sum(len(surface.triangles) for surface in surfaces.values())
     _say(f"{seconds} {gigabytes} {len(surfaces)} {closed} {worst} {triangles}")
 
 
 def _say(line: str) -> None:
+    """Write a line to whoever started this process."""
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 

@@ -6,6 +6,7 @@ twofold either way, and with a surface that lies where it was planned, as where 
 have moved beneath the skin.
 """
 
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -34,6 +35,7 @@ class Case(NamedTuple):
     """What the match is given.
 
     Attributes:
+        name: In the results.
         withheld: Part of the ruptures.
         stated: Deviation of the offset, of the true one.
         is_skin_right: Only what lies beneath the surface is off.
@@ -61,6 +63,7 @@ class Event(NamedTuple):
         tip_m: Below the surface, at the alarm.
         depth_m: Of the rupture.
         layer: Into which it led, -1 for a false alarm.
+        is_retracted: Whether the session took it back.
         contact_m: Depth at which the surface was found.
     """
 
@@ -71,11 +74,26 @@ class Event(NamedTuple):
     contact_m: float
 
 
+class Scores(NamedTuple):
+    """What came of the plans of one case.
+
+    Attributes:
+        offset_errors_m: After three ruptures.
+        is_right: Whether the boundary is, rupture by rupture.
+        is_inside: Whether the interval covers the true offset, likewise.
+    """
+
+    offset_errors_m: list[float]
+    is_right: list[bool]
+    is_inside: list[bool]
+
+
 class Found(NamedTuple):
     """The ruptures of one insertion.
 
     Attributes:
-        boundaries_m: true, below the surface, the surface first.
+        boundaries_m: True ones, below the surface, the surface first.
+        events: In order.
     """
 
     boundaries_m: np.ndarray
@@ -91,12 +109,12 @@ def ruptures_of(seed: int) -> Found:
     zero = 0.0
     events = []
     for k, row in enumerate(JointSignals.of_run(run).samples()):
-        now = session.update(*row)
+        estimate = session.update(*row)
         if k == tare:
             session.tare()
             zero = float(true.depth_m[k])
-        found = now.identification
-        for rupture in (found.rupture, found.retracted):
+        identification = estimate.identification
+        for rupture in (identification.rupture, identification.retracted):
             if k > tare and rupture is not None:
                 depth = rupture.depth_m + zero
                 near = min(
@@ -106,10 +124,10 @@ def ruptures_of(seed: int) -> Found:
                 )
                 is_same = near is not None and abs(near.onset_m - depth) < SAME_m
                 layer = near.layer if near is not None and is_same else -1
-                is_retracted = rupture is found.retracted
+                is_retracted = rupture is identification.retracted
                 contact = rupture.contact_depth_m + zero
                 events.append(
-                    Event(now.depth_m + zero, depth, layer, is_retracted, contact)
+                    Event(estimate.depth_m + zero, depth, layer, is_retracted, contact)
                 )
     thickness = [layer.thickness_m for layer in run.scenario.layers]
     return Found(np.cumsum([0.0, *thickness]), events)
@@ -118,41 +136,34 @@ def ruptures_of(seed: int) -> Found:
 def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
     """Yield the numbers of every case."""
     del data
-    found = []
+    insertions = []
     for k in range(STACKS):
-        found.append(ruptures_of(seed + k))
+        insertions.append(ruptures_of(seed + k))
         progress((k + 1) / STACKS)
     for case in CASES:
         rng = np.random.default_rng([seed, 11])
-        offsets = []
-        right = []
-        inside = []
-        for one in found:
+        scores = Scores([], [], [])
+        for insertion in insertions:
             for _ in range(PLANS):
-                _matched(one, case, rng, (offsets, right, inside))
-        rms_mm = (
-            1e3 * float(np.sqrt(np.mean(np.square(offsets))))
-            if offsets
-            else float("nan")
-        )
-        right_pct = 100.0 * np.mean(right)
+                match_plan(insertion, case, rng, scores)
+        errors_m = scores.offset_errors_m
+        rms_mm = 1e3 * np.sqrt(np.mean(np.square(errors_m))) if errors_m else math.nan
+        right_pct = 100.0 * np.mean(scores.is_right)
+        coverage = np.mean(scores.is_inside)
         yield our_measurement("plan_offset_rms_mm", rms_mm, case.name)
         yield our_measurement("plan_boundary_right_pct", right_pct, case.name)
-        yield our_measurement("plan_interval_coverage_95", np.mean(inside), case.name)
+        yield our_measurement("plan_interval_coverage_95", coverage, case.name)
 
 
-def _matched(
-    one: Found,
-    case: Case,
-    rng: np.random.Generator,
-    results: tuple[list[float], list[bool], list[bool]],
+def match_plan(
+    insertion: Found, case: Case, rng: np.random.Generator, scores: Scores
 ) -> None:
     """Match one insertion with a plan that is drawn, and append what came of it."""
     offset = OFFSET_STD_m * float(rng.normal())
     edges = (
-        one.boundaries_m
+        insertion.boundaries_m
         - offset
-        + BOUNDARY_STD_m * rng.normal(size=len(one.boundaries_m))
+        + BOUNDARY_STD_m * rng.normal(size=len(insertion.boundaries_m))
     )
     if case.is_skin_right:
         edges[0] += offset
@@ -164,7 +175,7 @@ def _matched(
     ]
     match = PlanMatch(layers, case.stated * OFFSET_STD_m)
     ruptures = []
-    for event in one.events:
+    for event in insertion.events:
         if event.is_retracted:
             ruptures = [depth for depth in ruptures if depth != event.depth_m]
         if event.is_retracted or rng.random() < case.withheld:
@@ -172,7 +183,7 @@ def _matched(
         ruptures.append(event.depth_m)
         state = match.state(event.tip_m, ruptures, contact_m=event.contact_m)
         low, high = match.interval_m(event.tip_m, ruptures, contact_m=event.contact_m)
-        results[1].append(state.matched == event.layer)
-        results[2].append(low <= offset <= high)
+        scores.is_right.append(state.matched == event.layer)
+        scores.is_inside.append(low <= offset <= high)
         if len(ruptures) == 3:
-            results[0].append(state.offset_m - offset)
+            scores.offset_errors_m.append(state.offset_m - offset)

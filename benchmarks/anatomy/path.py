@@ -1,12 +1,10 @@
-"""Layers along 1,000 straight paths through analytic torsos, against the exact
-crossings.
-"""
+"""Layers along 1,000 paths through analytic torsos, against the exact crossings."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
 from pathlib import Path
 from time import perf_counter
-from typing import NamedTuple
+from typing import NamedTuple, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,9 +34,12 @@ class Measured(NamedTuple):
     """One path.
 
     Attributes:
+        errors_voxels: Of the depth of every crossing found.
         scores: Errors over the stated standard deviation.
-        is_right: The sequence of layers that are thick enough.
-        crossings: True ones.
+        is_right: Whether the sequence of layers that are thick enough is.
+        has_gaps: Whether layers leave gaps or overlap.
+        crossings: How many true ones there are.
+        seconds: Time it took.
     """
 
     errors_voxels: list[float]
@@ -53,33 +54,35 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
     """Yield the numbers of every spacing."""
     del data
     for number, (name, spacing_mm) in enumerate(SPACINGS_MM.items()):
-        found: list[Measured] = []
+        paths: list[Measured] = []
         for turn in range(TORSOS):
             rng = np.random.default_rng([seed, number, turn])
             torso = analytic_torso(rng)
             labels = scan_of(torso, spacing_mm, rng)
             layers_of(labels, *random_path(torso, rng))  # the first call imports
-            found += [
+            paths += [
                 measure_path(torso, labels, *random_path(torso, rng))
                 for _ in range(PATHS)
             ]
             progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
-        errors = np.array([error for one in found for error in one.errors_voxels])
-        scores = np.abs([score for one in found for score in one.scores])
-        right = float(100.0 * np.mean([one.is_right for one in found]))
-        slow_ms = 1e3 * float(np.median([one.seconds for one in found]))
-        crossings_pct = 100.0 * len(errors) / sum(one.crossings for one in found)
-        values = {
-            "path_depth_error_rms_voxel": np.sqrt(np.mean(errors**2)),
-            "path_sequence_right_pct": right,
-            "paths_with_gaps": sum(path.has_gaps for path in found),
-            "path_time_median_ms": slow_ms,
-            "path_within_95_interval_pct": 100.0 * np.mean(scores < NORMAL_95),
-            "path_within_one_sigma_pct": 100.0 * np.mean(scores < 1.0),
-            "path_crossings_found_pct": crossings_pct,
-        }
-        for metric, value in values.items():
+        for metric, value in path_metrics(paths).items():
             yield our_measurement(metric, value, name)
+
+
+def path_metrics(paths: Sequence[Measured]) -> dict[str, SupportsFloat]:
+    """Return the numbers of many paths by name."""
+    errors = np.array([error for path in paths for error in path.errors_voxels])
+    scores = np.abs([score for path in paths for score in path.scores])
+    crossings = sum(path.crossings for path in paths)
+    return {
+        "path_depth_error_rms_voxel": np.sqrt(np.mean(errors**2)),
+        "path_sequence_right_pct": 100.0 * np.mean([path.is_right for path in paths]),
+        "paths_with_gaps": sum(path.has_gaps for path in paths),
+        "path_time_median_ms": 1e3 * np.median([path.seconds for path in paths]),
+        "path_within_95_interval_pct": 100.0 * np.mean(scores < NORMAL_95),
+        "path_within_one_sigma_pct": 100.0 * np.mean(scores < 1.0),
+        "path_crossings_found_pct": 100.0 * len(errors) / crossings,
+    }
 
 
 def scan_of(
@@ -118,8 +121,9 @@ def layers_of(labels: Labels, entry_m: NDArray, target_m: NDArray) -> list[Layer
 def measure_path(
     torso: Torso, labels: Labels, entry_m: NDArray, target_m: NDArray
 ) -> Measured:
-    """Compare one path with the truth: every crossing found between the same two
-    layers.
+    """Compare one path with the truth.
+
+    Every crossing counts that was found between the same two layers.
     """
     begin = perf_counter()
     layers = layers_of(labels, entry_m, target_m)
@@ -147,15 +151,15 @@ def measure_path(
 
 
 def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) -> bool:
-    """Whether thick true layers all appear in order, and thick layers found are all
-    true.
+    """Return whether thick layers all appear in order, in the truth and as found.
 
     Where a thin layer may be missed, what lies on both of its sides counts once.
     """
 
     def appear(few: list[str], many: list[str]) -> bool:
-        rest = iter(many)
-        return all(name in rest for name in few)
+        """Return whether the names appear in this order."""
+        remaining = iter(many)
+        return all(name in remaining for name in few)
 
     def names(items: Sequence[Stretch] | Sequence[Layer], least_m: float) -> list[str]:
         thick = (item.name for item in items if item.exit_m - item.entry_m > least_m)
@@ -169,16 +173,15 @@ def in_order(truth: Sequence[Stretch], layers: Sequence[Layer], thick_m: float) 
 def matched(
     truth: Sequence[Stretch], layers: Sequence[Layer]
 ) -> Iterator[tuple[float, float]]:
-    """Yield error and stated deviation, in metres, of crossings between the same two
-    layers.
+    """Yield error and stated deviation [m] of crossings between the same two layers.
 
     Of several such crossings the nearest counts.
     """
-    for before, after in pairwise(truth):
+    for previous, after in pairwise(truth):
         same = [
             (follower.entry_m - after.entry_m, follower.entry_std_m)
             for leader, follower in pairwise(layers)
-            if (leader.name, follower.name) == (before.name, after.name)
+            if (leader.name, follower.name) == (previous.name, after.name)
         ]
         if same:
             yield min(same, key=lambda pair: abs(pair[0]))

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
@@ -18,6 +17,7 @@ from scipy.stats import special_ortho_group
 from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
+from foundation.arrays import Array
 from needleforce.anatomy import (
     Grid,
     Labels,
@@ -30,7 +30,6 @@ from needleforce.anatomy import (
     read_labels,
 )
 
-Array = NDArray[np.float64]
 Pose = tuple[Array, Array]
 
 LANDMARK_DRAWS = 10_000
@@ -75,8 +74,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
 
 
 def landmarks(count: int, rng: np.random.Generator) -> Array:
-    """Points on the front and sides of a torso, no two closer than 50 mm, not on a
-    line.
+    """Draw points on the front and sides of a torso.
+
+    No two are closer than 50 mm, and they do not lie on a line.
     """
     while True:
         angle = rng.uniform(-1.5, 1.5, count)
@@ -92,11 +92,12 @@ def landmarks(count: int, rng: np.random.Generator) -> Array:
 
 
 def pose(rng: np.random.Generator) -> Pose:
-    """Any rotation, and a shift of some decimetres."""
+    """Draw any rotation, and a shift of some decimetres."""
     return special_ortho_group.rvs(3, random_state=rng), 0.5 * rng.normal(size=3)
 
 
 def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure landmarks: how good the stated errors are."""
     for name, is_known in (
         ("deviation known", True),
         ("deviation from residuals", False),
@@ -109,11 +110,13 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
             model = landmarks(count, rng)
             rotation, shift = pose(rng)
             robot = model @ rotation.T + shift + STD_m * rng.normal(size=model.shape)
-            found = fit_landmarks(model, robot, std_m=STD_m, is_std_known=is_known)
+            registration = fit_landmarks(
+                model, robot, std_m=STD_m, is_std_known=is_known
+            )
             truth = rotation @ TARGET_m + shift
-            inside.append(found.region_contains(TARGET_m, truth))
-            error.append(np.linalg.norm(found.to_robot(TARGET_m) - truth))
-            stated.append(found.tre_m(TARGET_m))
+            inside.append(registration.region_contains(TARGET_m, truth))
+            error.append(np.linalg.norm(registration.to_robot(TARGET_m) - truth))
+            stated.append(registration.tre_m(TARGET_m))
         cover = float(np.mean(inside))
         ratio = _rms(error) / _rms(stated)
         yield our_measurement("landmark_region_coverage_95", cover, name)
@@ -121,10 +124,12 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
 
 
 def _rms(values: list[Any]) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _swapped(robot: Array, rng: np.random.Generator) -> Array:
+    """Return the landmarks with two of them swapped."""
     i, j = rng.choice(len(robot), 2, replace=False)
     robot[[i, j]] = robot[[j, i]]
     return robot
@@ -141,6 +146,7 @@ FAULTS: dict[str, tuple[str, Callable[[Array, np.random.Generator], Array]]] = {
 
 
 def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure how often wrong landmarks are refused, and with the right reason."""
     for name, (word, spoil) in FAULTS.items():
         hits = 0
         for _ in range(REFUSAL_DRAWS):
@@ -151,9 +157,9 @@ def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
                     rng.uniform(-0.15, 0.15, len(model)), rng.normal(size=3)
                 )
             robot = model @ rotation.T + shift + STD_m * rng.normal(size=model.shape)
-            kept = slice(2) if name == "too few" else slice(None)
+            used = slice(2) if name == "too few" else slice(None)
             try:
-                fit_landmarks(model[kept], spoil(robot, rng)[kept], std_m=STD_m)
+                fit_landmarks(model[used], spoil(robot, rng)[used], std_m=STD_m)
                 hits += name == "good"
             except RegistrationError as error:
                 hits += bool(word) and word in str(error)
@@ -163,8 +169,9 @@ def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
-    """Touches of a mesh's side that looks to the front, one in ten slipped off by 5
-    to 20 mm.
+    """Draw touches of a mesh's side that looks to the front.
+
+    One in ten has slipped off by 5 to 20 mm.
     """
     area = mesh.area_faces * (
         1.0 if front is None else mesh.face_normals @ front > 0.15
@@ -182,7 +189,7 @@ def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
 
 
 def rough(points: Array, truth: Pose, rng: np.random.Generator) -> Registration:
-    """A start some 5 degrees and 8 mm off."""
+    """Draw a start some 5 degrees and 8 mm off."""
     turned = truth[0] @ Rotation.from_rotvec(0.05 * rng.normal(size=3)).as_matrix()
     middle = points.mean(axis=0)
     shift = truth[0] @ middle + truth[1] - turned @ middle + 4.6e-3 * rng.normal(size=3)
@@ -190,6 +197,7 @@ def rough(points: Array, truth: Pose, rng: np.random.Generator) -> Registration:
 
 
 def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure how often touches of a symmetric form are refused."""
     import trimesh
 
     ball = trimesh.creation.icosphere(4, 0.06)
@@ -202,12 +210,12 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
         "plane": (box, box.face_normals[:, 1] < -0.5),
         "corner of a box": (box, (box.face_normals > 0.5).any(axis=1)),
     }
-    for name, (mesh, kept) in forms.items():
-        part = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
-        surface = Surface(name, part.vertices, part.faces)
+    for name, (mesh, is_kept) in forms.items():
+        patch = trimesh.Trimesh(mesh.vertices, mesh.faces[is_kept])
+        surface = Surface(name, patch.vertices, patch.faces)
         refused = 0
         for _ in range(SYMMETRIC_FITS):
-            points = touch(part, None, rng)
+            points = touch(patch, None, rng)
             truth = pose(rng)
             try:
                 fit_surface(
@@ -221,6 +229,7 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
 
 
 def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure what becomes of starts outside the basin."""
     mesh, model = truth_and_model(labels, ORGANS[0], rng)
     center = mesh.center_mass
     refused = 0
@@ -237,11 +246,13 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measuremen
         )
         start = Registration(off, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
         try:
-            found = fit_surface(model, points @ truth[0].T + truth[1], start)
+            registration = fit_surface(model, points @ truth[0].T + truth[1], start)
         except RegistrationError:
             refused += 1
             continue
-        error_m = np.linalg.norm(found.to_robot(center) - truth[0] @ center - truth[1])
+        error_m = np.linalg.norm(
+            registration.to_robot(center) - truth[0] @ center - truth[1]
+        )
         wrong += int(error_m > RIGHT_m)
     safe_pct = 100.0 * (1.0 - wrong / FAR_STARTS)
     refused_pct = 100.0 * refused / FAR_STARTS
@@ -252,6 +263,7 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measuremen
 def _organ(
     labels: Labels, name: str, rng: np.random.Generator
 ) -> Iterator[Measurement]:
+    """Measure touches of an organ: errors, true and stated."""
     errors = []
     inside = []
     refused = 0
@@ -266,13 +278,15 @@ def _organ(
                 robot = points @ truth[0].T + truth[1]
                 start = rough(points, truth, rng)
                 check = number < CHECKED
-                found = fit_surface(model, robot, start, check=check)
+                registration = fit_surface(model, robot, start, check=check)
             except RegistrationError:
                 refused += 1
                 continue
             place = truth[0] @ center + truth[1]
-            errors.append(1e3 * float(np.linalg.norm(found.to_robot(center) - place)))
-            inside.append(found.region_contains(center, place))
+            errors.append(
+                1e3 * float(np.linalg.norm(registration.to_robot(center) - place))
+            )
+            inside.append(registration.region_contains(center, place))
     refused_pct = 100.0 * refused / (MODELS * FITS)
     yield our_measurement("organ_error_p95_mm", np.quantile(errors, 0.95), name)
     yield our_measurement("organ_region_coverage_95", np.mean(inside), name)
@@ -282,8 +296,9 @@ def _organ(
 def truth_and_model(
     labels: Labels, name: str, rng: np.random.Generator
 ) -> tuple[Any, Any]:
-    """A smooth organ as a mesh [m], and the surface of its segmentation on another
-    grid.
+    """Return a smooth organ as a mesh [m], and its segmentation's surface.
+
+    The segmentation is on another grid.
     """
     import trimesh
     from skimage.measure import marching_cubes

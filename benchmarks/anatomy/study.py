@@ -1,4 +1,6 @@
-"""The patient's anatomy against analytic shapes and a real CT, a benchmark for each part.
+"""The patient's anatomy against analytic shapes and a real CT.
+
+Each part is a benchmark of its own.
 
 A part is a module of this package with ``measure(seed, data, progress)``, which yields
 numbers; ``data`` is the folder of recordings, or None.

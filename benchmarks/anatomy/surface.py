@@ -1,6 +1,4 @@
-"""Surfaces of analytic ellipsoids and of a real CT, and places read back from every
-format.
-"""
+"""Surfaces of ellipsoids and of a real CT, and places read back from every format."""
 
 import locale
 from collections.abc import Iterator
@@ -26,7 +24,7 @@ from needleforce.anatomy import (
 )
 
 ELLIPSOIDS = 12
-LEAST_VOXELS = 500
+MIN_VOXELS = 500
 """Structures that are smaller are not judged."""
 FORMATS = ("DICOM", "label.nii.gz", "label.nrrd", "label.seg.nrrd")
 
@@ -45,6 +43,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
 
 
 def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure surfaces of drawn ellipsoids."""
     truth = []
     voxels = []
     rms = []
@@ -82,7 +81,7 @@ def label_ellipsoid(
 
 
 def distance_rms_m(surface: Surface, body: Ellipsoid) -> float:
-    """Distance of a surface from an ellipsoid, over the area of its triangles."""
+    """Return the rms distance of a surface from an ellipsoid, over its area."""
     a, b, c = (surface.vertices_m[surface.triangles[:, corner]] for corner in range(3))
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     mixes = np.array([[2, 2, 2], [4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6.0
@@ -93,24 +92,27 @@ def distance_rms_m(surface: Surface, body: Ellipsoid) -> float:
 
 
 def _volume_error(labels: Labels, surface: Surface) -> float:
+    """Return how far the volume is from that of the voxels, in per cent."""
     voxels_m3 = labels[surface.name].voxels * labels.grid.voxel_m3
     return 100.0 * abs(surface.mesh.volume / voxels_m3 - 1.0)
 
 
 def _real_ct(folder: Path) -> Iterator[Measurement]:
+    """Measure the surfaces of the CT."""
     scan = read_volume(folder / "ct.nii.gz")
     labels = read_labels(folder / "labels.nii.gz", folder / "labels.json", scan)
-    judged = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
-    found = labels.surfaces(judged).values()
-    closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in found]))
-    worst = max(_volume_error(labels, surface) for surface in found)
+    judged = [item.name for item in labels.structures if item.voxels >= MIN_VOXELS]
+    surfaces = labels.surfaces(judged).values()
+    closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in surfaces]))
+    worst = max(_volume_error(labels, surface) for surface in surfaces)
     yield our_measurement("watertight_pct", closed, "CT")
     yield our_measurement("voxel_volume_error_max_pct", worst, "CT")
-    triangles = sum(len(surface.triangles) for surface in found)
+    triangles = sum(len(surface.triangles) for surface in surfaces)
     yield our_measurement("triangles", triangles, "CT")
 
 
 def _centroids(rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure the centroid of a part as every format gives it back."""
     errors: dict[str, list[float]] = {name: [] for name in FORMATS}
     with TemporaryDirectory() as folder:
         for number, flips in enumerate(np.ndindex(2, 2, 2)):
@@ -130,8 +132,9 @@ def _centroids(rng: np.random.Generator) -> Iterator[Measurement]:
 def oblique_image(
     signs: NDArray[np.float64], rng: np.random.Generator
 ) -> tuple[Any, NDArray[np.float64]]:
-    """Make a SimpleITK image of an L in an oblique, anisotropic grid; and its
-    centroid (m).
+    """Make an image of an L in an oblique, anisotropic grid; and its centroid [m].
+
+    The image is one of SimpleITK.
     """
     import SimpleITK
 
@@ -151,8 +154,9 @@ def oblique_image(
 
 
 def write_labels(image: Any, path: Path) -> None:
-    """Write an image in the format of the name: a folder of DICOM slices without a
-    suffix.
+    """Write an image in the format of the name.
+
+    Without a suffix: a folder of DICOM slices.
     """
     import SimpleITK
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-LEAST_SEEDS = 5
+MIN_SEEDS = 5
 """With fewer, too few different samples can be drawn from them: then single runs are
 drawn."""
 RESAMPLES = 2000
@@ -19,10 +19,10 @@ BATCH = 10**6
 def interval(
     values: Any, seeds: Any, rng: np.random.Generator, *, is_mean: bool
 ) -> tuple[float, float]:
-    """95 % percentile-bootstrap interval of the mean or the median of runs (Efron
-    1979).
+    """Return the 95 % bootstrap interval of the mean or the median of runs.
 
-    Seeds are drawn, each with all its runs: what a seed draws, they have in common.
+    Percentile bootstrap (Efron 1979). Seeds are drawn, each with all its runs: what a
+    seed draws, they have in common.
 
     Args:
         values: One per run, finite, shape (n,).
@@ -31,7 +31,7 @@ def interval(
         is_mean: Whether it is that of the mean.
     """
     labels = np.asarray(seeds)
-    if len(np.unique(labels)) < LEAST_SEEDS:
+    if len(np.unique(labels)) < MIN_SEEDS:
         labels = np.arange(len(labels))
     units = pd.Series(values).groupby(labels)
     place = units.cumcount().to_numpy()

@@ -1,5 +1,4 @@
-"""A run of many jobs: its results on disk as they come, gone on with after an
-interruption.
+"""Run many jobs; keep their results on disk, and resume after an interruption.
 
 Whatever the order of arrival, results stand in the order of the jobs: every way to run
 the same jobs writes the same bytes.
@@ -21,7 +20,7 @@ from benchmarks.results import read_results, write_results
 
 JobProgress = Callable[[int, float], None]
 """Takes the index of a job and the fraction of it that is done, 0 to 1."""
-LEAST_PAUSE_S = 2.0
+MIN_PAUSE_S = 2.0
 PAUSE_RATIO = 50.0
 """Between two writings of the file, and at least so many times as long as one takes: of
 a long campaign it is hundreds of megabytes."""
@@ -54,22 +53,24 @@ def run_jobs(
             f"cannot write {results}: not a file in a folder that there is"
         )
     order = {job: index for index, job in enumerate(jobs)}
-    found = _earlier(results, order) if results is not None and is_resumed else {}
-    left = [job for job in jobs if order[job] not in found]
-    for index in found:
+    outcomes = _earlier(results, order) if results is not None and is_resumed else {}
+    remaining = [job for job in jobs if order[job] not in outcomes]
+    for index in outcomes:
         on_progress(index, 1.0)
 
     def work(job: Job) -> Outcome:
         return run_job(job, partial(on_progress, order[job]))
 
-    with _kept(results, found) as keep:
-        done = answers(work if workers.is_serial(len(left)) else run_job, left, workers)
-        for number, outcome in done:
-            index = order[left[number]]
-            found[index] = outcome or Outcome(job=left[number], failure=DIED)
+    with _kept(results, outcomes) as keep:
+        answered = answers(
+            work if workers.is_serial(len(remaining)) else run_job, remaining, workers
+        )
+        for number, outcome in answered:
+            index = order[remaining[number]]
+            outcomes[index] = outcome or Outcome(job=remaining[number], failure=DIED)
             on_progress(index, 1.0)
             keep()
-    return [found[index] for index in range(len(jobs))]
+    return [outcomes[index] for index in range(len(jobs))]
 
 
 class _Counts(msgspec.Struct):
@@ -79,6 +80,7 @@ class _Counts(msgspec.Struct):
 
 
 def _counts(path: Path) -> dict[str, int]:
+    """Return how many rows each run has given, as a file states it."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=_Counts).runs
     except msgspec.ValidationError as error:
@@ -86,7 +88,7 @@ def _counts(path: Path) -> dict[str, int]:
 
 
 def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
-    """What an interrupted run has left, by the index of the job.
+    """Return what an interrupted run has left, by the index of the job.
 
     A run that draws, or that has not the number of rows which it gave, is not in it.
     """
@@ -97,40 +99,45 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
         job = named.get((row.scenario, row.plant, row.seed))
         if job is None:
             raise ResultsError(
-                f"{path} has a run that is not asked for: {row.scenario}, {row.plant}, seed "
-                f"{row.seed}; ask for it too, or write to another file"
+                f"{path} has a run that is not asked for: {row.scenario}, {row.plant}, "
+                f"seed {row.seed}; ask for it too, or write to another file"
             )
         rows.setdefault(job, []).append(row)
     return {
-        order[job]: Outcome(job=job, rows=tuple(each))
-        for job, each in rows.items()
-        if job.drawings is None and counts.get(str(job)) == len(each)
+        order[job]: Outcome(job=job, rows=tuple(run_rows))
+        for job, run_rows in rows.items()
+        if job.drawings is None and counts.get(str(job)) == len(run_rows)
     }
 
 
 @contextmanager
-def _kept(path: Path | None, found: dict[int, Outcome]) -> Iterator[Callable[[], None]]:
-    """Yields what writes all that was found if that is due; at the end it is written
-    anyway.
+def _kept(
+    path: Path | None, outcomes: dict[int, Outcome]
+) -> Iterator[Callable[[], None]]:
+    """Yield what writes all results if that is due.
+
+    At the end they are written anyway.
     """
     if path is None:
         yield lambda: None
         return
-    due_s = perf_counter() + LEAST_PAUSE_S
+    due_s = perf_counter() + MIN_PAUSE_S
 
     def write() -> None:
         nonlocal due_s
         begun_s = perf_counter()
-        done = [found[index] for index in sorted(found) if found[index].rows]
-        runs = {str(outcome.job): len(outcome.rows) for outcome in done}
-        write_results(path, (row for outcome in done for row in outcome.rows), runs)
+        finished = [
+            outcomes[index] for index in sorted(outcomes) if outcomes[index].rows
+        ]
+        runs = {str(outcome.job): len(outcome.rows) for outcome in finished}
+        write_results(path, (row for outcome in finished for row in outcome.rows), runs)
         pause_s = PAUSE_RATIO * (perf_counter() - begun_s)
-        due_s = perf_counter() + max(LEAST_PAUSE_S, pause_s)
+        due_s = perf_counter() + max(MIN_PAUSE_S, pause_s)
 
-    before = len(found)
+    count_at_start = len(outcomes)
     try:
         yield lambda: write() if perf_counter() >= due_s else None
     finally:
         # An interruption before the first answer leaves an older file as it was.
-        if len(found) > before or not path.exists():
+        if len(outcomes) > count_at_start or not path.exists():
             write()

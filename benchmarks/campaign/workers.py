@@ -32,7 +32,7 @@ AHEAD = 2
 CONNECT_S = 10.0
 DIED = "its process died, twice"
 """What became of a job without an answer."""
-Job = TypeVar("Job")
+Work = TypeVar("Work")
 Answer = TypeVar("Answer")
 
 
@@ -65,10 +65,11 @@ class Workers:
 
 
 def answers(
-    work: Callable[[Job], Answer], jobs: Sequence[Job], workers: Workers
+    work: Callable[[Work], Answer], jobs: Sequence[Work], workers: Workers
 ) -> Iterator[tuple[int, Answer | None]]:
-    """Do all jobs; yields the index of each with its answer, None if its process died
-    twice.
+    """Do all jobs; yield the index of each with its answer.
+
+    The answer is None if the job's process died twice.
 
     Args:
         work: Does a job; but for a serial run, a function of a module.
@@ -87,6 +88,7 @@ def answers(
 
 @contextmanager
 def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
+    """Open a pool of processes with one thread each."""
     # Matrices are 7 by 7: more threads than processes only get in each other's way.
     single = {name: "1" for name in THREAD_SETTINGS if name not in os.environ}
     os.environ.update(single)
@@ -110,8 +112,9 @@ def _pool(processes: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _on_processes(
-    work: Callable[[Job], Answer], jobs: Sequence[Job], processes: int
+    work: Callable[[Work], Answer], jobs: Sequence[Work], processes: int
 ) -> Iterator[tuple[int, Answer | None]]:
+    """Do all jobs on processes of this machine."""
     waiting = deque(range(len(jobs)))
     while waiting:
         running = dict[Future[Answer], int]()
@@ -134,14 +137,16 @@ def _on_processes(
         yield from ((index, _alone(work, jobs[index])) for index in lost)
 
 
-def _alone(work: Callable[[Job], Answer], job: Job) -> Answer | None:
+def _alone(work: Callable[[Work], Answer], job: Work) -> Answer | None:
+    """Do a job in a process of its own; return None if that dies."""
     with _pool(1) as pool, suppress(BrokenProcessPool):
         return pool.submit(work, job).result()
 
 
 def _on_cluster(
-    work: Callable[[Job], Answer], jobs: Sequence[Job], address: str
+    work: Callable[[Work], Answer], jobs: Sequence[Work], address: str
 ) -> Iterator[tuple[int, Answer | None]]:
+    """Do all jobs on a Dask cluster."""
     from distributed import Client, KilledWorker, as_completed
 
     try:
@@ -152,8 +157,10 @@ def _on_cluster(
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError as error:
-            how = f"{address} has no workers; start some: dask worker {address} --nthreads 1"
-            raise BenchmarkError(how) from error
+            raise BenchmarkError(
+                f"{address} has no workers; start some: "
+                f"dask worker {address} --nthreads 1"
+            ) from error
         futures = client.map(work, jobs, pure=False)
         order = {future.key: index for index, future in enumerate(futures)}
         coming = as_completed(futures, loop=client.loop)

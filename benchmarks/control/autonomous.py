@@ -1,8 +1,8 @@
-"""The needle by itself: how far it goes after a rupture, on bone, pushed aside, and
-signals lost.
+"""The needle by itself: ruptures, bone, a push from the side, lost signals.
 
-Positions, speeds and forces are the simulator's, at every tick. What stops the needle
-is the manager, with the session's force and identification, or the F/T sensor's.
+What is measured is how far it goes. Positions, speeds and forces are the simulator's,
+at every tick. What stops the needle is the manager, with the session's force and
+identification, or the F/T sensor's.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -54,24 +54,26 @@ CASES = (
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Numbers of one run; the layer at whose end it must stop goes round with the
-    seed.
+    """Yield the numbers of one run.
+
+    The layer at whose end it must stop goes round with the seed.
     """
-    servo, kind, *rest = case.split()
+    servo, kind, *options = case.split()
     if kind == "rupture":
-        return _rupture(servo, rest[0], float(rest[1]), plant, seed)
+        return _rupture(servo, options[0], float(options[1]), plant, seed)
     if kind == "bone":
-        return _bone(servo, float(rest[0]), plant, seed)
+        return _bone(servo, float(options[0]), plant, seed)
     return (
         _side(servo, plant, seed)
         if kind == "side"
-        else _lost(servo, rest[0], plant, seed)
+        else _lost(servo, options[0], plant, seed)
     )
 
 
 def _rupture(
     servo: str, sensor: str, mm_s: float, plant: str, seed: int
 ) -> Iterator[Measurement]:
+    """Insert through layers, and stop after a rupture."""
     layer = 1 + seed % LAYERS
     rig = SimulatedArm(
         "stack-glove-constant", plant, seed, servo=SERVOS[servo], standoff_m=STANDOFF_M
@@ -101,6 +103,7 @@ def _rupture(
 
 
 def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Measurement]:
+    """Insert until the needle hits bone."""
     wall = Wall(distance_m=STRUCK_M)
     rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
@@ -113,17 +116,18 @@ def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Measuremen
 
 
 def _side(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Insert into gel, and push the hub from the side."""
     pushed_s = [np.inf]
     hand = HandOnArm(
         at="hub", force_N=lambda t_s: (SIDE_N if t_s >= pushed_s[0] else 0.0, 0.0, 0.0)
     )
     run = _in_gel(servo, plant, seed, SIDE_MM_S, [hand])
     moving_s = 0.0
-    for now in run:
+    for situation in run:
         if (
             np.isinf(pushed_s[0])
-            and now.state == "insertion"
-            and now.estimate.depth_m > STRUCK_M
+            and situation.state == "insertion"
+            and situation.estimate.depth_m > STRUCK_M
         ):
             pushed_s[0] = run.rig.time_s
         if abs(run.rig.truth.speed_m_s) > AT_REST_M_S:
@@ -133,10 +137,15 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Insert into gel, and lose a signal for a while."""
     run = _in_gel(servo, plant, seed, 20.0)
     start = 0
-    for now in run:
-        if not start and now.state == "insertion" and now.estimate.depth_m > STRUCK_M:
+    for situation in run:
+        if (
+            not start
+            and situation.state == "insertion"
+            and situation.estimate.depth_m > STRUCK_M
+        ):
             start = round(1e3 * run.rig.time_s)
             run.rig.lose(LOST[what], LOST_S)
     depths_m = run.rig.depths_m[start : start + round(1e3 * LOST_S)]
@@ -147,6 +156,7 @@ def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Measurement]
 def _in_gel(
     servo: str, plant: str, seed: int, mm_s: float, contacts: Sequence[HandOnArm] = ()
 ) -> Insertion:
+    """Return an insertion into the 70 % gel."""
     rig = SimulatedArm(
         "gel-70-constant",
         plant,

@@ -19,10 +19,10 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.control.published import solve_published
 from benchmarks.results import Measurement, our_measurement
+from foundation.arrays import Array
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import Contact, HandOnArm, Trocar, distance_to_axis_m
@@ -38,7 +38,6 @@ from needleforce.control.tasks import (
     TipVelocity,
 )
 
-Array = NDArray[np.float64]
 SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 MILLI = 1e3
 
@@ -70,7 +69,15 @@ class ClosedLoop:
     """An arm, its controller and the clock of one test.
 
     Attributes:
-        rng: Of directions that the seed draws.
+        servo: One of `SERVOS`.
+        plant: Plant model.
+        seed: Of all that is drawn.
+        scenario: Tissue in front of the needle; None for none.
+        contacts: Hands, trocars and walls.
+        has_kinematic_error: Whether the joints are not where the model has them.
+        solver: What serves the stack of tasks.
+        rig: The arm, and what is true of it.
+        control: The controller.
     """
 
     servo: str
@@ -106,27 +113,28 @@ class ClosedLoop:
         stack: Callable[[float], Sequence[Task]],
         error: Callable[[], float],
     ) -> Array:
-        """Errors at all samples of some time under a stack that depends on it."""
+        """Return errors at all samples of some time under a stack that depends on it."""
         start_s = self.rig.time_s
-        found = []
+        errors = []
         for sample in self.rig:
             t_s = self.rig.time_s - start_s
-            found.append(error())
+            errors.append(error())
             if t_s >= seconds:
                 break
             self.rig.send(self.control.update(sample, stack(t_s)).dq_rad_s)
-        return np.array(found)
+        return np.array(errors)
 
 
 def across(seed: int) -> Array:
-    """A horizontal direction that the seed draws; the needle points down."""
+    """Draw a horizontal direction; the needle points down."""
     angle = np.random.default_rng([seed, 4]).uniform(0.0, 2.0 * math.pi)
     return np.array([math.cos(angle), math.sin(angle), 0.0])
 
 
 def _circle(test: ClosedLoop) -> tuple[Array, Array]:
-    """RCM errors on the circle, from its full size on, and the distances of the tip
-    from it.
+    """Run the circle; return errors of the centre and of the tip [m].
+
+    Both count from the circle's full size on.
     """
     rig = test.rig
     tool = test.control.tool
@@ -151,12 +159,12 @@ def _circle(test: ClosedLoop) -> tuple[Array, Array]:
         return constraint, tip, posture
 
     error = partial(rig.distance_to_axis_m, centre_m)
-    found = test.run(FADE_s + PERIOD_s, stack, error)
-    return found[round(FADE_s * MILLI) :], np.array(off_m[round(FADE_s * MILLI) :])
+    error_m = test.run(FADE_s + PERIOD_s, stack, error)
+    return error_m[round(FADE_s * MILLI) :], np.array(off_m[round(FADE_s * MILLI) :])
 
 
 def _trocar_and_force(seed: int) -> list[Contact]:
-    """The trocar, and 1 N on the tip that comes up while the arm settles."""
+    """Return the trocar, and 1 N on the tip that comes up while the arm settles."""
     side = across(seed)
     force = HandOnArm(
         at="tip", force_N=lambda t_s: min(t_s / (0.5 * SETTLE_s), 1.0) * side
@@ -165,7 +173,7 @@ def _trocar_and_force(seed: int) -> list[Contact]:
 
 
 def rcm(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The circle."""
+    """Measure the circle."""
     error, off = _circle(
         ClosedLoop(
             servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
@@ -177,7 +185,7 @@ def rcm(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The circle on an arm with kinematic error."""
+    """Measure the circle on an arm with kinematic error."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
@@ -187,8 +195,9 @@ def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The circle while a hand pushes the elbow: 30 N within 50 ms, for 1 s, every 2
-    s.
+    """Run the circle while a hand pushes the elbow.
+
+    It pushes with 30 N, which come within 50 ms, for 1 s, every 2 s.
     """
     side = across(seed + 1)
 
@@ -204,7 +213,7 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The circle by the published recursion."""
+    """Measure the circle by the published recursion."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, solver=solve_published
@@ -214,7 +223,7 @@ def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
-    """Distances of the true tip from the line, and the depth it has come to [m]."""
+    """Return distances of the true tip from the line, and the depth reached [m]."""
     rig = test.rig
     tool = test.control.tool
     true = rig.truth
@@ -240,7 +249,7 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
 
 
 def fixture(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """100 mm of stack-glove along the fixture, and without it."""
+    """Measure 100 mm of stack-glove along the fixture, and without it."""
     new = partial(
         ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
     )
@@ -253,7 +262,10 @@ def fixture(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The same while the hub is pushed: 5 N across, on and off every second."""
+    """Measure the fixture while the hub is pushed.
+
+    The hand pushes with 5 N across, on and off every second.
+    """
     side = across(seed + 3)
 
     def push(t_s: float) -> Array:
@@ -272,7 +284,7 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The same on an arm with kinematic error."""
+    """Measure the fixture on an arm with kinematic error."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
@@ -282,7 +294,7 @@ def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement
 
 
 def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The same by the published recursion: what is left of the travel, too."""
+    """Measure the published recursion: what remains of the travel, too."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, scenario=scenario, solver=solve_published
@@ -294,19 +306,19 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement
 
 
 def _turn(test: ClosedLoop) -> float:
-    """Largest distance of the tip from where it should rest, per angle [m/rad]."""
+    """Return the largest distance of the tip from its rest, per angle [m/rad]."""
     tool = test.control.tool
     start_m = test.rig.truth.tip_m
     motion = DecoupledMotion(tool, GAIN_per_s)
     posture = Posture(test.rig.home_rad)
     axis = np.random.default_rng([test.seed, 5]).standard_normal(3)
     axis /= np.linalg.norm(axis)
-    rest = np.zeros(3)
+    no_speed = np.zeros(3)
 
     def stack(t_s: float) -> Sequence[Task]:
-        done = min(t_s / TURN_s, 1.0)
-        rate = TURN_rad / TURN_s * 30.0 * (done * (1.0 - done)) ** 2
-        motion.move(tool, rest, rate * axis, 1.0 / MILLI)
+        fraction = min(t_s / TURN_s, 1.0)
+        rate = TURN_rad / TURN_s * 30.0 * (fraction * (1.0 - fraction)) ** 2
+        motion.move(tool, no_speed, rate * axis, 1.0 / MILLI)
         return motion, posture
 
     error = test.run(
@@ -318,18 +330,19 @@ def _turn(test: ClosedLoop) -> float:
 
 
 def decoupled(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The turn about the tip."""
+    """Measure the turn about the tip."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed)
     yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
 def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The same on an arm with kinematic error."""
+    """Measure the turn about the tip on an arm with kinematic error."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
     yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
 def _rms(error: Array) -> float:
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(error))))
 
 
@@ -352,6 +365,6 @@ CASES = tuple(f"{name} {servo}" for name in MEASURES for servo in SERVOS)
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The numbers of one case."""
+    """Return the numbers of one case."""
     name, servo = case.split()
     return MEASURES[name](servo, plant, seed)

@@ -1,13 +1,14 @@
-"""Faults of sensors, wires, clocks, commands and devices in closed loop: the needle
-stops or holds.
+"""Faults of sensors, clocks, commands and devices in closed loop.
 
-The faults are those of `benchmarks.faults.injection`, made sample by sample, and those that only
-a loop has. A fault that the estimator bridges must not move the needle off its course;
-any other must stop it, and the manager must say why.
+The needle must stop or hold. The faults are those of `benchmarks.faults.injection`,
+made sample by sample, and those that only a loop has. A fault that the estimator
+bridges must not move the needle off its course; any other must stop it, and the manager
+must say why.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from enum import StrEnum
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -28,101 +29,197 @@ DEPTH_M = 25e-3
 STRUCK_M = 15e-3
 WATCHED_S = 1.5
 
-Change = Callable[[int, ArmSample, ArmSample], ArmSample]
-"""What becomes of sample k of a fault; given as well: the last one before it."""
+SampleChange = Callable[[int, ArmSample, ArmSample], ArmSample]
+"""Returns what becomes of sample k of a fault; the last argument is the first one."""
 
 
-def _torque(
-    k: int, now: ArmSample, before: ArmSample, *, value: float | None = None
+def replace_torque(
+    k: int, sample: ArmSample, before: ArmSample, *, value: float | None = None
 ) -> ArmSample:
-    tau = now.tau_Nm.copy()
+    """Return the sample with another torque, by default the one before the fault."""
+    tau = sample.tau_Nm.copy()
     tau[SHOULDER] = before.tau_Nm[SHOULDER] if value is None else value
-    return now._replace(tau_Nm=tau)
+    return sample._replace(tau_Nm=tau)
 
 
-def _spike(
+def add_spike(
     k: int,
-    now: ArmSample,
+    sample: ArmSample,
     before: ArmSample,
     *,
     q_rad: float = 0.0,
     tau_Nm: float = 0.0,
 ) -> ArmSample:
+    """Return every hundredth sample with a spike."""
     if k % 100:
-        return now
-    q = now.q_rad.copy()
-    tau = now.tau_Nm.copy()
+        return sample
+    q = sample.q_rad.copy()
+    tau = sample.tau_Nm.copy()
     q[SHOULDER] = q[SHOULDER] + q_rad
     tau[SHOULDER] = tau[SHOULDER] + tau_Nm
-    return now._replace(q_rad=q, tau_Nm=tau)
+    return sample._replace(q_rad=q, tau_Nm=tau)
 
 
-def _jitter(k: int, now: ArmSample, before: ArmSample) -> ArmSample:
-    return now._replace(dt_s=now.dt_s + 2e-4 * (1.0 if k % 2 else -1.0))
+def freeze(k: int, sample: ArmSample, before: ArmSample) -> ArmSample:
+    """Return the sample before the fault."""
+    return before
 
 
-def _repeated_stamp(k: int, now: ArmSample, before: ArmSample) -> ArmSample:
-    return now._replace(dt_s={0: 0.0, 1: 2e-3}.get(k % 10, now.dt_s))
+def jitter(k: int, sample: ArmSample, before: ArmSample) -> ArmSample:
+    """Return the sample with a time that is off by 0.2 ms, forth and back."""
+    return sample._replace(dt_s=sample.dt_s + 2e-4 * (1.0 if k % 2 else -1.0))
 
 
-SIGNALS: Mapping[str, tuple[Change, float, str]] = {
-    "one torque NaN, 1 sample": (partial(_torque, value=math.nan), 1e-3, "goes on"),
-    "one torque infinite, 100 ms": (partial(_torque, value=math.inf), 0.1, "stops"),
-    "one torque NaN, 1 s": (partial(_torque, value=math.nan), 1.0, "stops"),
-    "all signals frozen, 200 ms": (lambda k, now, before: before, 0.2, "stops"),
-    "all signals frozen, 2 s": (lambda k, now, before: before, 2.0, "stops"),
-    "one torque frozen, 2 s": (_torque, 2.0, "either"),
-    "clock jitter of 0.2 ms, 1 s": (_jitter, 1.0, "goes on"),
-    "time stamps repeated, 1 s": (_repeated_stamp, 1.0, "goes on"),
-    "clock 20 ms back and forth": (
-        lambda k, now, before: now._replace(dt_s=0.021 if k else -0.02),
-        2e-3,
-        "goes on",
-    ),
-    "clock set back by an hour": (
-        lambda k, now, before: now._replace(dt_s=-3600.0),
-        1e-3,
-        "goes on",
-    ),
-    "position spike of 0.05 rad": (partial(_spike, q_rad=0.05), 1e-3, "goes on"),
-    "torque spike of 30 Nm": (partial(_spike, tau_Nm=30.0), 1e-3, "goes on"),
-    "ten torque spikes of 6 Nm, 1 s": (partial(_spike, tau_Nm=6.0), 1.0, "goes on"),
-    "one torque saturated, 500 ms": (
-        partial(_torque, value=-float(load_lwr().effort_limit_Nm[SHOULDER])),
-        0.5,
-        "stops",
-    ),
+def repeat_stamp(k: int, sample: ArmSample, before: ArmSample) -> ArmSample:
+    """Return every tenth sample with the time stamp of the one before it."""
+    return sample._replace(dt_s={0: 0.0, 1: 2e-3}.get(k % 10, sample.dt_s))
+
+
+def turn_clock_back(k: int, sample: ArmSample, before: ArmSample) -> ArmSample:
+    """Return the first sample 20 ms early, and the next in time again."""
+    return sample._replace(dt_s=0.021 if k else -0.02)
+
+
+def set_clock_back(k: int, sample: ArmSample, before: ArmSample) -> ArmSample:
+    """Return the sample an hour early."""
+    return sample._replace(dt_s=-3600.0)
+
+
+class Reaction(StrEnum):
+    """What the needle must do."""
+
+    GO_ON = "goes on"
+    STOP = "stops"
+    EITHER = "either"
+
+
+class SignalFault(NamedTuple):
+    """What is wrong with samples.
+
+    Attributes:
+        change: What becomes of them.
+        duration_s: For how long.
+        expected: What the needle must do.
+    """
+
+    change: SampleChange
+    duration_s: float
+    expected: Reaction
+
+
+class Loss(NamedTuple):
+    """Samples that do not come.
+
+    Attributes:
+        duration_s: For how long.
+        expected: What the needle must do.
+    """
+
+    duration_s: float
+    expected: Reaction
+
+
+EFFORT_LIMIT_NM = float(load_lwr().effort_limit_Nm[SHOULDER])
+SIGNALS: Mapping[str, SignalFault] = {
+    name: SignalFault(change, duration_s, expected)
+    for name, change, duration_s, expected in (
+        (
+            "one torque NaN, 1 sample",
+            partial(replace_torque, value=math.nan),
+            1e-3,
+            Reaction.GO_ON,
+        ),
+        (
+            "one torque infinite, 100 ms",
+            partial(replace_torque, value=math.inf),
+            0.1,
+            Reaction.STOP,
+        ),
+        (
+            "one torque NaN, 1 s",
+            partial(replace_torque, value=math.nan),
+            1.0,
+            Reaction.STOP,
+        ),
+        ("all signals frozen, 200 ms", freeze, 0.2, Reaction.STOP),
+        ("all signals frozen, 2 s", freeze, 2.0, Reaction.STOP),
+        ("one torque frozen, 2 s", replace_torque, 2.0, Reaction.EITHER),
+        ("clock jitter of 0.2 ms, 1 s", jitter, 1.0, Reaction.GO_ON),
+        ("time stamps repeated, 1 s", repeat_stamp, 1.0, Reaction.GO_ON),
+        ("clock 20 ms back and forth", turn_clock_back, 2e-3, Reaction.GO_ON),
+        ("clock set back by an hour", set_clock_back, 1e-3, Reaction.GO_ON),
+        (
+            "position spike of 0.05 rad",
+            partial(add_spike, q_rad=0.05),
+            1e-3,
+            Reaction.GO_ON,
+        ),
+        (
+            "torque spike of 30 Nm",
+            partial(add_spike, tau_Nm=30.0),
+            1e-3,
+            Reaction.GO_ON,
+        ),
+        (
+            "ten torque spikes of 6 Nm, 1 s",
+            partial(add_spike, tau_Nm=6.0),
+            1.0,
+            Reaction.GO_ON,
+        ),
+        (
+            "one torque saturated, 500 ms",
+            partial(replace_torque, value=-EFFORT_LIMIT_NM),
+            0.5,
+            Reaction.STOP,
+        ),
+    )
 }
-"""What is wrong with samples: the change, for how long, and what the needle must do."""
-LOSSES = {
-    "1 ms lost": (1e-3, "goes on"),
-    "10 ms lost": (0.01, "goes on"),
-    "100 ms lost": (0.1, "stops"),
-    "500 ms lost": (0.5, "stops"),
+"""Faults of signals by name."""
+LOSSES: Mapping[str, Loss] = {
+    "1 ms lost": Loss(1e-3, Reaction.GO_ON),
+    "10 ms lost": Loss(0.01, Reaction.GO_ON),
+    "100 ms lost": Loss(0.1, Reaction.STOP),
+    "500 ms lost": Loss(0.5, Reaction.STOP),
 }
-OTHERS = (
-    "commands refused, 500 ms",
-    "haptic device gone",
-    f"payload {1e3 * UNKNOWN_KG:g} g wrong",
-)
+"""Losses of samples by name."""
+REFUSED = "commands refused, 500 ms"
+REFUSED_S = 0.5
+DEVICE_GONE = "haptic device gone"
+WRONG_PAYLOAD = f"payload {1e3 * UNKNOWN_KG:g} g wrong"
+OTHERS: Mapping[str, Reaction] = {
+    REFUSED: Reaction.STOP,
+    DEVICE_GONE: Reaction.STOP,
+    WRONG_PAYLOAD: Reaction.EITHER,
+}
+"""What the needle must do, by the name of the fault."""
 CASES = tuple(
     f"{servo} {fault}" for servo in SERVOS for fault in (*SIGNALS, *LOSSES, *OTHERS)
 )
 
 
+def expected_reaction(fault: str) -> Reaction:
+    """Return what the needle must do after a fault."""
+    if fault in SIGNALS:
+        return SIGNALS[fault].expected
+    if fault in LOSSES:
+        return LOSSES[fault].expected
+    return OTHERS[fault]
+
+
 class Led(Insertion):
     """An insertion in teleoperation, at constant speed, by a device that may go."""
 
-    def _step(self, now: Situation, *beside: Any) -> Step:
-        if now.state is State.IDLE and self.manager.session.tared:
+    def _step(self, situation: Situation, *beside: Any) -> Step:
+        """Return what the program wants: constant speed in teleoperation."""
+        if situation.state is State.IDLE and self.manager.session.tared:
             return Step(0.0, "teleoperate")
-        if now.state is State.TELEOP:
+        if situation.state is State.TELEOP:
             return Step(SPEED_M_S)
-        return super()._step(now, *beside)
+        return super()._step(situation, *beside)
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Numbers of one fault."""
+    """Yield the numbers of one fault."""
     servo, fault = case.split(" ", 1)
     rig = SimulatedArm(
         "gel-70-constant",
@@ -132,88 +229,98 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
         standoff_m=STANDOFF_M,
         duration_s=15.0,
     )
-    plan = InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M)
-    limits = SafetyLimits(axial_N=OPEN_N)
-    kind = Insertion
-    known = rig.robot
-    if fault == OTHERS[1]:
-        kind = Led
-    elif fault == OTHERS[2]:
-        known = _lighter(rig.robot)
-    run = kind(rig, plan, limits, known=known)
+    kind = Led if fault == DEVICE_GONE else Insertion
+    run = kind(
+        rig,
+        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M),
+        SafetyLimits(axial_N=OPEN_N),
+        known=lighter(rig.robot) if fault == WRONG_PAYLOAD else rig.robot,
+    )
     run.has_device = kind is Led
-    seen = _watch(run, fault)
-    expected = SIGNALS.get(fault, (None, 0.0, ""))[2] or LOSSES.get(fault, (0.0, ""))[1]
-    expected = expected or ("either" if fault == OTHERS[2] else "stops")
-    is_wrong = expected != "either" and bool(seen.reason) != (expected == "stops")
+    reaction = watch(run, fault)
+    expected = expected_reaction(fault)
+    has_stopped = bool(reaction.reason)
+    is_wrong = expected is not Reaction.EITHER and has_stopped != (
+        expected is Reaction.STOP
+    )
     yield our_measurement("fault_reaction_wrong", is_wrong)
-    yield our_measurement("fault_speed_max_mm_per_s", seen.fastest_mm_s)
-    if math.isfinite(seen.struck_s):
-        depth_m = rig.depths_m[round(1e3 * seen.struck_s) :]
-        course_m = (
-            0.0 if expected == "stops" else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
-        )
+    yield our_measurement("fault_speed_max_mm_per_s", reaction.fastest_mm_s)
+    if math.isfinite(reaction.struck_s):
+        depth_m = rig.depths_m[round(1e3 * reaction.struck_s) :]
+        must_rest = expected is Reaction.STOP
+        course_m = 0.0 if must_rest else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
         ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
         yield our_measurement("fault_travel_excess_mm", ahead_mm)
 
 
-class _Seen(NamedTuple):
+class Watched(NamedTuple):
+    """What an insertion did after a fault.
+
+    Attributes:
+        struck_s: When the fault began, on the rig's clock; infinite if it did not.
+        fastest_mm_s: Fastest speed of the tip since.
+        reason: Of a stop; empty without one.
+    """
+
     struck_s: float
     fastest_mm_s: float
-    reason: str  # of a stop; empty without one
+    reason: str
 
 
-def _watch(run: Insertion, fault: str) -> _Seen:
+def watch(run: Insertion, fault: str) -> Watched:
     """Run an insertion through a fault."""
     struck_s = math.inf
     fastest_m_s = 0.0
     reason = ""
-    for now in run:
-        is_inside = now.state in (State.INSERTION, State.TELEOP)
-        if math.isinf(struck_s) and is_inside and now.estimate.depth_m > STRUCK_M:
+    for situation in run:
+        is_inside = situation.state in (State.INSERTION, State.TELEOP)
+        depth_m = situation.estimate.depth_m
+        if math.isinf(struck_s) and is_inside and depth_m > STRUCK_M:
             struck_s = run.rig.time_s
-            _strike(run, fault)
+            begin_fault(run, fault)
         if run.rig.time_s > struck_s:
             fastest_m_s = max(fastest_m_s, abs(run.rig.truth.speed_m_s))
-        if now.state in (State.STOPPED, State.FAULTED):
-            reason = now.reason
+        if situation.state in (State.STOPPED, State.FAULTED):
+            reason = situation.reason
         if run.rig.time_s > struck_s + WATCHED_S:
             break
-    return _Seen(struck_s, 1e3 * fastest_m_s, reason)
+    return Watched(struck_s, 1e3 * fastest_m_s, reason)
 
 
-def _strike(run: Insertion, fault: str) -> None:
+def begin_fault(run: Insertion, fault: str) -> None:
     """Let a fault begin."""
     if fault in SIGNALS:
-        change, seconds, _ = SIGNALS[fault]
-        run.rig.inject(_Struck(change), seconds)
+        run.rig.inject(ChangedSamples(SIGNALS[fault].change), SIGNALS[fault].duration_s)
     elif fault in LOSSES:
-        run.rig.lose("sample", LOSSES[fault][0])
-    elif fault == OTHERS[0]:
-        run.rig.refuse_commands(0.5)
-    elif fault == OTHERS[1]:
+        run.rig.lose("sample", LOSSES[fault].duration_s)
+    elif fault == REFUSED:
+        run.rig.refuse_commands(REFUSED_S)
+    elif fault == DEVICE_GONE:
         run.has_device = False
 
 
-class _Struck:
-    """Counts the samples of a fault, and keeps the first."""
+class ChangedSamples:
+    """What becomes of the samples of a fault; counts them, and keeps the first."""
 
-    def __init__(self, change: Change) -> None:
+    def __init__(self, change: SampleChange) -> None:
         self._change = change
         self._count = -1
         self._before: ArmSample | None = None
 
     def __call__(self, sample: ArmSample) -> ArmSample:
+        """Return what the sample becomes."""
         self._before = self._before or sample
         self._count = self._count + 1
         return self._change(self._count, sample, self._before)
 
 
-def _lighter(robot: Robot) -> Robot:
+def lighter(robot: Robot) -> Robot:
+    """Return the robot with a payload that lacks `UNKNOWN_KG`."""
     known = robot.payload
     assert known is not None
-    part = 1.0 - UNKNOWN_KG / known.mass_kg
-    inertia = part * known.inertia_kg_m2
+    fraction = 1.0 - UNKNOWN_KG / known.mass_kg
+    inertia = fraction * known.inertia_kg_m2
+    mass_kg = fraction * known.mass_kg
     return robot.with_payload(
-        Payload(mass_kg=part * known.mass_kg, com_m=known.com_m, inertia_kg_m2=inertia)
+        Payload(mass_kg=mass_kg, com_m=known.com_m, inertia_kg_m2=inertia)
     )

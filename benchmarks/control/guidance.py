@@ -14,10 +14,10 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.results import Measurement, our_measurement
+from foundation.arrays import Array
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
 from needleforce.control import (
@@ -31,7 +31,6 @@ from needleforce.control import (
 )
 from residual import DEFAULT, Status, VirtualForceSensor
 
-Array = NDArray[np.float64]
 Place = Literal["hub", "wrist", "elbow"]
 CASES = (
     *(f"{what} {servo}" for what in ("drift", "force", "tissue") for servo in "SI"),
@@ -54,8 +53,7 @@ FOR_GUIDANCE = replace(DEFAULT, smooth_momentum=False)
 
 
 class GuidedArm:
-    """An arm with sensor, controller and guidance, tared, that a hand gets hold of
-    later.
+    """A tared arm with sensor, controller and guidance, held by a hand later.
 
     Attributes:
         begin_s: When guidance begins, on the rig's clock.
@@ -131,21 +129,22 @@ class GuidedArm:
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """The numbers of one case."""
-    what, servo, *at = case.split()
+    """Yield the numbers of one case."""
+    kind, servo, *at = case.split()
     run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[
-        what
+        kind
     ]
     yield from run(servo, plant, seed, *at)
 
 
 def _across(seed: int) -> Array:
-    """A horizontal direction that the seed draws."""
+    """Draw a horizontal direction."""
     angle = 2.0 * math.pi * np.random.default_rng(seed).random()
     return np.array((math.cos(angle), math.sin(angle), 0.0))
 
 
 def _drift(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Guide without a hand."""
     arm = GuidedArm(servo, plant, seed)
     # The command that ended the stroke is braked first.
     fastest_rad_s = max(
@@ -157,7 +156,7 @@ def _drift(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def _force(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """A slow pull until the tip moves, and one at 100 mm/s, across the needle."""
+    """Pull slowly until the tip moves, and at 100 mm/s, across the needle."""
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed)
     begin_s = arm.begin_s
@@ -181,6 +180,7 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
 
 
 def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Measurement]:
+    """Let a stiff hand pull aside along each axis and rest."""
     worst_m = furthest_m = 0.0
     stiffness = STIFFEST_N_per_m[servo]
     for direction in np.eye(3):
@@ -200,6 +200,7 @@ def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Measure
 
 
 def _tissue(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Push the hub across while the needle is in tissue."""
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed, scenario="stack-glove-constant")
     truth = arm.rig.truth

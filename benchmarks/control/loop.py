@@ -1,5 +1,6 @@
-"""One autonomous insertion of the simulated arm: rig, manager, program and
-controller in a loop.
+"""One autonomous insertion of the simulated arm in closed loop.
+
+Rig, manager, program and controller take turns.
 """
 
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ import numpy as np
 
 from benchmarks.insertion.methods import on_lwr
 from groundtruth.rig_arm import SimulatedArm
-from identification import Identifier
+from identification import Estimate, Identifier
 from needleforce import InsertionSession
 from needleforce.control import (
     AxialSpeed,
@@ -39,8 +40,7 @@ REST_S = 0.15
 
 
 class Insertion:
-    """Runs a plan on a rig; each step of the iteration is one cycle, until the
-    insertion has ended.
+    """A plan that is run on a rig; each step of the iteration is one cycle.
 
     Args:
         rig: The arm, and what is true of it.
@@ -79,9 +79,7 @@ class Insertion:
         self.ended_s: float | None = None
 
     def __iter__(self) -> Iterator[Situation]:
-        """Run until the arm rests at the end of the insertion, or the rig's time is
-        over.
-        """
+        """Run until the arm rests after the insertion, or the rig's time is over."""
         rig = self.rig
         manager = self.manager
         beside = Beside()
@@ -95,33 +93,38 @@ class Insertion:
             manager.heartbeat()
             axial_N = self._axial_N() if self._with_ft else None
             beside = beside._replace(axial_N=axial_N, has_device=self.has_device)
-            now = manager.update(sample, beside)
-            step = self._step(now, *self._identified(now, sample.dt_s, axial_N))
+            situation = manager.update(sample, beside)
+            step = self._step(
+                situation, *self._identify(situation, sample.dt_s, axial_N)
+            )
             if step.event:
                 manager.request(step.event)
-            if now.estimate.status is not Status.REJECTED or now.state is State.FAULTED:
+            if (
+                situation.estimate.status is not Status.REJECTED
+                or situation.state is State.FAULTED
+            ):
                 stack = [line, AxialSpeed(step.speed_m_s), posture]
                 command = control.update(
-                    sample, [] if now.state is State.FAULTED else stack
+                    sample, [] if situation.state is State.FAULTED else stack
                 )
                 dq_rad_s = command.dq_rad_s
             # A sample that was rejected moves nothing: the last command stands until a
             # fault.
             beside = Beside(rig.send(dq_rad_s), dq_rad_s)
-            is_inside = now.state in (State.INSERTION, State.TELEOP)
+            is_inside = situation.state in (State.INSERTION, State.TELEOP)
             if was_inside and not is_inside and self.ended_s is None:
                 self.ended_s = rig.time_s
             was_inside |= is_inside
-            yield now
+            yield situation
             if self.ended_s is not None and rig.time_s > self.ended_s + REST_S:
                 return
 
-    def _step(self, now: Situation, *beside: Any) -> Step:
-        """What the program wants."""
-        return self._profile.update(now, *beside)
+    def _step(self, situation: Situation, *beside: Any) -> Step:
+        """Return what the program wants."""
+        return self._profile.update(situation, *beside)
 
     def _axial_N(self) -> float | None:
-        """Force along the needle of the F/T sensor; None before it is zeroed."""
+        """Return the F/T sensor's force along the needle; None before it is zeroed."""
         reading_N = -float(self.rig.ft_wrench[2])
         if not self.manager.session.tared:
             self._free_N.append(reading_N)
@@ -129,11 +132,14 @@ class Insertion:
         self._zero_N = self._zero_N or float(np.mean(self._free_N))
         return reading_N - self._zero_N
 
-    def _identified(
-        self, now: Situation, dt_s: float, axial_N: float | None
-    ) -> tuple[Any, ...]:
-        """What the program is given beside the situation."""
+    def _identify(
+        self, situation: Situation, dt_s: float, axial_N: float | None
+    ) -> tuple[()] | tuple[Estimate, float]:
+        """Return what the program is given beside the situation, if anything."""
         if axial_N is None:
             return ()
-        travel = now.estimate.depth_m, now.estimate.speed_m_s
-        return self._identifier.update(*travel, axial_N, dt_s), axial_N
+        estimate = situation.estimate
+        identification = self._identifier.update(
+            estimate.depth_m, estimate.speed_m_s, axial_N, dt_s
+        )
+        return identification, axial_N

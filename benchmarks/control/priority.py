@@ -1,5 +1,4 @@
-"""Strict priority and hard limits, over random stacks of tasks and against hostile
-input.
+"""Strict priority and hard limits, for random stacks of tasks and hostile input.
 
 Half of the postures are within 1e-9 to 1e-2 rad of a singular one. *Leak*: how far the
 tasks below change what a task above gets. *Cascade*: each level again as a QP of its
@@ -10,16 +9,17 @@ numbers that are none; an ideal arm integrates what was commanded before.
 """
 
 from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pink  # pyright: ignore[reportMissingImports]
 import qpsolvers  # pyright: ignore[reportMissingImports]
-from numpy.typing import NDArray
 from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
 from benchmarks.control.published import solve_published
 from benchmarks.results import Measurement, Method, our_measurement
+from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import Controller
@@ -43,7 +43,6 @@ from needleforce.control.tasks import (
 )
 from urdf import NeedleTool, Robot, load_lwr
 
-Array = NDArray[np.float64]
 CASES = ("leak", "cascade", "hostile")
 STACKS = 5_000
 CASCADES = 250
@@ -74,7 +73,7 @@ class RandomStacks:
         self.tool = ToolState(robot)
 
     def posture(self, is_singular: bool) -> Array:
-        """Joint positions within limits."""
+        """Draw joint positions within limits."""
         rng = self.rng
         joints = self.limits.joints
         q = rng.uniform(joints.position_lower_rad, joints.position_upper_rad)
@@ -84,7 +83,7 @@ class RandomStacks:
         return q
 
     def tasks(self) -> list[Task]:
-        """Two to four tasks, in any order, then a posture, around where the tool is."""
+        """Draw two to four tasks around the tool, in any order, then a posture."""
         rng = self.rng
         tool = self.tool
         near = tool.tip_m + 1e-3 * rng.standard_normal(3)
@@ -106,13 +105,13 @@ class RandomStacks:
         return [*(kinds[k] for k in chosen), Posture(goal)]
 
     def draw(self, is_singular: bool) -> tuple[list[Task], Array]:
-        """Tasks at a new posture, and the velocity commanded last."""
+        """Draw tasks at a new posture, and the velocity commanded last."""
         q = self.posture(is_singular)
         self.tool.update(q)
         fraction = self.rng.choice((0.0, 0.01, 0.3, 1.0))
         speed_rad_s = self.limits.joints.speed_rad_s
-        last = fraction * speed_rad_s * self.rng.uniform(-1.0, 1.0, q.size)
-        return self.tasks(), last
+        last_rad_s = fraction * speed_rad_s * self.rng.uniform(-1.0, 1.0, q.size)
+        return self.tasks(), last_rad_s
 
 
 def solved(
@@ -121,7 +120,7 @@ def solved(
     last: Array,
     solve: Solver = hierarchical,
 ) -> tuple[Stack, Array]:
-    """Numbers of the first levels of a stack, and the velocity that serves them."""
+    """Return the first levels of a stack, and the velocity that serves them."""
     stack = Stack(tasks, last.size)
     stack.fill(tasks, stacks.tool)
     write_velocity_bounds(
@@ -131,17 +130,17 @@ def solved(
 
 
 def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
-    """How far lower tasks move what higher ones get."""
+    """Yield how far lower tasks move what higher ones get."""
     solvers: dict[Method, Solver] = {"ours": hierarchical, "published": solve_published}
     for method, solver in solvers.items():
         stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
         worst = [0.0, 0.0]
         for index in range(STACKS):
             is_singular = bool(index % 2)
-            tasks, last = stacks.draw(is_singular)
-            _, full = solved(stacks, tasks, last, solver)
+            tasks, last_rad_s = stacks.draw(is_singular)
+            _, full = solved(stacks, tasks, last_rad_s, solver)
             for count in range(1, len(tasks)):
-                stack, alone = solved(stacks, tasks[:count], last, solver)
+                stack, alone = solved(stacks, tasks[:count], last_rad_s, solver)
                 leak = float(
                     np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max()
                 )
@@ -163,68 +162,110 @@ class Rows(PinkTask):
         return f"Rows(size={len(self.rates)})"
 
     def compute_error(self, configuration: pink.Configuration) -> Array:
-        """What is missing, which pink's sign convention makes -v."""
+        """Return what is missing, which pink's sign convention makes -v."""
         return -self.rates
 
     def compute_jacobian(self, configuration: pink.Configuration) -> Array:
-        """The rows."""
+        """Return the rows."""
         return self.jacobian
 
 
 def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
-    """How much better than ours each level can be, given what the levels above leave to
-    it.
+    """Yield how much better each level could be within what is left to it.
 
     Each is judged where it ends. The levels below keep what it has got, see `leaks`,
     but may pass a bound by 1e-8 rad/s; where a level would gain 1e6 times as much, a QP
     that starts from there takes that for room.
     """
     stacks = RandomStacks(robot, rng)
-    worst = [0.0, 0.0]
-    bound = [0.0, 0.0]
+    gains = [0.0, 0.0]
+    bounds = [0.0, 0.0]
     unsolved = 0
     for index in range(CASCADES):
-        tasks, last = stacks.draw(bool(index % 2))
-        stack, whole = solved(stacks, tasks, last)
+        kind = index % 2
+        tasks, last_rad_s = stacks.draw(bool(kind))
+        stack, velocity = solved(stacks, tasks, last_rad_s)
         configuration = pink.Configuration(
             robot.model, robot.create_data(), stacks.tool.q_rad
         )
-        above = np.zeros((0, whole.size))
-        for rows, rates, velocity in _levels(stack, whole):
-            free = _free(above)
-            level = Rows(rows, rates)
-            above = np.vstack((above, rows))
-            if not free.size:
-                break
-            room = np.array(
-                [np.fmin(stack.bounds[0] - velocity, 0.0), stack.bounds[1] - velocity]
-            )
-            room[1] = np.fmax(room[1], 0.0)
-            qp = pink.build_ik(configuration, [level], 1.0, 1e-12, [])
-            problem = qpsolvers.Problem(
-                free.T @ qp.P @ free,
-                free.T @ (qp.P @ velocity + qp.q),
-                np.vstack((free, -free)),
-                np.concatenate((room[1], -room[0])),
-            )
-            found = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-9)
-            missing = rates - rows @ velocity
-            if found.x is not None:
-                better = missing - rows @ _within(room, free @ found.x)
-                gain = float(np.linalg.norm(missing) - np.linalg.norm(better))
-                worst[index % 2] = max(worst[index % 2], gain)
-            unsolved += found.x is None
-            bound[index % 2] = max(
-                bound[index % 2], _most_gain(missing, rows, free, room)
-            )
-    for k, posture in enumerate(POSTURES):
-        yield our_measurement(f"cascade_gain_{posture}_rad_per_s", worst[k])
-        yield our_measurement(f"duality_gain_{posture}_rad_per_s", bound[k])
+        for gain in level_gains(stack, velocity, configuration):
+            if gain.by_qp is None:
+                unsolved += 1
+            else:
+                gains[kind] = max(gains[kind], gain.by_qp)
+            bounds[kind] = max(bounds[kind], gain.at_most)
+    for kind, posture in enumerate(POSTURES):
+        yield our_measurement(f"cascade_gain_{posture}_rad_per_s", gains[kind])
+        yield our_measurement(f"duality_gain_{posture}_rad_per_s", bounds[kind])
     yield our_measurement("cascade_levels_unsolved", unsolved)
 
 
-def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array]]:
-    """Rows of length one and rates of each level, and the velocity at its end."""
+class LevelGain(NamedTuple):
+    """By how much the norm of what a level misses can fall.
+
+    Attributes:
+        by_qp: By a QP of its own; None where that was not solved.
+        at_most: By duality.
+    """
+
+    by_qp: float | None
+    at_most: float
+
+
+def level_gains(
+    stack: Stack, velocity: Array, configuration: pink.Configuration
+) -> Iterator[LevelGain]:
+    """Yield how much better each level could be, as long as anything is free."""
+    above = np.zeros((0, velocity.size))
+    for level in solved_levels(stack, velocity):
+        free = _free(above)
+        above = np.vstack((above, level.rows))
+        if not free.size:
+            return
+        lower = np.fmin(stack.bounds[0] - level.velocity, 0.0)
+        upper = np.fmax(stack.bounds[1] - level.velocity, 0.0)
+        room = np.array([lower, upper])
+        missing = level.rates - level.rows @ level.velocity
+        change = solve_level_by_qp(level, free, room, configuration)
+        by_qp = None
+        if change is not None:
+            better = missing - level.rows @ _within(room, change)
+            by_qp = float(np.linalg.norm(missing) - np.linalg.norm(better))
+        yield LevelGain(by_qp, _most_gain(missing, level.rows, free, room))
+
+
+def solve_level_by_qp(
+    level: "Level", free: Array, room: Array, configuration: pink.Configuration
+) -> Array | None:
+    """Return the change of velocity that serves a level best; None if unsolved."""
+    task = Rows(level.rows, level.rates)
+    qp = pink.build_ik(configuration, [task], 1.0, 1e-12, [])
+    problem = qpsolvers.Problem(
+        free.T @ qp.P @ free,
+        free.T @ (qp.P @ level.velocity + qp.q),
+        np.vstack((free, -free)),
+        np.concatenate((room[1], -room[0])),
+    )
+    solution = qpsolvers.solve_problem(problem, "daqp", primal_tol=1e-9)
+    return None if solution.x is None else free @ solution.x
+
+
+class Level(NamedTuple):
+    """One level of a stack.
+
+    Attributes:
+        rows: Of length one.
+        rates: What the rows are to give.
+        velocity: Joint velocities at its end.
+    """
+
+    rows: Array
+    rates: Array
+    velocity: Array
+
+
+def solved_levels(stack: Stack, velocity: Array) -> Iterator[Level]:
+    """Yield each level of a stack with the velocity at its end."""
     end = np.clip(0.0, *stack.bounds)
     free = np.eye(velocity.size)
     all_met = np.linalg.norm(stack.rows @ velocity - stack.rates) < 1e-9
@@ -233,11 +274,11 @@ def _levels(stack: Stack, velocity: Array) -> Iterator[tuple[Array, Array, Array
         level = rows / length[:, None], rates / length
         if free.size and not all_met:
             end, free = solve_level(*level, free, stack.bounds, end)
-        yield *level, velocity if all_met else end
+        yield Level(*level, velocity if all_met else end)
 
 
 def _most_gain(missing: Array, rows: Array, free: Array, room: Array) -> float:
-    """By how much a level's norm can fall, from above, by the dual of its QP.
+    """Return by how much a level's norm can fall at most, by the dual of its QP.
 
     Any pushes p >= 0 of the bounds on the joints bound it: what they leave of the
     gradient can at most move every joint through its box. The pushes are the best of
@@ -247,18 +288,18 @@ def _most_gain(missing: Array, rows: Array, free: Array, room: Array) -> float:
     ends = np.concatenate((room[1], -room[0]))
     sides = np.hstack((free.T, -free.T))
     pushes, _ = nnls(np.vstack((sides, 1e-3 * ends)), np.append(gradient, 0.0))
-    left = np.abs(free @ (sides @ pushes - gradient)) @ (room[1] - room[0])
-    return float(left + pushes @ ends) / max(float(np.linalg.norm(missing)), 1e-9)
+    remaining = np.abs(free @ (sides @ pushes - gradient)) @ (room[1] - room[0])
+    return float(remaining + pushes @ ends) / max(float(np.linalg.norm(missing)), 1e-9)
 
 
 def _free(rows: Array) -> Array:
-    """Orthonormal directions that no row sees, in columns."""
+    """Return orthonormal directions that no row sees, in columns."""
     _, sizes, turned = np.linalg.svd(rows)
     return turned[np.count_nonzero(sizes > 1e-12 * sizes.max(initial=0.0)) :].T
 
 
 def _within(room: Array, way: Array) -> Array:
-    """The part of a way that bounds allow but for rounding.
+    """Return the part of a way that bounds allow but for rounding.
 
     Near singular postures a way along which a joint passes its bound by 1e-13 gains
     0.001 rad/s.
@@ -270,12 +311,12 @@ def _within(room: Array, way: Array) -> Array:
 
 
 def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
-    """How far commands pass a limit, and how many ticks go without an answer."""
+    """Yield how far commands pass a limit, and how many ticks have no answer."""
     stacks = RandomStacks(robot, rng)
     control = Controller(robot, stacks.limits)
     q = np.array(LWR_POSTURE_rad)
     tasks = []
-    before = np.zeros(robot.nv)
+    last_rad_s = np.zeros(robot.nv)
     over = np.full(3, -np.inf)
     silent = 0
     step_s = 1e-3
@@ -283,37 +324,52 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measuremen
         if tick % 200 == 0:
             stacks.tool.update(q)
             tasks = stacks.tasks()
-        elapsed_s, dt_s, seen = _hostile_sample(q, rng)
+        elapsed_s, dt_s, seen_rad = hostile_sample(q, rng)
         last_step_s, step_s = (
             step_s,
             min(dt_s, MAX_STEP_s) if dt_s > 0.0 else step_s,
         )
-        q = q + elapsed_s * before
-        dq = control.update(ArmSample(dt_s, seen, None, seen), tasks).dq_rad_s
+        q = q + elapsed_s * last_rad_s
+        dq = control.update(ArmSample(dt_s, seen_rad, None, seen_rad), tasks).dq_rad_s
         silent += not np.isfinite(dq).all()
-        change = np.abs(dq - before) - stacks.limits.joints.acceleration_rad_s2 * max(
+        acceleration_rad_s2 = stacks.limits.joints.acceleration_rad_s2
+        change = np.abs(dq - last_rad_s) - acceleration_rad_s2 * max(
             step_s, last_step_s
         )
         beyond = np.maximum(robot.position_lower_rad - q, q - robot.position_upper_rad)
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
-        before = dq
+        last_rad_s = dq
     yield our_measurement("hostile_position_excess_rad", over[0])
     yield our_measurement("hostile_speed_excess_rad_per_s", over[1])
     yield our_measurement("hostile_speed_change_excess_rad_per_s", over[2])
     yield our_measurement("hostile_ticks_without_answer", silent)
 
 
-def _hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:
-    """Time that passes, time that is reported, positions that are reported."""
+class HostileSample(NamedTuple):
+    """A sample that may be wrong.
+
+    Attributes:
+        elapsed_s: Time that passes.
+        dt_s: Time that is reported.
+        q_rad: Positions that are reported.
+    """
+
+    elapsed_s: float
+    dt_s: float
+    q_rad: Array
+
+
+def hostile_sample(q: Array, rng: np.random.Generator) -> HostileSample:
+    """Draw a sample of positions that are late, leap, or are none."""
     elapsed_s = float(rng.choice((1e-3, 5e-3, 0.02), p=(0.99, 0.007, 0.003)))
     dt_s = elapsed_s
-    seen = q + 1e-5 * rng.standard_normal(q.size)
+    seen_rad = q + 1e-5 * rng.standard_normal(q.size)
     kind = rng.random()
     if kind < 0.005:
         dt_s = float(rng.choice((0.0, -1.0, 1e3, np.nan)))
     elif kind < 0.01:
-        seen = seen + 0.05 * rng.standard_normal(q.size)
+        seen_rad = seen_rad + 0.05 * rng.standard_normal(q.size)
     elif kind < 0.015:
-        seen = seen[:3] if kind < 0.0125 else np.full(q.size, np.nan)
-    return elapsed_s, dt_s, seen
+        seen_rad = seen_rad[:3] if kind < 0.0125 else np.full(q.size, np.nan)
+    return HostileSample(elapsed_s, dt_s, seen_rad)

@@ -5,18 +5,17 @@ damped inverses is none, so near singular postures lower tasks undo higher ones.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foundation.arrays import Array
 from needleforce.control.errors import ControlError
 from needleforce.control.priority_solver import Stack
 
-Array = NDArray[np.float64]
-
 
 def solve_published(stack: Stack) -> tuple[Array, bool]:
-    """Joint velocities, and False, see `needleforce.control.priority_solver.Solver`.
+    """Return joint velocities, and False, see `needleforce.control.priority_solver`.
 
-    dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1}),   P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
+    dq_k = dq_{k-1} + (J_k P_{k-1})^# (v_k - J_k dq_{k-1})
+    P_k = P_{k-1} - (J_k P_{k-1})^# J_k P
 
     The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below
     1e-10.

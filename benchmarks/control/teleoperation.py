@@ -1,8 +1,7 @@
-"""A hand drives the needle: energy, drift, what is felt at a rupture, alarms; delays 0
-to 50 ms.
+"""A hand drives the needle over a delay of 0 to 50 ms.
 
-Energy is that of the emulated device's own account; forces before a rupture are means
-over 0.1 s.
+Measured are energy, drift, what is felt at a rupture, and alarms. Energy is that of the
+emulated device's own account; forces before a rupture are means over 0.1 s.
 """
 
 from collections.abc import Iterator
@@ -35,17 +34,17 @@ TRAVEL_M = 111e-3
 beyond."""
 WALL_SPEED_M_S = 10e-3
 PRESSED_M = 20e-3
-MOST_S = 90.0
+MAX_DURATION_S = 90.0
 
 
 def _sensor(plant: str) -> SensorConfig:
-    """The setting for hands where the arm sends no velocity."""
+    """Return the setting for hands where the arm sends no velocity."""
     sends_velocity = PLANT_MODELS[plant].velocity_noise_std_rad_s is not None
     return DEFAULT if sends_velocity else HAND_DRIVEN
 
 
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Numbers of one run; hand and scale are drawn from the seed."""
+    """Yield the numbers of one run; hand and scale are drawn."""
     servo, kind, delay = case.split()
     rng = np.random.default_rng([seed, int(delay)])
     scale = float(rng.choice(SCALES))
@@ -62,13 +61,14 @@ def _tissue(
     scale: float,
     rng: np.random.Generator,
 ) -> Iterator[Measurement]:
+    """Drive the needle through a stack."""
     arm = SimulatedArm(
         "stack-glove-constant",
         plant,
         seed,
         servo=SERVOS[servo],
         standoff_m=STANDOFF_M,
-        duration_s=MOST_S,
+        duration_s=MAX_DURATION_S,
     )
     run = teleoperate(
         arm,
@@ -104,6 +104,7 @@ def _wall(
     scale: float,
     rng: np.random.Generator,
 ) -> Iterator[Measurement]:
+    """Drive the needle against a wall."""
     wall = Wall(distance_m=STANDOFF_M)
     arm = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     run = teleoperate(

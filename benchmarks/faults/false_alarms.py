@@ -9,7 +9,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.insertion.signals import Array, inverse_dynamics, tool_jacobians
+from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
+from foundation.arrays import Array
 from groundtruth import PLANT_MODELS
 from groundtruth.motion import Stroke
 from groundtruth.sensors import measured_position, measured_velocity
@@ -22,7 +23,7 @@ Motion = tuple[Array, Array, Array]
 (m, n)."""
 
 PERIOD_s = 1e-3
-MOST_ACCELERATION_RAD_S2 = 40.0
+MAX_ACCELERATION_RAD_S2 = 40.0
 """Twice what the interface of a Panda allows its joints at most (7.5 to 20)."""
 LIMIT_RATIO = 0.9
 """Fraction of the effort limits that a motion may need."""
@@ -35,7 +36,7 @@ LEARNT_s = 0.8
 
 
 def sensed(motion: Motion, rng: np.random.Generator) -> Motion:
-    """The motion as the sensors of the plant `clean` see it."""
+    """Return the motion as the sensors of the plant `clean` see it."""
     level = PLANT_MODELS["clean"]
     q = measured_position(motion[0], level, rng)
     dq = measured_velocity(motion[1], level, rng)
@@ -48,20 +49,20 @@ def sensed(motion: Motion, rng: np.random.Generator) -> Motion:
 
 
 def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """Sines up to each joint's velocity limit, as quick as its torque allows.
+    """Draw sines up to each joint's velocity limit, as quick as torque allows.
 
     Half of them begin at rest, the others at full speed while the guard still learns.
     """
-    most = robot.velocity_limit_rad_s
+    limit_rad_s = robot.velocity_limit_rad_s
     middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
-    quickest = MOST_ACCELERATION_RAD_S2 / most
+    quickest = MAX_ACCELERATION_RAD_S2 / limit_rad_s
     omega = np.exp(rng.uniform(np.log(0.3 * quickest), np.log(quickest)))
     phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
     t_s = PERIOD_s * np.arange(-2, count + 2, dtype=np.float64)[:, None]
     start = Stroke("quintic", 0.6, 1.0, 0.0, 1.0)
     size = start.evaluate(t_s).position_m if rng.random() < 0.5 else np.ones_like(t_s)
     while True:
-        q = middle + size * most / omega * np.sin(omega * t_s + phase)
+        q = middle + size * limit_rad_s / omega * np.sin(omega * t_s + phase)
         dq = np.gradient(q, PERIOD_s, axis=0)
         tau = inverse_dynamics(robot.model, q, dq, np.gradient(dq, PERIOD_s, axis=0))
         if (np.abs(tau) < LIMIT_RATIO * robot.effort_limit_Nm).all():
@@ -70,7 +71,7 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 
 def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """A motion of a few centimetres a second."""
+    """Draw a motion of a few centimetres a second."""
     middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
     omega = rng.uniform(0.2, 0.6, robot.nv)
     phase = omega * PERIOD_s * np.arange(count)[:, None]
@@ -80,8 +81,7 @@ def slow_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 
 def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """Hands push the arm behind its third joint or further out with 5 to 50 N, and let
-    go.
+    """Push the arm behind its third joint or further out with 5 to 50 N, and let go.
 
     The force comes within 30 to 200 ms and goes within 10 to 50 ms, in any direction.
     """
@@ -107,14 +107,14 @@ def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
 
 
 def ruptures(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """A needle is pushed back with up to 5 N, which go within 1 to 30 ms."""
+    """Push a needle back with up to 5 N, which go within 1 to 30 ms."""
     q, dq, tau = slow_motion(robot, rng, count)
     force_N = np.zeros(count)
-    for last in range(round((LEARNT_s + 0.1) / PERIOD_s), count - 40, 100):
+    for onset in range(round((LEARNT_s + 0.1) / PERIOD_s), count - 40, 100):
         peak = rng.uniform(0.5, 5.0)
         fall = int(rng.integers(1, 31))
-        force_N[last - 60 : last] = peak * np.linspace(0.0, 1.0, 60)
-        force_N[last : last + fall] = peak * np.linspace(1.0, 0.0, fall + 1)[1:]
+        force_N[onset - 60 : onset] = peak * np.linspace(0.0, 1.0, 60)
+        force_N[onset : onset + fall] = peak * np.linspace(1.0, 0.0, fall + 1)[1:]
     pressed = np.flatnonzero(force_N)
     tau[pressed] += force_N[pressed, None] * tool_jacobians(robot, q[pressed])[:, 2]
     return q, dq, tau
@@ -129,7 +129,7 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
 
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
-    """How many samples of a motion the sensor would not use."""
+    """Return how many samples of a motion the sensor would not use."""
     stream = SampleStream(robot, DEFAULT, has_velocity=has_velocity)
     missed_s = 0.0
     count = 0
@@ -148,15 +148,18 @@ def main() -> int:
     robot = load_lwr(payload=NeedleTool())
     total = 0
     for name, make in KINDS.items():
-        found = 0
+        rejected = 0
         for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
             rng = np.random.default_rng(seed)
             motion = sensed(make(robot, rng, SAMPLES), rng)
-            found += sum(
-                held_back(robot, motion, has_velocity=one) for one in (True, False)
+            rejected += sum(
+                held_back(robot, motion, has_velocity=has_velocity)
+                for has_velocity in (True, False)
             )
-        sys.stdout.write(f"{name}: {found} of {2 * RUNS * SAMPLES} samples held back\n")
-        total += found
+        sys.stdout.write(
+            f"{name}: {rejected} of {2 * RUNS * SAMPLES} samples held back\n"
+        )
+        total += rejected
     return int(total > 0)
 
 

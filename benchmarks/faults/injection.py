@@ -1,16 +1,16 @@
-"""Faults of sensors, wires, clocks, poses and loads, put into the signals of an
-insertion.
-"""
+"""Faults of sensors, wires, clocks, poses and loads, put into signals."""
 
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.insertion.signals import Array, inverse_dynamics, tool_jacobians
+from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
+from foundation.arrays import Array
 from groundtruth import PLANT_MODELS, Motion, Run, Scenario
 from groundtruth.arm_plant import lwr_bodies
 from groundtruth.materials import gel
@@ -24,10 +24,10 @@ PERIOD_s = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FaultStream:
-    """m samples of an arm with n joints, and what the force would be without the
-    fault.
+    """m samples of an arm with n joints, and the force without the fault.
 
     Attributes:
+        dt_s: Time since the sample before, as the caller would report it, shape (m,).
         q_rad: positions, shape (m, n).
         dq_rad_s: velocities, shape (m, n).
         tau_Nm: torques, shape (m, n).
@@ -36,9 +36,7 @@ class FaultStream:
         stop: First sample after it.
     """
 
-    dt_s: (
-        Array  # time since the sample before, as the caller would report it, shape (m,)
-    )
+    dt_s: Array
     q_rad: Array
     dq_rad_s: Array
     tau_Nm: Array
@@ -50,23 +48,25 @@ class FaultStream:
     def of_run(
         cls, run: Run, first: int, last: int, reference_N: Array
     ) -> "FaultStream":
-        """The samples of a run from ``first`` to before ``last``; the reference is
-        of all.
+        """Return the samples of a run from ``first`` to before ``last``.
+
+        The reference is of all samples.
         """
         sent = run.signals
-        part = slice(first, last)
+        span = slice(first, last)
         assert sent.dq_rad_s is not None
         return cls(
             dt_s=np.full(last - first, PERIOD_s),
-            q_rad=sent.q_rad[part],
-            dq_rad_s=sent.dq_rad_s[part],
-            tau_Nm=sent.tau_Nm[part],
-            reference_N=reference_N[part],
+            q_rad=sent.q_rad[span],
+            dq_rad_s=sent.dq_rad_s[span],
+            tau_Nm=sent.tau_Nm[span],
+            reference_N=reference_N[span],
         )
 
     def copy(self, start: int, stop: int) -> "FaultStream":
-        """A copy with a fault from ``start`` to before ``stop``, whose arrays may be
-        written.
+        """Return a copy with a fault from ``start`` to before ``stop``.
+
+        Its arrays may be written.
         """
         copies = {name: getattr(self, name).copy() for name in SERIES}
         return replace(self, **copies, start=start, stop=stop)
@@ -81,7 +81,7 @@ SHOULDER = 1
 def stuck_torque(
     stream: FaultStream, at: int, *, samples: int, value: float | None = None
 ) -> FaultStream:
-    """One torque reads the same for some samples: a value, or what it read before."""
+    """Let one torque read the same: a value, or what it read before."""
     bad = stream.copy(at, at + samples)
     stuck = bad.tau_Nm[at - 1, SHOULDER] if value is None else value
     bad.tau_Nm[at : at + samples, SHOULDER] = stuck
@@ -89,7 +89,7 @@ def stuck_torque(
 
 
 def frozen(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
-    """The last sample again and again."""
+    """Repeat the last sample again and again."""
     bad = stream.copy(at, at + samples)
     for array in (bad.q_rad, bad.dq_rad_s, bad.tau_Nm):
         array[at : at + samples] = array[at - 1]
@@ -97,16 +97,16 @@ def frozen(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
 
 
 def lost(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
-    """Samples that never came.
+    """Take samples out.
 
     The time they took is that of the sample after them, and the fault ends with it.
     """
-    last = at + samples
-    kept = np.r_[0:at, last : len(stream.dt_s)]
+    end = at + samples
+    received = np.r_[0:at, end : len(stream.dt_s)]
     dt_s = stream.dt_s.copy()
-    dt_s[last] += dt_s[at:last].sum()
-    parts = {name: getattr(stream, name)[kept] for name in SERIES} | {
-        "dt_s": dt_s[kept]
+    dt_s[end] += dt_s[at:end].sum()
+    parts = {name: getattr(stream, name)[received] for name in SERIES} | {
+        "dt_s": dt_s[received]
     }
     return replace(stream, **parts, start=at, stop=at + 1)
 
@@ -114,7 +114,7 @@ def lost(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
 def jittering_clock(
     stream: FaultStream, at: int, *, samples: int, std_s: float
 ) -> FaultStream:
-    """Time stamps that are off at random."""
+    """Put time stamps off at random."""
     bad = stream.copy(at, at + samples)
     error = np.zeros(len(bad.dt_s) + 1)
     noise = np.random.default_rng(0).normal(scale=std_s, size=samples)
@@ -124,7 +124,7 @@ def jittering_clock(
 
 
 def repeated_stamps(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
-    """Every tenth time stamp comes twice, and the next one is right again."""
+    """Let every tenth time stamp come twice; the next one is right again."""
     bad = stream.copy(at, at + samples)
     twice = np.arange(at, at + samples, 10)
     bad.dt_s[twice] = 0.0
@@ -135,7 +135,7 @@ def repeated_stamps(stream: FaultStream, at: int, *, samples: int) -> FaultStrea
 def backward_stamp(
     stream: FaultStream, at: int, *, back_s: float, returns: bool
 ) -> FaultStream:
-    """The clock goes back once, and comes forward again or goes on from there."""
+    """Set the clock back once; it comes forward again or goes on from there."""
     bad = stream.copy(at, at + 1)
     bad.dt_s[at] = -back_s
     if returns:
@@ -151,7 +151,7 @@ def spike(
     tau_Nm: float = 0.0,
     times: int = 1,
 ) -> FaultStream:
-    """Single samples that are far off, a tenth of a second apart."""
+    """Put single samples far off, a tenth of a second apart."""
     where = at + 100 * np.arange(times)
     bad = stream.copy(at, int(where[-1]) + 1)
     bad.q_rad[where, SHOULDER] += q_rad
@@ -160,7 +160,7 @@ def spike(
 
 
 def saturated(stream: FaultStream, at: int, *, samples: int) -> FaultStream:
-    """One torque reads its joint's effort limit."""
+    """Let one torque read its joint's effort limit."""
     limit_Nm = load_lwr().effort_limit_Nm[SHOULDER]
     return stuck_torque(stream, at, samples=samples, value=-limit_Nm)
 
@@ -197,12 +197,12 @@ STAY_S = 1.0
 def loaded(
     run: Run, stream: FaultStream, at: int, samples: int, force_in_base_N: Array
 ) -> FaultStream:
-    """A force on the tool beside that of the tissue, for some samples."""
+    """Put a force on the tool beside that of the tissue, for some samples."""
     bad = stream.copy(at, at + samples)
-    part = slice(at, at + samples)
+    span = slice(at, at + samples)
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    bad.tau_Nm[part] -= (
-        force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[part], axes)[:, :3]
+    bad.tau_Nm[span] -= (
+        force_in_base_N @ tool_jacobians(run.robot, bad.q_rad[span], axes)[:, :3]
     )
     return bad
 
@@ -210,31 +210,28 @@ def loaded(
 def detour(
     run: Run, stream: FaultStream, target_rad: Array, stop_Nm: Array
 ) -> FaultStream:
-    """A motion in free air to a pose and back, before a stream that starts at rest in
-    free air.
+    """Put a motion in free air to a pose and back before a stream.
 
-    The fault ends when the arm is back. Torques are those of the true arm, with the
-    sensors' noise and the offset that they show where the motion begins, and of an end
-    stop at the pose.
+    The stream starts at rest in free air. The fault ends when the arm is back. Torques
+    are those of the true arm, with the sensors' noise and the offset that they show
+    where the motion begins, and of an end stop at the pose.
     """
-    start = stream.q_rad[0]
-    fraction, rate, change = _there_and_back()
-    q, dq, ddq = (
-        course[:, None] * (target_rad - start) + first
-        for course, first in ((fraction, start), (rate, 0.0), (change, 0.0))
-    )
+    start_rad = stream.q_rad[0]
+    way_rad = target_rad - start_rad
+    course = there_and_back()
+    q = course.fraction[:, None] * way_rad + start_rad
+    dq = course.rate_per_s[:, None] * way_rad + 0.0
+    ddq = course.change_per_s2[:, None] * way_rad + 0.0
     mass_seed, _ = np.random.SeedSequence(run.seed).spawn(2)
     level = PLANT_MODELS[run.plant]
     model = lwr_bodies(run.tool, level, np.random.default_rng(mass_seed)).model()
     # It begins at rest: the first torque is that of gravity.
     tau = inverse_dynamics(model, q, dq, ddq)
-    tau += (
-        stream.tau_Nm[:20].mean(axis=0)
-        - tau[0]
-        - (fraction > 1.0 - 1e-9)[:, None] * stop_Nm
-    )
+    offset_Nm = stream.tau_Nm[:20].mean(axis=0) - tau[0]
+    is_at_stop = course.fraction > 1.0 - 1e-9
+    tau += offset_Nm - is_at_stop[:, None] * stop_Nm
     rng = np.random.default_rng(0)
-    made = FaultStream(
+    motion = FaultStream(
         dt_s=np.full(len(q), PERIOD_s),
         q_rad=q + level.position_noise_std_rad * rng.normal(size=q.shape),
         dq_rad_s=dq
@@ -244,26 +241,38 @@ def detour(
         stop=len(q),
     )
     joined = {
-        name: np.concatenate((getattr(made, name), getattr(stream, name)))
+        name: np.concatenate((getattr(motion, name), getattr(stream, name)))
         for name in SERIES
     }
-    return replace(made, **joined)
+    return replace(motion, **joined)
 
 
-def _there_and_back() -> tuple[Array, Array, Array]:
-    """Fraction of the way and its first two derivatives: quintic out, a stay,
-    quintic back.
+class Course(NamedTuple):
+    """Course of a motion of m samples, shape (m,) each.
+
+    Attributes:
+        fraction: Of the way.
+        rate_per_s: Its derivative.
+        change_per_s2: The derivative of that.
     """
+
+    fraction: Array
+    rate_per_s: Array
+    change_per_s2: Array
+
+
+def there_and_back() -> Course:
+    """Return a course: quintic out, a stay, quintic back."""
     t_s = np.arange(0.0, 2.0 * TRAVEL_S + STAY_S, PERIOD_s, dtype=np.float64)
     out, back = (
         Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S)
     )
-    fraction, rate = np.subtract(out.evaluate(t_s), back.evaluate(t_s))
-    return fraction, rate, np.gradient(rate, PERIOD_s)
+    fraction, rate_per_s = np.subtract(out.evaluate(t_s), back.evaluate(t_s))
+    return Course(fraction, rate_per_s, np.gradient(rate_per_s, PERIOD_s))
 
 
 def wrist_at_limit(run: Run, stream: FaultStream) -> FaultStream:
-    """The wrist goes to its upper limit and is pressed against the stop."""
+    """Move the wrist to its upper limit, and press it against the stop."""
     target = stream.q_rad[0].copy()
     stop = np.zeros(run.robot.nv)
     target[WRIST] = run.robot.position_upper_rad[WRIST]
@@ -272,7 +281,7 @@ def wrist_at_limit(run: Run, stream: FaultStream) -> FaultStream:
 
 
 def stretched(run: Run, stream: FaultStream) -> FaultStream:
-    """The arm stretches out along the needle: a force along it loads no joint."""
+    """Stretch the arm out along the needle: a force along it loads no joint."""
     return detour(run, stream, np.full(run.robot.nv, 0.01), np.zeros(run.robot.nv))
 
 
@@ -315,7 +324,7 @@ PARTS = {
 
 
 def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
-    """An insertion with stop, reversal, withdrawal and second insertion.
+    """Return an insertion with stop, reversal, withdrawal and second insertion.
 
     Returns:
         The scenario, and when each of its `PARTS` begins and ends [s].

@@ -1,6 +1,4 @@
-"""What faults do to a running insertion: errors, recovery, and what the caller is
-warned of.
-"""
+"""What faults do to a running insertion: errors, recovery, what is reported."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -18,11 +16,12 @@ from benchmarks.faults.injection import (
     wrist_at_limit,
 )
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.insertion.signals import Array, lagging
+from benchmarks.insertion.signals import lagging
 from benchmarks.jobs import Benchmark, Job, JobResult, Progress, progress_part
 from benchmarks.report.frames import NOTHING
 from benchmarks.report.tables import ResultTable
 from benchmarks.results import Measurement, our_measurement
+from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
@@ -69,39 +68,39 @@ class FaultResult:
 
 
 def tare_index(run: Run) -> int:
-    """The first sample of a run after the tare."""
+    """Return the first sample of a run after the tare."""
     return int(np.searchsorted(run.signals.t_s, run.tare_end_s))
 
 
 def feed(
     session: InsertionSession, stream: FaultStream, *, with_velocity: bool = True
 ) -> list[SessionEstimate]:
-    """Estimates of every sample of a stream."""
+    """Return the estimates of every sample of a stream."""
     dq = stream.dq_rad_s if with_velocity else [None] * len(stream.dt_s)
     rows = zip(stream.q_rad, dq, stream.tau_Nm, stream.dt_s.tolist(), strict=True)
     return [session.update(*row) for row in rows]
 
 
-def rupture_note(found: Sequence[SessionEstimate], true: int) -> str:
-    """What is noted where another number of ruptures was raised than there were."""
-    raised = sum(e.identification.rupture is not None for e in found)
+def rupture_note(estimates: Sequence[SessionEstimate], true: int) -> str:
+    """Return a note where more or fewer ruptures were raised than there were."""
+    raised = sum(e.identification.rupture is not None for e in estimates)
     return "" if raised == true else f"{raised} ruptures raised, {true} true"
 
 
 def judge(
-    name: str, stream: FaultStream, found: Sequence[SessionEstimate], note: str = ""
+    name: str, stream: FaultStream, estimates: Sequence[SessionEstimate], note: str = ""
 ) -> FaultResult:
     """Compare the estimates of a faulty stream with its reference."""
-    error = np.abs(np.array([e.wrench.axial for e in found]) - stream.reference_N)
+    error = np.abs(np.array([e.wrench.axial for e in estimates]) - stream.reference_N)
     during = error[stream.start : max(stream.stop, stream.start + 1)]
     worst = int(np.argmax(during)) + stream.start
     after = np.flatnonzero(error[stream.stop :] > CLOSE_N)
     elapsed = np.cumsum(np.nan_to_num(stream.dt_s[stream.stop :], posinf=0.0))
     recovery_s = 0.0
     if len(after) > 0:
-        last = int(after[-1]) + 1
-        recovery_s = float(elapsed[last]) if last < len(elapsed) else np.inf
-    heard = found[stream.start : stream.stop + round(HOLD_S / PERIOD_s)]
+        settled = int(after[-1]) + 1
+        recovery_s = float(elapsed[settled]) if settled < len(elapsed) else np.inf
+    heard = estimates[stream.start : stream.stop + round(HOLD_S / PERIOD_s)]
     statuses = {e.status for e in heard}
     warnings = SensorWarning.NONE
     for estimate in heard:
@@ -109,11 +108,15 @@ def judge(
     return FaultResult(
         name=name,
         worst_N=float(error[worst]),
-        worst_sigma=float(error[worst] / found[worst].wrench.axial_std),
+        worst_sigma=float(error[worst] / estimates[worst].wrench.axial_std),
         recovery_s=recovery_s,
         reported=(
             *(status.name for status in Status if status in statuses - {Status.OK}),
-            *(str(one.name) for one in SensorWarning if one and one in warnings),
+            *(
+                str(warning.name)
+                for warning in SensorWarning
+                if warning and warning in warnings
+            ),
         ),
         is_finite=all(map(is_finite, heard)),
         note=note,
@@ -137,9 +140,10 @@ def is_finite(value: object) -> bool:
 
 
 def late(force_N: Array, *, with_velocity: bool = True) -> Array:
-    """A force as late as the sensor reads it on an ideal arm, shape (n,), at 1 kHz.
+    """Return a force as late as the sensor reads it on an ideal arm, shape (n,).
 
-    On an arm without velocities, position and torque are filtered.
+    It is sampled at 1 kHz. On an arm without velocities, position and torque are
+    filtered.
     """
     assert isinstance(DEFAULT.gain_per_s, float)
     rates_per_s = [DEFAULT.gain_per_s]
@@ -185,6 +189,7 @@ class FaultStudy:
         self._undisturbed_N = np.array(forces)
 
     def _go_on(self, session: InsertionSession, first: int, last: int) -> list[float]:
+        """Feed samples of the run to a session; return the axial forces [N]."""
         stream = FaultStream.of_run(self.run, first, last, self.run.truth.axial_N)
         return [
             e.wrench.axial
@@ -192,16 +197,14 @@ class FaultStudy:
         ]
 
     def results(self) -> Iterator[FaultResult]:
-        """Every fault's result, in the order of the table."""
+        """Yield every fault's result, in the order of the table."""
         yield from self.session_results()
         yield tare_in_contact(self.run, self.at)
         yield wrong_payload(self.run)
         yield from motion_results(with_velocity=self._with_velocity, seed=self._seed)
 
     def session_results(self) -> Iterator[FaultResult]:
-        """What sensors, wires and clocks do, and what poses and loads do after the
-        tare.
-        """
+        """Yield what sensors, wires, clocks, poses and loads do after the tare."""
         run = self.run
         tare = self._tare
         good = FaultStream.of_run(run, self.at - LEAD, self._last, self._undisturbed_N)
@@ -221,16 +224,18 @@ class FaultStudy:
     def _result(
         self, name: str, stream: FaultStream, start: SessionSnapshot
     ) -> FaultResult:
+        """Feed a faulty stream to a session that goes on from a snapshot."""
         session = InsertionSession(self.run.robot, on_lwr(DEFAULT))
         session.restore(start)
-        found = feed(session, stream, with_velocity=self._with_velocity)
+        estimates = feed(session, stream, with_velocity=self._with_velocity)
         true = int(start is self._inserted and self._through)
-        return judge(name, stream, found, rupture_note(found, true))
+        return judge(name, stream, estimates, rupture_note(estimates, true))
 
 
 def motion_results(*, with_velocity: bool = True, seed: int = 0) -> list[FaultResult]:
-    """What stop, reversal and second insertion do, against the true force as the
-    observer lags.
+    """Return what stop, reversal and second insertion do.
+
+    They are judged against the true force as late as the observer is.
     """
     scenario, spans = troubled_scenario()
     run = simulate(scenario, PLANT, seed)
@@ -244,32 +249,30 @@ def motion_results(*, with_velocity: bool = True, seed: int = 0) -> list[FaultRe
         FaultStream.of_run(run, *at, whole.reference_N)
         for at in ((0, tare), (tare, count))
     ]
-    found = feed(session, parts[0], with_velocity=with_velocity)
+    estimates = feed(session, parts[0], with_velocity=with_velocity)
     session.tare()
-    found += feed(session, parts[1], with_velocity=with_velocity)
+    estimates += feed(session, parts[1], with_velocity=with_velocity)
     results = []
     for name, (begin_s, end_s) in spans.items():
         start, stop = np.searchsorted(run.signals.t_s, (begin_s, end_s)).tolist()
-        true = sum(begin_s <= one.onset_s < end_s for one in run.truth.ruptures)
-        note = rupture_note(found[start:stop], true)
-        results.append(judge(name, whole.copy(start, stop), found, note))
+        true = sum(begin_s <= rupture.onset_s < end_s for rupture in run.truth.ruptures)
+        note = rupture_note(estimates[start:stop], true)
+        results.append(judge(name, whole.copy(start, stop), estimates, note))
     return results
 
 
 def tare_in_contact(run: Run, at: int) -> FaultResult:
-    """Tare in the tissue, before sample `at`; withdraw, tare in free air, insert
-    again.
-    """
+    """Tare in the tissue before sample `at`, then in free air, and insert again."""
     count = len(run.signals.t_s)
     nothing = np.zeros(len(run.signals.t_s))
     session = InsertionSession(run.robot, UNSMOOTHED)
-    before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
+    estimate_before = feed(session, FaultStream.of_run(run, 0, at, nothing))[-1]
     errors: tuple[str, ...] = ()
     try:
         session.tare()
     except TareError:
         errors = ("TareError",)
-    after = feed(session, FaultStream.of_run(run, at, count, nothing))
+    estimates_after = feed(session, FaultStream.of_run(run, at, count, nothing))
     session.start_tare_recording()
     # The robot is driven back to the start while nobody listens.
     again = FaultStream.of_run(run, 0, tare_index(run), nothing)
@@ -277,19 +280,19 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
     feed(session, again)
     session.tare()
     result = _insert(session, run, "tare asked for in the tissue")
-    jump_N = abs(after[0].wrench.axial - before.wrench.axial)
+    jump_N = abs(estimates_after[0].wrench.axial - estimate_before.wrench.axial)
     return replace(
         result,
         worst_N=jump_N,
-        worst_sigma=jump_N / after[0].wrench.axial_std,
-        reported=(*errors, after[0].status.name),
-        is_finite=result.is_finite and all(map(is_finite, after[:1000])),
+        worst_sigma=jump_N / estimates_after[0].wrench.axial_std,
+        reported=(*errors, estimates_after[0].status.name),
+        is_finite=result.is_finite and all(map(is_finite, estimates_after[:1000])),
         note="recovery: after a tare in free air",
     )
 
 
 def wrong_payload(run: Run) -> FaultResult:
-    """The tool is heavier than the estimator knows, from the start."""
+    """Insert with a tool heavier than the estimator knows, from the start."""
     known = run.robot.payload
     assert known is not None
     mass_kg = known.mass_kg - UNKNOWN_KG
@@ -305,27 +308,28 @@ def wrong_payload(run: Run) -> FaultResult:
 
 
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
-    """The insertion after the tare; it is all fault, and its recovery that of its
-    whole length.
+    """Insert after the tare.
+
+    The insertion is all fault, and its recovery is that of its whole length.
     """
     tare = tare_index(run)
     count = len(run.signals.t_s)
     insertion = FaultStream.of_run(run, tare, count, late(run.truth.axial_N))
-    found = feed(session, insertion)
-    lasting = judge(name, insertion.copy(0, 0), found)
-    worst = judge(name, insertion.copy(0, count - tare), found)
+    estimates = feed(session, insertion)
+    lasting = judge(name, insertion.copy(0, 0), estimates)
+    worst = judge(name, insertion.copy(0, count - tare), estimates)
     return replace(worst, recovery_s=lasting.recovery_s)
 
 
 def recovery(seconds: float) -> str:
-    """A time of recovery as it is printed."""
+    """Return a time of recovery as it is printed."""
     if math.isinf(seconds):
         return "never"
     return "at once" if seconds == 0.0 else f"{1e3 * seconds:.0f} ms"
 
 
 def fault_table(results: Sequence[FaultResult]) -> ResultTable:
-    """For the terminal, and for docs/loop.md."""
+    """Return the table for the terminal, and for docs/loop.md."""
     return ResultTable(
         title="Faults in a running insertion",
         heads=(

@@ -23,16 +23,15 @@ def identify_as_run(
     method: Method = "published-as-run",
     config: PublishedConfig = PUBLISHED,
 ) -> Identified:
-    """The published method as its authors ran it: commanded speed, shape (n,), and the
-    best σ₁.
+    """Run the published method as its authors did: commanded speed and the best σ₁.
 
-    Best is the one with most ruptures found less false alarms, which they saw in the
-    force.
+    The commanded speed has shape (n,). Best is the one with most ruptures found less
+    false alarms, which they saw in the force.
     """
     quiet = replace(signal, speed_m_s=commanded_m_s)
     tried = [
-        identify(quiet, truth, method, replace(config, sigma1_N=each))
-        for each in SIGMA1_N
+        identify(quiet, truth, method, replace(config, sigma1_N=sigma1_N))
+        for sigma1_N in SIGMA1_N
     ]
 
     def merit(item: Identified) -> int:

@@ -21,7 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 
-from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal, lagging
+from benchmarks.insertion.signals import InsertionTruth, NeedleSignal, lagging
+from foundation.arrays import Array
 from groundtruth import Rupture
 
 AROUND_s = 0.15
@@ -33,10 +34,11 @@ _FLOOR = 1e-6
 def reading_error_N(
     signal: NeedleSignal, truth: InsertionTruth, lag_s: float = 0.0
 ) -> Array:
-    """Reading less true force over the insertion, straight lines across the releases.
+    """Return reading less true force over the insertion.
 
-    The truth goes through the sensor's lag before it is taken off. One value for each
-    sample of `truth.is_insertion`, shape (m,).
+    Straight lines lie across the releases. The truth goes through the sensor's lag
+    before it is taken off. One value for each sample of `truth.is_insertion`, shape
+    (m,).
     """
     inside = truth.is_insertion
     error = (signal.force_N - lagging(truth.axial_N, truth.t_s, lag_s))[inside]
@@ -48,11 +50,11 @@ def reading_error_N(
 
 
 def autocovariance(error_N: Array, length: int) -> Array:
-    """Autocovariance of (m,) samples about zero at lags 0 to length - 1 [N^2].
+    """Return the autocovariance of (m,) samples at lags 0 to length - 1 [N^2].
 
-    The biased estimate: it is positive definite, and about zero because a force is
-    judged against its free-air zero, so that a constant error is an error. Lags the
-    data do not reach are 0.
+    It is about zero. The biased estimate: it is positive definite, and about zero
+    because a force is judged against its free-air zero, so that a constant error is an
+    error. Lags the data do not reach are 0.
     """
     count = len(error_N)
     spectrum = np.abs(np.fft.rfft(error_N, 2 * count)) ** 2
@@ -63,7 +65,7 @@ def autocovariance(error_N: Array, length: int) -> Array:
 MEASURED_m = 3e-3
 """Travel after a rupture by which its layer is identified for good."""
 BLOCK_s = 0.02
-MOST_BLOCKS = 1000
+MAX_BLOCKS = 1000
 ONSET_m = 1e-3
 """Travel over which the cutting force of a layer builds up."""
 CUTTING_FRACTION = 0.12
@@ -76,9 +78,7 @@ are drawn within a factor of 10 or so, equally likely per octave."""
 
 
 class _Tip(NamedTuple):
-    """Where the tip cuts one layer: from the end of the release above to the
-    boundary below.
-    """
+    """Where the tip cuts one layer: from the release above to the boundary below."""
 
     onset_m: float
     from_m: float
@@ -93,69 +93,94 @@ def friction_bounds(
     is_white: bool,
     cutting_fraction: float = CUTTING_FRACTION,
 ) -> list[float]:
-    """Relative standard deviation of each layer's friction, by `MEASURED_m` after its
-    rupture.
+    """Return the least relative deviation of each layer's friction.
 
-    The error of the reading is as `reading_error_N` returns it; its noise can be taken
-    as white, whatever its spectrum is. The fraction is the root mean square one of
-    cutting in the tip force. One value for each layer that ruptured, in order.
+    It is that by `MEASURED_m` after the layer's rupture. The error of the reading is as
+    `reading_error_N` returns it; its noise can be taken as white, whatever its spectrum
+    is. The fraction is the root mean square one of cutting in the tip force. One value
+    for each layer that ruptured, in order.
     """
     exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
     tips = _tips(truth, exits)
-    inside = truth.is_insertion
-    depth = truth.depth_m[inside]
-    frictions = truth.layer_friction_N[inside][
-        :, [rupture.layer - 1 for rupture in exits]
-    ]
-    columns = np.column_stack(
-        [depth, frictions, *(_tip_columns(depth, tip) for tip in tips)]
-    )
-    size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MOST_BLOCKS))
-    blocks = _means(columns, size)
-    depth = blocks[:, 0]
-    columns = blocks[:, 1:]
-    if is_white:
-        covariance = np.var(error_N) / size * np.eye(len(depth))
-    else:
-        covariance = toeplitz(
-            autocovariance(_means(error_N[:, None], size)[:, 0], len(depth))
-        )
+    depth, columns, size = block_columns(truth, exits, tips)
+    covariance = block_covariance(error_N, size, len(depth), is_white=is_white)
     # Without releases and membranes being pushed in: what they do is no part of the
     # model.
-    kept = depth >= exits[-1].onset_m + MEASURED_m / 6.0
+    is_modelled = depth >= exits[-1].onset_m + MEASURED_m / 6.0
     for tip in tips:
-        kept |= (depth >= tip.from_m) & (depth <= tip.to_m)
-    factor = cholesky(covariance[np.ix_(kept, kept)], lower=True)
-    white = np.asarray(solve_triangular(factor, columns[kept], lower=True))
+        is_modelled |= (depth >= tip.from_m) & (depth <= tip.to_m)
+    factor = cholesky(covariance[np.ix_(is_modelled, is_modelled)], lower=True)
+    white = np.asarray(solve_triangular(factor, columns[is_modelled], lower=True))
     # Of the scales of friction, then of slope, bend and cutting force of each tip.
     fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
     of_tips = [max(tip.exit_N, 1e-3) * fractions for tip in tips]
     prior = np.diag(np.concatenate([np.full(len(tips), VAGUE), *of_tips]) ** -2.0)
-    found = []
+    deviations = []
     for number, rupture in enumerate(exits):
-        rows = white[depth[kept] <= rupture.onset_m + MEASURED_m]
+        rows = white[depth[is_modelled] <= rupture.onset_m + MEASURED_m]
         variances = np.diag(np.linalg.inv(rows.T @ rows + prior))
-        found.append(float(np.sqrt(variances[number])))
-    return found
+        deviations.append(float(np.sqrt(variances[number])))
+    return deviations
+
+
+class BlockColumns(NamedTuple):
+    """What the force depends on, as means over blocks of samples.
+
+    Attributes:
+        depth_m: Depth of m blocks, shape (m,).
+        columns: Friction of each layer, then slope, bend and cutting force of each
+            tip, shape (m, 4 L).
+        size: Samples of a block.
+    """
+
+    depth_m: Array
+    columns: Array
+    size: int
+
+
+def block_columns(
+    truth: InsertionTruth, exits: Sequence[Rupture], tips: Sequence[_Tip]
+) -> BlockColumns:
+    """Return what the force depends on, over the insertion."""
+    inside = truth.is_insertion
+    depth = truth.depth_m[inside]
+    layers = [rupture.layer - 1 for rupture in exits]
+    frictions = truth.layer_friction_N[inside][:, layers]
+    columns = np.column_stack(
+        [depth, frictions, *(_tip_columns(depth, tip) for tip in tips)]
+    )
+    size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MAX_BLOCKS))
+    blocks = _means(columns, size)
+    return BlockColumns(blocks[:, 0], blocks[:, 1:], size)
+
+
+def block_covariance(
+    error_N: Array, size: int, blocks: int, *, is_white: bool
+) -> Array:
+    """Return the covariance of the error's means over blocks, shape (m, m)."""
+    if is_white:
+        return np.var(error_N) / size * np.eye(blocks)
+    means = _means(error_N[:, None], size)[:, 0]
+    return toeplitz(autocovariance(means, blocks))
 
 
 def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
-    """One per layer that ruptured."""
-    found = []
+    """Return one per layer that ruptured."""
+    tips = []
     onset = 0.0
     begin = 0.0
     for rupture in truth.ruptures:
         if rupture in exits:
             ends = truth.boundaries_m
             end = ends[rupture.layer - 1] if ends else rupture.onset_m
-            found.append(_Tip(onset, begin, end, rupture.drop_N))
+            tips.append(_Tip(onset, begin, end, rupture.drop_N))
         onset = rupture.onset_m
         begin = float(np.interp(rupture.end_s, truth.t_s, truth.depth_m))
-    return found
+    return tips
 
 
 def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
-    """Slope, bend and cutting force, each 1 N at the far end, shape (n, 3)."""
+    """Return slope, bend and cutting force, each 1 N at the far end, shape (n, 3)."""
     travel = np.maximum(depth_m - tip.onset_m, 0.0)
     way = travel / max(tip.to_m - tip.onset_m, 1e-6)
     onset = np.minimum(travel / ONSET_m, 1.0)
@@ -165,7 +190,7 @@ def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
 
 
 def _means(columns: Array, size: int) -> Array:
-    """Means of `size` rows each; what is left over at the end is dropped."""
+    """Return means of `size` rows each; what remains at the end is dropped."""
     count = len(columns) // size
     return columns[: count * size].reshape(count, size, -1).mean(axis=1)
 
@@ -187,36 +212,35 @@ def delay_bounds_s(
     error_N: Array,
     lag_s: float = 0.0,
 ) -> list[float]:
-    """Least mean delay after the onset of each release; inf where too little is
-    released.
+    """Return the least mean delay after the onset of each release.
 
-    The run is sampled evenly; `error_N` is as `reading_error_N` returns it, `lag_s` the
-    sensor's.
+    Infinite where too little is released. The run is sampled evenly; `error_N` is as
+    `reading_error_N` returns it, `lag_s` the sensor's.
     """
     tick = truth.period_s
-    before = round(BEFORE_s / tick)
+    past = round(BEFORE_s / tick)
     within = round(WITHIN_s / tick)
-    covariance = autocovariance(error_N, before + within)
+    covariance = autocovariance(error_N, past + within)
     matrix = toeplitz(covariance) + _FLOOR * covariance[0] * np.eye(len(covariance))
     factor = cholesky(matrix, lower=True)
     delays = tick * np.arange(1.0, within + 1.0)
     needed_nats = np.log(np.maximum(INTERVAL_s / delays, math.e))
-    found = []
+    bounds_s = []
     for rupture in ruptures:
         course = np.concatenate(
-            (np.zeros(before), release_course_N(truth, rupture, within))
+            (np.zeros(past), release_course_N(truth, rupture, within))
         )
         course = lagging(course, tick * np.arange(float(len(course))), lag_s)
         # Kullback-Leibler divergence gathered up to each sample, noise of that
         # covariance.
         nats = 0.5 * np.cumsum(np.square(solve_triangular(factor, course, lower=True)))
-        enough = np.flatnonzero(nats[before:] >= needed_nats)
-        found.append(float(delays[enough[0]]) if len(enough) else math.inf)
-    return found
+        enough = np.flatnonzero(nats[past:] >= needed_nats)
+        bounds_s.append(float(delays[enough[0]]) if len(enough) else math.inf)
+    return bounds_s
 
 
 def release_course_N(truth: InsertionTruth, rupture: Rupture, count: int) -> Array:
-    """True force from the onset on, less the line it had followed, shape (count,)."""
+    """Return the true force from the onset on, less the line before, shape (count,)."""
     line = (truth.t_s >= rupture.onset_s - LINE_s) & (truth.t_s < rupture.onset_s)
     begin = int(np.searchsorted(truth.t_s, rupture.onset_s))
     if np.count_nonzero(line) < 2:

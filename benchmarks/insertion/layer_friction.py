@@ -34,16 +34,16 @@ class LayerFriction(NamedTuple):
 def layer_frictions(
     ruptures: Sequence[Rupture], alarms: Sequence[Alarm], *, online: bool = False
 ) -> list[LayerFriction]:
-    """Pair every layer with what was identified of it, at the end or, `online`, in the
-    next layer.
+    """Pair every layer with what was identified of it.
 
-    A layer ends at its rupture. What is identified by alarms since the layer before it
-    (a surface membrane's, a false one's) counts for it: that much friction was taken
-    off the force. A layer that ends softly counts together with the one after it, since
-    the force does not separate them; one whose rupture was missed counts as estimated
-    at zero.
+    It counts as identified at the end or, `online`, in the next layer. A layer ends at
+    its rupture. What is identified by alarms since the layer before it (a surface
+    membrane's, a false one's) counts for it: that much friction was taken off the
+    force. A layer that ends softly counts together with the one after it, since the
+    force does not separate them; one whose rupture was missed counts as estimated at
+    zero.
     """
-    found: list[LayerFriction] = []
+    frictions: list[LayerFriction] = []
     true_N = 0.0
     begin_s = -math.inf
     for k, rupture in enumerate(ruptures):
@@ -57,17 +57,18 @@ def layer_frictions(
         mine = [alarm for alarm in alarms if begin_s < alarm.alarm_s <= until_s]
         was_seen = any(alarm.alarm_s >= rupture.onset_s - EARLY_s for alarm in mine)
         known = [alarm.online if online else alarm.layer for alarm in mine]
-        found.append(_layer_friction(true_N, known if was_seen else []))
+        frictions.append(_layer_friction(true_N, known if was_seen else []))
         if was_seen:
             begin_s = until_s
         true_N = 0.0
-    return found
+    return frictions
 
 
 def _layer_friction(
-    true_N: float, found: Sequence[LayerEstimate | None]
+    true_N: float, identified: Sequence[LayerEstimate | None]
 ) -> LayerFriction:
-    layers = [layer for layer in found if layer is not None]
+    """Return the sum of what was identified of a layer, and its deviation."""
+    layers = [layer for layer in identified if layer is not None]
     known = [
         layer.friction_std_N for layer in layers if layer.friction_std_N is not None
     ]
@@ -79,8 +80,7 @@ def _layer_friction(
 def friction_metrics(
     frictions: Sequence[LayerFriction], when: str = ""
 ) -> dict[str, float]:
-    """Worst and mean relative error, and whether the stated standard deviations are
-    right.
+    """Return worst and mean relative error, and how often stated deviations hold.
 
     `when` is part of the names: ``_online`` for what was known in the layer after. The
     coverage is the fraction of layers within twice the stated standard deviation;

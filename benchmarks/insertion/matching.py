@@ -44,38 +44,36 @@ class Matching(NamedTuple):
 
 
 def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
-    """Give each alarm to at most one true rupture and the other way round, nearest
-    first.
+    """Give each alarm to at most one true rupture, nearest first.
 
-    An alarm may belong to a rupture when it lies within `EARLY_s` before and `LATE_s`
-    after its onset.
+    The other way round likewise. An alarm may belong to a rupture when it lies within
+    `EARLY_s` before and `LATE_s` after its onset.
     """
     onsets_s = [rupture.onset_s for rupture in ruptures]
     pairs = nearest_pairs(
         onsets_s, [alarm.alarm_s for alarm in alarms], EARLY_s, LATE_s
     )
-    taken = set(pairs.values())
+    used = set(pairs.values())
     return Matching(
         found=tuple((ruptures[i], alarms[pairs[i]]) for i in sorted(pairs)),
         missed=tuple(rupture for i, rupture in enumerate(ruptures) if i not in pairs),
-        false=tuple(alarm for j, alarm in enumerate(alarms) if j not in taken),
+        false=tuple(alarm for j, alarm in enumerate(alarms) if j not in used),
     )
 
 
 def nearest_pairs(
-    true: Sequence[float], found: Sequence[float], before: float, after: float
+    true: Sequence[float], seen: Sequence[float], before: float, after: float
 ) -> dict[int, int]:
-    """Index of the found value that belongs to each true one; those without are left
-    out.
+    """Return the index of the found value that belongs to each true one.
 
-    A found value is at most so much before or after the true one, and belongs to one
-    true value at most, nearest first.
+    True values without one are left out. A found value is at most so much before or
+    after the true one, and belongs to one true value at most, nearest first.
     """
     candidates = sorted(
-        (abs(value - wanted), i, j)
-        for i, wanted in enumerate(true)
-        for j, value in enumerate(found)
-        if -before <= value - wanted <= after
+        (abs(value - onset), i, j)
+        for i, onset in enumerate(true)
+        for j, value in enumerate(seen)
+        if -before <= value - onset <= after
     )
     pairs: dict[int, int] = {}
     for _, i, j in candidates:

@@ -1,5 +1,6 @@
-"""Both methods on one signal: virtual sensor, F/T sensor, identification; errors of
-a force.
+"""Both methods on one signal: virtual sensor, F/T sensor, identification.
+
+And the errors of a force.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,7 +13,6 @@ from scipy.signal import lfilter
 
 from benchmarks import DataError
 from benchmarks.insertion.signals import (
-    Array,
     ForceTruth,
     InsertionTruth,
     JointSignals,
@@ -20,6 +20,7 @@ from benchmarks.insertion.signals import (
 )
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, Method, Source
+from foundation.arrays import Array
 from groundtruth import Run
 from identification import (
     MULTILAYER,
@@ -51,7 +52,7 @@ IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
 
 
 def on_lwr(config: SensorConfig) -> SensorConfig:
-    """A setting with what a user knows of the simulated arm, as of the real one.
+    """Return a setting with what a user knows of the simulated arm.
 
     Its torque command is held over each period, and its gears are in the data sheet.
     """
@@ -89,6 +90,7 @@ class SessionRun(NamedTuple):
     """What an `InsertionSession` made of n samples of an arm.
 
     Attributes:
+        reading: The force as a user has it.
         depth_m: Shape (n,).
         speed_m_s: Shape (n,).
         result: Of the identification, from the tare on.
@@ -114,7 +116,7 @@ def run_session(
     sensor: SensorConfig | None = None,
     contact_m: float = 0.0,
 ) -> SessionRun:
-    """The whole chain as a user has it, tared once.
+    """Run the whole chain as a user has it, tared once.
 
     Args:
         robot: The arm as the estimator knows it.
@@ -133,7 +135,7 @@ def run_session(
     lag_s = PUBLISHED_SPEED_s if is_published else 0.0
     chosen = on_lwr(METHODS[method]) if sensor is None else sensor
     session = InsertionSession(robot, chosen, config, speed_lag_s=lag_s)
-    found = np.zeros((5, len(signals.t_s)))
+    series = np.zeros((5, len(signals.t_s)))
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
     was_refused = False
@@ -146,19 +148,19 @@ def run_session(
             except TareError:
                 was_refused = True
                 session.tare(ignore_contact=True)
-        made = session.update(*sample)
-        motion = (made.depth_m, made.speed_m_s)
-        force_N = made.wrench.axial_unsmoothed
-        found[:, k] = *made.wrench[:2], *motion, force_N
+        estimate = session.update(*sample)
+        motion = (estimate.depth_m, estimate.speed_m_s)
+        force_N = estimate.wrench.axial_unsmoothed
+        series[:, k] = *estimate.wrench[:2], *motion, force_N
         if k >= tare:
-            estimates.append(made.identification)
+            estimates.append(estimate.identification)
     reading = ForceReading(
-        source="virtual", method=method, axial_N=found[0], std_N=found[1]
+        source="virtual", method=method, axial_N=series[0], std_N=series[1]
     )
     t_s = signals.t_s[tare:]
     layers = session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
-    return SessionRun(reading, found[2], found[3], result, was_refused, found[4])
+    return SessionRun(reading, series[2], series[3], result, was_refused, series[4])
 
 
 OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
@@ -166,7 +168,7 @@ OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)
 
 
 def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:
-    """The published force with the gain of its observer that gives the least error.
+    """Return the published force with the gain of its observer that suits best.
 
     One lag is taken off the force and another put on. That is what another gain would
     give: the pose hardly turns within a lag, so that filtering the force is filtering
@@ -175,19 +177,19 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
     start = int(np.searchsorted(truth.t_s, truth.zeroed_s))
     force = reading.axial_N
     judged = truth.judged
-    kept = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
-    unfiltered = (force[start + 1 :] - kept * force[start:-1]) / (1.0 - kept)
-    found: list[tuple[float, Array]] = []
+    decay = np.exp(-PUBLISHED_SENSOR.slowest_gain_per_s * dt_s[start + 1 :])
+    unfiltered = (force[start + 1 :] - decay * force[start:-1]) / (1.0 - decay)
+    tried: list[tuple[float, Array]] = []
     for gain_per_s in OBSERVER_GAINS_per_s:
         axial_N = force.copy()
-        last = float(force[start])
+        filtered = float(force[start])
         passed = -np.expm1(-gain_per_s * dt_s[start + 1 :])
         steps = zip(unfiltered.tolist(), passed.tolist(), strict=True)
-        for k, (value, part) in enumerate(steps, start + 1):
-            axial_N[k] = last = last + part * (value - last)
-        found.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
+        for k, (value, gain) in enumerate(steps, start + 1):
+            axial_N[k] = filtered = filtered + gain * (value - filtered)
+        tried.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
     return replace(
-        reading, method="published-best-K", axial_N=min(found, key=lambda f: f[0])[1]
+        reading, method="published-best-K", axial_N=min(tried, key=lambda f: f[0])[1]
     )
 
 
@@ -198,7 +200,7 @@ with the bias."""
 
 
 def ft_force(run: Run) -> ForceReading:
-    """Axial force from the F/T reading, zeroed over the last free stroke.
+    """Return the axial force of the F/T reading, zeroed over the last free stroke.
 
     The standard deviation it states is its noise over that stroke: what a user would
     write down.
@@ -219,8 +221,9 @@ def joint_residual(
     alignment: Alignment = "trapezoid",
     friction: FrictionModel | None = None,
 ) -> Array:
-    """Residual of a `MomentumObserver`, without tare or wrench, after every sample
-    [Nm], (n, j).
+    """Return the residual of a `MomentumObserver` after every sample [Nm], (n, j).
+
+    There is no tare and no wrench.
 
     Raises:
         DataError: The arm sent no velocities.
@@ -260,34 +263,36 @@ class Alarm(NamedTuple):
 
 
 def alarms_of(result: Replay, t_s: Array, start: int) -> list[Alarm]:
-    """Every rupture reported, in order; estimates begin with sample `start` of the n
-    instants.
+    """Return every rupture reported, in order.
+
+    Estimates begin with sample `start` of the n instants.
     """
     by_alarm = {layer.rupture.alarm_s: layer for layer in result.layers}
     known = (
-        one.identified_layer
-        for one in result.estimates
-        if one.identified_layer is not None
+        estimate.identified_layer
+        for estimate in result.estimates
+        if estimate.identified_layer is not None
     )
     online = {layer.rupture.alarm_s: layer for layer in known}
-    found = []
+    alarms = []
     for k, estimate in enumerate(result.estimates, start):
         event = estimate.rupture
         if event is None:
             continue
         layer = by_alarm.get(event.alarm_s)
         # The estimated time may have become better since the alarm.
-        last = event if layer is None else layer.rupture
-        rupture_s = float(t_s[k]) - (event.alarm_s - last.time_s)
-        found.append(
+        final_rupture = event if layer is None else layer.rupture
+        rupture_s = float(t_s[k]) - (event.alarm_s - final_rupture.time_s)
+        alarms.append(
             Alarm(k, float(t_s[k]), rupture_s, layer, online.get(event.alarm_s))
         )
-    return found
+    return alarms
 
 
 def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
-    """Sum of B d over the traversed layers, each at the speed of its rupture, as
-    known at last.
+    """Return the sum of B d over the traversed layers, as known at the end.
+
+    Each counts at the speed of its rupture.
     """
     layers = [alarm.layer for alarm in alarms if alarm.layer is not None]
     return sum(
@@ -297,8 +302,9 @@ def cumulative_friction_Ns_per_m(alarms: Iterable[Alarm]) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """What a method made of a signal; sample k of it is sample ``start + k`` of the
-    run.
+    """What a method made of a signal.
+
+    Sample k of it is sample ``start + k`` of the run.
 
     Attributes:
         signal: What it was given.
@@ -327,9 +333,10 @@ class Identified:
         return self.signal.force_N[self.start :]
 
     def series(self, name: str) -> Array:
-        """A number of every estimate, nan where it states none, shape (n - start,)."""
+        """Return a number of every estimate, nan where none, shape (n - start,)."""
         return np.array(
-            [getattr(each, name) for each in self.result.estimates], dtype=np.float64
+            [getattr(estimate, name) for estimate in self.result.estimates],
+            dtype=np.float64,
         )
 
 
@@ -340,11 +347,11 @@ def identify(
     config: MultilayerConfig | PublishedConfig | None = None,
     result: Replay | None = None,
 ) -> Identified:
-    """Run a method from the end of the tare to the end of the run; `result` if that was
-    done.
+    """Run a method from the end of the tare to the end of the run.
 
-    `ours` finds first contact by itself. `published` assumes it known, and is given it:
-    the one thing of the ground truth that an identifier sees here.
+    `result` is its result, if that was done before. `ours` finds first contact by
+    itself. `published` assumes it known, and is given it: the one thing of the ground
+    truth that an identifier sees here.
     """
     start = int(np.searchsorted(truth.t_s, truth.tare_end_s))
     config = IDENTIFIERS[method] if config is None else config
@@ -370,11 +377,11 @@ COARSE_S = 0.01
 
 
 def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
-    """Delay of the estimate [s]: the shift of the truth that leaves the least error
-    variance.
+    """Return the delay of the estimate [s].
 
-    A constant difference between the two is not counted. Positive when the estimate is
-    late; nan where the truth does not change, or for less than a second of data.
+    It is the shift of the truth that leaves the least error variance. A constant
+    difference between the two is not counted. Positive when the estimate is late; nan
+    where the truth does not change, or for less than a second of data.
     """
     inner = (
         (t_s >= t_s[0] + LATEST_S) & (t_s <= t_s[-1] + EARLIEST_S)
@@ -383,19 +390,19 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
     )
     if np.count_nonzero(inner) < 2 or np.ptp(truth) == 0.0:
         return float("nan")
-    seen = estimate[inner]
-    when = t_s[inner]
+    seen_N = estimate[inner]
+    seen_s = t_s[inner]
 
-    def left(delay_s: float) -> float:
-        return float(np.var(seen - np.interp(when - delay_s, t_s, truth)))
+    def variance(delay_s: float) -> float:
+        return float(np.var(seen_N - np.interp(seen_s - delay_s, t_s, truth)))
 
     coarse = np.arange(EARLIEST_S, LATEST_S + COARSE_S / 2, COARSE_S)
-    best = float(coarse[np.argmin([left(delay) for delay in coarse])])
+    best = float(coarse[np.argmin([variance(delay) for delay in coarse])])
     around = (max(best - COARSE_S, EARLIEST_S), min(best + COARSE_S, LATEST_S))
-    found = minimize_scalar(
-        left, bounds=around, method="bounded", options={"xatol": 1e-5}
+    minimum = minimize_scalar(
+        variance, bounds=around, method="bounded", options={"xatol": 1e-5}
     )
-    return float(found.x)
+    return float(minimum.x)
 
 
 def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement]:
@@ -426,7 +433,7 @@ GAIN_per_s = 50.0
 
 
 def residual_metrics(run: Run, signals: JointSignals) -> list[Measurement]:
-    """Error of a plain observer on an ideal arm; nothing on any other.
+    """Measure a plain observer on an ideal arm; nothing on any other.
 
     The ideal is r' = K (external torque - r) with the true torque's mean over each
     tick, solved exactly: row k of the truth, the tick from sample k to the next, gives

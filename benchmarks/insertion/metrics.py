@@ -1,4 +1,4 @@
-"""Every identification number of one simulated insertion: ruptures, friction, forces."""
+"""Every number of an identification: ruptures, friction, forces, bounds."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,8 +17,9 @@ from benchmarks.insertion.methods import (
     force_lag_s,
 )
 from benchmarks.insertion.offline import offline_fit, offline_metrics
-from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal
+from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.results import Measurement
+from foundation.arrays import Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +69,7 @@ def measure_identification(
 
 
 def event_metrics(item: Identified, truth: InsertionTruth) -> dict[str, float]:
-    """Numbers of ruptures and friction by name."""
+    """Return the numbers of ruptures and friction by name."""
     values = rupture_metrics(match(truth.ruptures, item.alarms), truth)
     values |= friction_metrics(layer_frictions(truth.ruptures, item.alarms))
     online = layer_frictions(truth.ruptures, item.alarms, online=True)
@@ -76,12 +77,12 @@ def event_metrics(item: Identified, truth: InsertionTruth) -> dict[str, float]:
 
 
 def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, float]:
-    """Numbers of one insertion by name; what does not exist in it has no entry.
+    """Return the numbers of one insertion by name.
 
-    Recall over ruptures and over soft transitions. Precision: the fraction of alarms
-    that belong to either; nan without an alarm, since then it is undefined. Medians
-    over the ruptures found: alarm after onset, error of the estimated time, travel from
-    onset to alarm.
+    What does not exist in it has no entry. Recall over ruptures and over soft
+    transitions. Precision: the fraction of alarms that belong to either; nan without an
+    alarm, since then it is undefined. Medians over the ruptures found: alarm after
+    onset, error of the estimated time, travel from onset to alarm.
     """
     hard = [pair for pair in matching.found if is_visible(pair[0])]
     missed = [rupture for rupture in matching.missed if is_visible(rupture)]
@@ -109,7 +110,7 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
 
 
 def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
-    """Cumulative friction B d of the one layer in Ns/m, by name, as in Table I.
+    """Return the cumulative friction B d of the one layer in Ns/m, as in Table I.
 
     True: friction over speed at the rupture. Offline: equation (6) with the multi-layer
     model on the insertion, rupture known. Online: as the method states it in the end.
@@ -135,7 +136,7 @@ ADVANCING_m_s = 1e-4
 
 
 def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
-    """Enhanced and tip force against the true ones; what does not exist has no entry.
+    """Measure enhanced and tip force; what does not exist has no entry.
 
     Errors count from the first compensation to the deepest point; a method that never
     compensates is judged from the true exit of the first layer on, with what it calls
@@ -144,7 +145,8 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     values: dict[str, float] = {}
     after = truth.is_insertion[identified.start :].copy()
     is_identified = [
-        each.identified_layer is not None for each in identified.result.estimates
+        estimate.identified_layer is not None
+        for estimate in identified.result.estimates
     ]
     if True not in is_identified:
         exits = (rupture.end_s for rupture in truth.ruptures if rupture.layer > 0)
@@ -169,7 +171,7 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
 
 
 def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
-    """Samples past the last layer while the needle advances, shape (n,)."""
+    """Return which samples are past the last layer and advance, shape (n,)."""
     exits_s = [rupture.end_s for rupture in truth.ruptures]
     end = int(np.searchsorted(truth.t_s, exits_s[-1])) if exits_s else len(truth.t_s)
     if end >= len(truth.t_s) or truth.layer.max() <= truth.layer_friction_N.shape[1]:
@@ -187,8 +189,9 @@ bound."""
 
 
 def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
-    """Least errors that the noise of a reading allows, by name; nothing without
-    ruptures.
+    """Return the least errors that the noise of a reading allows, by name.
+
+    There are none without ruptures.
     """
     visible = [rupture for rupture in truth.ruptures if is_visible(rupture)]
     lag_s = 0.0

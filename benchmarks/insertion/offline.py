@@ -14,7 +14,7 @@ are judged, not the noise of an arm's velocity, which B Δz would turn into forc
 
 
 def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
-    """Rms residual of each model over the insertion [N], as in Figures 2 and 3."""
+    """Return the rms residual of each model [N], as in Figures 2 and 3."""
     models: tuple[Model, ...] = ("ml", "kv")
     return {f"offline_rmse_{m}_N": offline_fit(signal, truth, m).rmse_N for m in models}
 
@@ -22,36 +22,39 @@ def offline_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, fl
 def offline_fit(
     signal: NeedleSignal, truth: InsertionTruth, model: Model = "ml"
 ) -> OfflineIdentification:
-    """Equation (6) on the insertion, from first contact to the deepest point."""
+    """Fit equation (6) to the insertion, from contact to the deepest point."""
     inside = truth.is_insertion
     depth = signal.depth_m - np.interp(truth.contact_s, truth.t_s, signal.depth_m)
     columns = (truth.t_s, depth, quiet_speed_m_s(signal), signal.force_N)
-    t_s, depth_m, speed_m_s, force_N = (each[inside] for each in columns)
+    t_s, depth_m, speed_m_s, force_N = (column[inside] for column in columns)
     return identify_offline(t_s, depth_m, speed_m_s, force_N, layer_spans(truth), model)
 
 
 def quiet_speed_m_s(signal: NeedleSignal) -> NDArray[np.float64]:
-    """The speed without its noise, its steps as they are, shape (n,)."""
+    """Return the speed without its noise, its steps as they are, shape (n,)."""
     samples = max(round(SPEED_WINDOW_s / float(np.median(np.diff(signal.t_s)))), 1)
     assert signal.speed_m_s is not None, "an arm or a motion gives the speed"
     return median_filter(signal.speed_m_s, samples + 1 - samples % 2, mode="nearest")
 
 
 def layer_spans(truth: InsertionTruth) -> list[LayerSpan]:
-    """The spans from first contact to the first rupture, and from each rupture to the
-    next.
+    """Return the spans from contact to the first rupture, and from each to the next.
 
     A membrane on the surface thus has a span of its own, the fictitious layer of
     Section III-B. A layer that the tip is still in at the deepest point ends there.
     """
     inside = truth.is_insertion
-    last = int(np.flatnonzero(inside)[-1])
+    last_sample = int(np.flatnonzero(inside)[-1])
     # An arm that lags may break through after its path has ended: that is not in the
     # data.
-    found = [rupture for rupture in truth.ruptures if rupture.onset_s < truth.t_s[last]]
-    ends = [(rupture.onset_s, rupture.onset_m) for rupture in found]
-    if truth.layer[last] <= truth.layer_friction_N.shape[1]:
-        ends.append((float(truth.t_s[last]), float(truth.depth_m[inside].max())))
+    inside_ruptures = [
+        rupture
+        for rupture in truth.ruptures
+        if rupture.onset_s < truth.t_s[last_sample]
+    ]
+    ends = [(rupture.onset_s, rupture.onset_m) for rupture in inside_ruptures]
+    if truth.layer[last_sample] <= truth.layer_friction_N.shape[1]:
+        ends.append((float(truth.t_s[last_sample]), float(truth.depth_m[inside].max())))
     starts = [(truth.contact_s, 0.0), *ends[:-1]]
     return [
         LayerSpan(

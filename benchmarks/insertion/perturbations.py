@@ -1,8 +1,7 @@
-"""Perturbed worlds: a scenario and a plant in which one thing is not as the estimators
-assume.
+"""Perturbed worlds: one thing is not as the estimators assume.
 
-`perturbations.toml` defines them: what is changed, within which range, and why. Its
-fields are those of `Perturbation`.
+A world is a scenario and a plant. `perturbations.toml` defines them: what is changed,
+within which range, and why. Its fields are those of `Perturbation`.
 """
 
 import math
@@ -25,19 +24,37 @@ Range = tuple[float, float]
 
 
 class _Wave(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One wave of the tissue's motion."""
+
     amplitude_m: Range
     frequency_hz: Range
 
 
 class _Steps(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    every_m: Range  # travel of a piece
-    rest_s: Range  # after each
-    back_m: Range = (0.0, 0.0)  # pulled back after the rest
+    """Pieces of an insertion.
+
+    Attributes:
+        every_m: Travel of a piece.
+        rest_s: Rest after each.
+        back_m: Pulled back after the rest.
+    """
+
+    every_m: Range
+    rest_s: Range
+    back_m: Range = (0.0, 0.0)
 
 
 class _Elbow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    force_N: Range  # in any direction
-    every_s: Range  # from one push to the next
+    """Pushes at the elbow.
+
+    Attributes:
+        force_N: In any direction.
+        every_s: From one push to the next.
+        duration_s: Of a push.
+    """
+
+    force_N: Range
+    every_s: Range
     duration_s: Range
 
 
@@ -53,6 +70,7 @@ class Perturbation(
         plant: Numbers of the plant; of joint-wise ones, each is drawn.
         times: Factors on joint-wise numbers of the plant.
         sends_velocity: Whether the robot sends velocities.
+        has_speed: Whether who reads the F/T sensor has a speed beside the depth.
         tare_stroke_m: zero: at rest.
         speed_m_s: Constant speed of the insertion.
         steps: Pieces of the insertion.
@@ -69,9 +87,7 @@ class Perturbation(
     plant: dict[str, Range] = {}
     times: dict[str, Range] = {}
     sends_velocity: bool = True
-    has_speed: bool = (
-        True  # whether who reads the F/T sensor has a speed beside the depth
-    )
+    has_speed: bool = True
     tare_stroke_m: Range | None = None
     speed_m_s: Range | None = None
     steps: _Steps | None = None
@@ -82,7 +98,7 @@ class Perturbation(
     elbow: _Elbow | None = None
 
     def __call__(self, world: "World", rng: Rng) -> "World":
-        """The world with this changed, its size drawn."""
+        """Return the world with this changed, its size drawn."""
         plant = PLANT_MODELS[self.base] if self.base else world.plant
         numbers: dict[str, Any] = {
             name: _like(getattr(plant, name), limits, rng)
@@ -90,7 +106,7 @@ class Perturbation(
         }
         for name, limits in self.times.items():
             factor = drawn(limits, rng)
-            numbers[name] = tuple(factor * each for each in getattr(plant, name))
+            numbers[name] = tuple(factor * number for number in getattr(plant, name))
         if not self.sends_velocity:
             numbers["velocity_noise_std_rad_s"] = None
         return World(
@@ -100,6 +116,7 @@ class Perturbation(
         )
 
     def _scenario(self, scenario: Scenario, rng: Rng) -> Scenario:
+        """Return the scenario with what this perturbation changes of it."""
         if (
             self.speed_m_s is not None
             or self.steps is not None
@@ -131,7 +148,7 @@ class Perturbation(
         return scenario
 
     def _motion(self, motion: Motion, rng: Rng) -> Motion:
-        """The protocol with another insertion, or another tare."""
+        """Return the protocol with another insertion, or another tare."""
         standoff_m = -motion.strokes[3].end_m
         stroke_m = motion.strokes[1].travel_m
         inside = [
@@ -154,8 +171,14 @@ class Perturbation(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class World:
-    """What is simulated; what the plant's sensors add holds for the needle alone as
-    well.
+    """What is simulated: a scenario on a plant.
+
+    What the plant's sensors add holds for the needle alone as well.
+
+    Attributes:
+        scenario: The insertion.
+        plant: The arm and its sensors.
+        has_speed: Whether who reads the F/T sensor has a speed beside the depth.
     """
 
     scenario: Scenario
@@ -164,7 +187,10 @@ class World:
 
 
 def drawn(limits: Range, rng: Rng) -> float:
-    """A number of the range, with equal chance per octave; the ends may both be 0."""
+    """Draw a number of the range, with equal chance per octave.
+
+    The ends may both be 0.
+    """
     low, high = limits
     return (
         float(np.exp(rng.uniform(math.log(low), math.log(high)))) if high > 0.0 else 0.0
@@ -172,25 +198,26 @@ def drawn(limits: Range, rng: Rng) -> float:
 
 
 def _like(value: object, limits: Range, rng: Rng) -> object:
-    """A drawn number of the kind of the one that it takes the place of."""
+    """Draw a number of the kind of the one that it takes the place of."""
     if isinstance(value, tuple):
         return tuple(drawn(limits, rng) for _ in value)
     return round(drawn(limits, rng)) if isinstance(value, int) else drawn(limits, rng)
 
 
 def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
-    """Each wave with a second harmonic of up to half its size: no organ moves as a
-    pure sine.
+    """Draw each wave with a second harmonic of up to half its size.
+
+    No organ moves as a pure sine.
     """
-    found: list[Wave] = []
+    waves_drawn: list[Wave] = []
     for wave in waves:
         size_m = drawn(wave.amplitude_m, rng)
         frequency_hz = drawn(wave.frequency_hz, rng)
         phases = rng.uniform(0.0, 2.0 * np.pi, 2).tolist()
         second_m = float(rng.uniform(0.0, 0.5)) * size_m
-        found.append(Wave(size_m, frequency_hz, phases[0]))
-        found.append(Wave(second_m, 2.0 * frequency_hz, phases[1]))
-    return TissueMotion(waves=tuple(found))
+        waves_drawn.append(Wave(size_m, frequency_hz, phases[0]))
+        waves_drawn.append(Wave(second_m, 2.0 * frequency_hz, phases[1]))
+    return TissueMotion(waves=tuple(waves_drawn))
 
 
 LAST_PIECE_m = 20e-3
@@ -198,23 +225,25 @@ LAST_PIECE_m = 20e-3
 
 
 def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[Move]:
-    found: list[Move] = []
+    """Return the moves of an insertion with rests, and steps back."""
+    moves: list[Move] = []
     place_m = reached_m = 0.0
     while total_m - reached_m > LAST_PIECE_m:
         reached_m += drawn(steps.every_m, rng)
         travel_m = reached_m - place_m
         back_m = drawn(steps.back_m, rng)
-        found.append(Move("cruise", travel_m / speed_m_s, travel_m))
-        found.append(Move("rest", drawn(steps.rest_s, rng), 0.0))
+        moves.append(Move("cruise", travel_m / speed_m_s, travel_m))
+        moves.append(Move("rest", drawn(steps.rest_s, rng), 0.0))
         if back_m > 0.0:
-            found.append(Move("cruise", back_m / speed_m_s, -back_m))
+            moves.append(Move("cruise", back_m / speed_m_s, -back_m))
         place_m = reached_m - back_m
     last_m = total_m - place_m
-    found.append(Move("cruise", last_m / speed_m_s, last_m))
-    return found
+    moves.append(Move("cruise", last_m / speed_m_s, last_m))
+    return moves
 
 
 def _pushes(elbow: _Elbow, motion: Motion, rng: Rng) -> ElbowPush:
+    """Draw the pushes of a hand during the insertion."""
     start_s = [motion.tare_end_s + drawn(elbow.every_s, rng)]
     while start_s[-1] < motion.withdrawal_end_s:
         start_s.append(start_s[-1] + drawn(elbow.every_s, rng))
@@ -251,11 +280,10 @@ PERTURBED = "robustness-"
 def perturbed(
     name: str, scenario: Scenario, seed: int
 ) -> tuple[World, tuple[str, ...]]:
-    """A scenario in a perturbed world, and the perturbations: of `mixed`, those that
-    were drawn.
+    """Return a scenario in a perturbed world, and the names of the perturbations.
 
-    Equal arguments give equal worlds; estimators are tuned on seeds below 1000, and
-    reported on seeds from 1000 on.
+    Of `mixed` these are the ones that were drawn. Equal arguments give equal worlds;
+    estimators are tuned on seeds below 1000, and reported on seeds from 1000 on.
     """
     rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
     names = (name,)
@@ -264,6 +292,6 @@ def perturbed(
         chosen = sorted(rng.choice(len(groups), MIXED_COUNT, replace=False).tolist())
         names = tuple(groups[k][int(rng.integers(len(groups[k])))] for k in chosen)
     world = World(scenario=scenario)
-    for each in names:
-        world = PERTURBATIONS[each](world, rng)
+    for perturbation in names:
+        world = PERTURBATIONS[perturbation](world, rng)
     return world, names

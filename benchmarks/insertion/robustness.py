@@ -1,8 +1,8 @@
-"""Estimators in perturbed worlds, by the arm or, for the identification alone, by the
-needle.
+"""Estimators in perturbed worlds, by the arm or by the needle alone.
 
-The published method runs on the F/T force everywhere; on the virtual force only where
-the plant itself is what changes, since its sensor would double the time.
+The needle alone is enough for the identification. The published method runs on the F/T
+force everywhere; on the virtual force only where the plant itself is what changes,
+since its sensor would double the time.
 """
 
 from collections.abc import Iterator
@@ -81,25 +81,26 @@ def perturbed_needle(
     clock, loss, position, velocity = map(
         np.random.default_rng, np.random.SeedSequence([seed, 2]).spawn(4)
     )
-    kept = received_samples(len(run.t_s), plant, loss)
+    received = received_samples(len(run.t_s), plant, loss)
     dq = measured_velocity(dq_rad_s, plant, velocity)
     signals = JointSignals(
-        t_s=time_stamps(run.t_s, plant, clock)[kept],
-        q_rad=measured_position(q_rad, plant, position)[kept],
-        dq_rad_s=None if dq is None or not world.has_speed else dq[kept],
-        tau_Nm=np.zeros((len(kept), robot.nv)),
+        t_s=time_stamps(run.t_s, plant, clock)[received],
+        q_rad=measured_position(q_rad, plant, position)[received],
+        dq_rad_s=None if dq is None or not world.has_speed else dq[received],
+        tau_Nm=np.zeros((len(received), robot.nv)),
     )
     still = replace(signals, dq_rad_s=np.zeros_like(signals.q_rad))
     sent = signals if world.has_speed else still
     depth_m, measured_m_s = measured_travel(robot, sent, run.tare_end_s)
     speed_m_s = measured_m_s if world.has_speed else None
-    signal = NeedleSignal("ft", signals.t_s, depth_m, speed_m_s, run.force_N[kept])
-    return signal, _at_samples(insertion_truth(run), kept)
+    signal = NeedleSignal("ft", signals.t_s, depth_m, speed_m_s, run.force_N[received])
+    return signal, _at_samples(insertion_truth(run), received)
 
 
 def run_robustness(job: Job, progress: Progress) -> JobResult:
-    """``robustness-...``: the world of the plant's name, our method and the
-    published one.
+    """Run ``robustness-...``: our method and the published one in a perturbed world.
+
+    The world is that of the plant's name.
     """
     name = job.plant
     chosen = job.benchmark.removeprefix(PERTURBED)
@@ -107,31 +108,37 @@ def run_robustness(job: Job, progress: Progress) -> JobResult:
     if name in FT_ONLY:
         signal, truth = perturbed_needle(name, scenario, job.seed)
         as_run = identify_as_run(signal, truth, truth.speed_m_s)
-        found = [identify(signal, truth, "ours"), as_run]
-        return JobResult(list(_events(found, truth)))
+        identified = [identify(signal, truth, "ours"), as_run]
+        return JobResult(list(_events(identified, truth)))
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(
         world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5)
     )
     methods = METHODS if name in GROUPS["plants"] else ("ours",)
     case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
-    found = [item for source in identify_sources(case) for item in source]
-    return JobResult([*simulated_metrics(case), *_events(found, insertion_truth(run))])
+    identified = [item for source in identify_sources(case) for item in source]
+    return JobResult(
+        [*simulated_metrics(case), *_events(identified, insertion_truth(run))]
+    )
 
 
-def _events(found: list[Identified], truth: InsertionTruth) -> Iterator[Measurement]:
-    for item in found:
+def _events(
+    identified: list[Identified], truth: InsertionTruth
+) -> Iterator[Measurement]:
+    """Yield the numbers of ruptures and friction of every method."""
+    for item in identified:
         for metric, value in event_metrics(item, truth).items():
             yield Measurement(item.source, item.method, metric, value)
 
 
 @lru_cache(maxsize=1)
 def _lwr() -> Robot:
+    """Load the arm once."""
     return load_lwr(payload=NeedleTool())
 
 
 def ft_noise(plant: PlantModel) -> ForceNoise:
-    """The plant's F/T sensor along the needle."""
+    """Return the noise of the plant's F/T sensor along the needle."""
     return ForceNoise(
         white_std_N=plant.ft_noise_std[2],
         drift_std_N_per_s=plant.ft_drift_std_per_min[2] / SECONDS_PER_MINUTE,
@@ -140,8 +147,10 @@ def ft_noise(plant: PlantModel) -> ForceNoise:
     )
 
 
-def _at_samples(truth: InsertionTruth, kept: NDArray[np.intp]) -> InsertionTruth:
+def _at_samples(truth: InsertionTruth, received: NDArray[np.intp]) -> InsertionTruth:
+    """Return the truth at the samples that were received."""
     values = {item.name: getattr(truth, item.name) for item in fields(truth)}
     return replace(
-        truth, **{n: v[kept] for n, v in values.items() if isinstance(v, np.ndarray)}
+        truth,
+        **{n: v[received] for n, v in values.items() if isinstance(v, np.ndarray)},
     )

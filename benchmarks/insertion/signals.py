@@ -1,9 +1,8 @@
-"""Signals that estimators get, and the ground truth that their estimates are judged
-against.
-"""
+"""Signals that estimators get, and the ground truth that judges their estimates."""
 
 from dataclasses import dataclass
-from itertools import accumulate
+from itertools import accumulate, starmap
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -11,13 +10,12 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from benchmarks.results import Source
+from foundation.arrays import Array
 from groundtruth import NeedleRun, Run, Rupture
 from needleforce.tip_travel import tip_motion
 from residual import VelocityEstimator
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -54,9 +52,7 @@ class InsertionTruth:
 
     @property
     def enhanced_N(self) -> Array:
-        """Axial force without the friction of the layers already traversed, shape
-        (n,).
-        """
+        """Axial force without the friction of the layers traversed, shape (n,)."""
         number = np.arange(1, self.layer_friction_N.shape[1] + 1)
         is_traversed = number[None, :] < self.layer[:, None]
         return self.axial_N - np.sum(self.layer_friction_N * is_traversed, axis=1)
@@ -73,9 +69,7 @@ class InsertionTruth:
 
 
 def insertion_truth(run: Run | NeedleRun) -> InsertionTruth:
-    """The ground truth of an insertion, by the simulated arm or by a needle without
-    one.
-    """
+    """Return the ground truth of an insertion, by the arm or by a needle alone."""
     true = run.truth
     motion = run if isinstance(run, NeedleRun) else run.truth
     depth_m = motion.depth_m
@@ -149,7 +143,7 @@ class JointSignals:
 
     @classmethod
     def of_run(cls, run: Run) -> "JointSignals":
-        """What the arm of a simulated insertion sent."""
+        """Return what the arm of a simulated insertion sent."""
         sent = run.signals
         return cls(
             t_s=sent.t_s, q_rad=sent.q_rad, dq_rad_s=sent.dq_rad_s, tau_Nm=sent.tau_Nm
@@ -163,16 +157,31 @@ class JointSignals:
         """
         return np.round(np.diff(self.t_s, prepend=self.t_s[0] - 1.0), CLOCK_DIGITS)
 
-    def samples(self) -> list[tuple[Array, Array | None, Array, float]]:
-        """Arguments of an estimator's `update`, sample by sample."""
+    def samples(self) -> list["JointSample"]:
+        """Return the arguments of an estimator's `update`, sample by sample."""
         # Lists: a controller has its sample at hand and need not cut it out of an
         # array.
         velocities = (
             [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
         )
-        return list(
-            zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True)
-        )
+        rows = zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True)
+        return list(starmap(JointSample, rows))
+
+
+class JointSample(NamedTuple):
+    """One sample of an arm with j joints: arguments of an estimator's `update`.
+
+    Attributes:
+        q_rad: Positions, shape (j,).
+        dq_rad_s: Velocities, shape (j,), or None where the arm sends none.
+        tau_Nm: Torques, shape (j,).
+        dt_s: Time since the sample before.
+    """
+
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
+    dt_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,7 +207,7 @@ class NeedleSignal:
 def measured_travel(
     robot: Robot, signals: JointSignals, zero_s: float
 ) -> tuple[Array, Array]:
-    """Travel of the tip along the needle's axis and its rate, shape (n,) each.
+    """Return travel of the tip along the needle and its rate, shape (n,) each.
 
     Forward kinematics of measured positions, Jacobian of measured velocities. Where the
     arm sends no velocity, velocity and the position that belongs to it are estimated as
@@ -211,33 +220,36 @@ def measured_travel(
         estimator = VelocityEstimator(q_rad.shape[1])
         samples = zip(signals.q_rad, signals.tau_Nm, signals.dt_s.tolist(), strict=True)
         matched = [estimator.update(*sample) for sample in samples]
-        q_rad, dq_rad_s = (np.array([each[k] for each in matched]) for k in (0, 1))
+        q_rad = np.array([sample[0] for sample in matched])
+        dq_rad_s = np.array([sample[1] for sample in matched])
     kinematics = ToolKinematics(robot)
     kinematics.update(q_rad[int(np.searchsorted(signals.t_s, zero_s))])
     axis = kinematics.axis_in_base.copy()
     start_m = kinematics.pose[:3, 3].copy()
-    found = np.zeros((len(signals.t_s), 2))
+    place_and_speed = np.zeros((len(signals.t_s), 2))
     for k, (q, dq) in enumerate(zip(q_rad, dq_rad_s, strict=True)):
         kinematics.update(q)
-        found[k] = tip_motion(axis, kinematics.needle, dq)
-    return found[:, 0] - float(axis.dot(start_m)), found[:, 1].copy()
+        place_and_speed[k] = tip_motion(axis, kinematics.needle, dq)
+    depth_m = place_and_speed[:, 0] - float(axis.dot(start_m))
+    return depth_m, place_and_speed[:, 1].copy()
 
 
 def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
-    """Values behind a first-order lag, sampled evenly and at rest before, shape
-    (n,).
+    """Return values behind a first-order lag, shape (n,).
+
+    They are sampled evenly, and at rest before.
     """
     if lag_s <= 0.0:
         return values
     keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
-    found, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
-    return np.asarray(found, dtype=np.float64)
+    late, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
+    return np.asarray(late, dtype=np.float64)
 
 
 def inverse_dynamics(
     model: pin.Model, q_rad: Array, dq_rad_s: Array, ddq_rad_s2: Array
 ) -> Array:
-    """Torques of a motion in free air, shape (n, j) like the arguments."""
+    """Return torques of a motion in free air, shape (n, j) like the arguments."""
     data = model.createData()
     rows = zip(q_rad, dq_rad_s, ddq_rad_s2, strict=True)
     return np.array([pin.rnea(model, data, *row) for row in rows])
@@ -246,8 +258,9 @@ def inverse_dynamics(
 def tool_jacobians(
     robot: Robot, q_rad: Array, axes: pin.ReferenceFrame = pin.ReferenceFrame.LOCAL
 ) -> Array:
-    """Jacobians of the tool frame in its own axes, shape (n, 6, j); row 2 is along
-    the needle.
+    """Return Jacobians of the tool frame in its own axes, shape (n, 6, j).
+
+    Row 2 is along the needle.
     """
     model = robot.model
     data = robot.create_data()

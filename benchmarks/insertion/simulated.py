@@ -120,16 +120,16 @@ class SimulatedCase:
     def readings(self) -> list[ForceReading]:
         """Axial force of every source and method."""
         # Where the wrist turns, the F/T reading is mostly the needle's weight.
-        apart = [each for each in (self.ft, self.best_gain) if each is not None]
+        apart = [
+            reading for reading in (self.ft, self.best_gain) if reading is not None
+        ]
         return [*(item.reading for item in self.sessions.values()), *apart]
 
 
 def read_sensors(
     run: Run, progress: Progress, methods: Sequence[Method] = tuple(METHODS)
 ) -> SimulatedCase:
-    """Run the session of every method on what the simulated arm sent, and read the
-    F/T sensor.
-    """
+    """Run every method's session on what the arm sent, and read the F/T sensor."""
     signals = JointSignals.of_run(run)
     free = not run.scenario.layers
     # From first contact to the end of withdrawal; without tissue, all after the tare.
@@ -146,9 +146,16 @@ def read_sensors(
     contact_m = float(place_m(touches_s) - place_m(run.tare_end_s))
     sessions: dict[Method, SessionRun] = {}
     for k, method in enumerate(methods):
-        part = progress_part(progress, k / len(methods), (k + 1) / len(methods))
+        session_progress = progress_part(
+            progress, k / len(methods), (k + 1) / len(methods)
+        )
         sessions[method] = run_session(
-            run.robot, signals, method, run.tare_end_s, part, contact_m=contact_m
+            run.robot,
+            signals,
+            method,
+            run.tare_end_s,
+            session_progress,
+            contact_m=contact_m,
         )
     published = sessions.get("published")
     return SimulatedCase(
@@ -162,7 +169,7 @@ def read_sensors(
 
 
 def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
-    """Every number of residual and force of one simulated insertion."""
+    """Measure residual and force of one simulated insertion."""
     forces = [
         item
         for reading in case.readings
@@ -178,16 +185,19 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
 def session_signal(
     case: SimulatedCase, method: Method, force: ForceReading
 ) -> NeedleSignal:
-    """A force with depth and speed of a method's session, which come from measured
-    joints.
+    """Return a force with depth and speed of a method's session.
+
+    Depth and speed come from measured joints.
     """
-    made = case.sessions[method]
+    session = case.sessions[method]
     t_s = case.signals.t_s
-    return NeedleSignal(force.source, t_s, made.depth_m, made.speed_m_s, force.axial_N)
+    return NeedleSignal(
+        force.source, t_s, session.depth_m, session.speed_m_s, force.axial_N
+    )
 
 
 def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
-    """Every method on the F/T force, then on the virtual one.
+    """Run every method on the F/T force, then on the virtual one.
 
     There each whole session is judged, by its own identification of its own force. On
     the F/T force the same identifiers get depth and speed of the same sessions.
@@ -220,8 +230,7 @@ worse sensor."""
 def run_needle(
     job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
 ) -> JobResult:
-    """Identification alone, at half a second a run: insert, identify by both methods,
-    measure.
+    """Identify alone, at half a second a run: insert, identify, measure.
 
     Without tissue there is nothing to identify. The seed is that of the noise, whose
     level may be drawn as well.
@@ -237,20 +246,20 @@ def run_needle(
     truth = insertion_truth(run)
     identified = [identify(signal, truth, method) for method in IDENTIFIERS]
     identified.append(identify_as_run(signal, truth, run.speed_m_s))
-    made = IdentifiedRun(
+    identified_run = IdentifiedRun(
         truth=truth,
         commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
         sources=[identified],
     )
-    measurements = made.measure()
+    measurements = identified_run.measure()
     drawings = ()
     if job.drawings is not None:
-        drawings = draw_identified(job, job.drawings, made, measurements)
+        drawings = draw_identified(job, job.drawings, identified_run, measurements)
     return JobResult(measurements, drawings)
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:
-    """A sensor somewhat better or worse than the catalogued one."""
+    """Draw a sensor somewhat better or worse than the catalogued one."""
     white, drift = np.exp(rng.uniform(*np.log(NOISE_FACTOR), size=2)).tolist()
     return replace(
         MINI45,

@@ -59,13 +59,14 @@ class _Loop:
         self._goals = [self._goal(1e-3 * k) for k in range(round(1e3 * SECONDS) + 1)]
 
     def _goal(self, t_s: float) -> NDArray[np.float64]:
+        """Return the goal of the tip at a time [m]."""
         angle = self._rate * t_s
         return self._start_m + RADIUS_M * np.array(
             (math.cos(angle) - 1.0, math.sin(angle), 0.0)
         )
 
     def command(self, sample: ArmSample, k: int) -> NDArray[np.float64]:
-        """Joint velocities after sample k."""
+        """Return joint velocities after sample k."""
         self._tip.goal_m = self._goals[k]
         return self.control.update(sample, self._stack).dq_rad_s
 
@@ -73,7 +74,7 @@ class _Loop:
 def _recorded(
     period_s: float, progress: Callable[[float], None]
 ) -> tuple[_Loop, list[ArmSample]]:
-    """Samples of an arm that has gone round, and a new loop for it."""
+    """Return a new loop, and samples of an arm that has gone round."""
     arm = SimulatedArm(plant="clean", duration_s=SECONDS)
     loop = _Loop(arm, period_s)
     samples = []
@@ -85,17 +86,17 @@ def _recorded(
 
 
 def _tail_us(update: Update, indices: Sequence[int]) -> float:
-    """Processor time that 999 of 1000 updates keep to."""
-    taken = []
+    """Return the processor time that 999 of 1000 updates keep to."""
+    taken_us = []
     for k in indices:
-        before = thread_time_ns()
+        begin_ns = thread_time_ns()
         update(k)
-        taken.append((thread_time_ns() - before) / NS_PER_US)
-    return float(np.percentile(taken, 99.9))
+        taken_us.append((thread_time_ns() - begin_ns) / NS_PER_US)
+    return float(np.percentile(taken_us, 99.9))
 
 
 def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
-    """What is timed, by name."""
+    """Return what is timed, by name."""
     loop, samples = _recorded(SECONDS, lambda part: progress(0.4 * part))
     hasty, pressed = _recorded(0.5, lambda part: progress(0.4 + 0.4 * part))
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
@@ -126,14 +127,16 @@ def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
 def control_speed_report(
     progress: Callable[[float], None],
 ) -> tuple[list[ResultTable], bool]:
-    """The table, and whether all targets are met."""
+    """Return the table, and whether all targets are met."""
     subjects = _subjects(progress)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
     again = range(WARM_TICKS, round(1e3 * SECONDS))
     tails = {name: _tail_us(update, again) for name, update in subjects.items()}
     progress(1.0)
-    medians = {name: float(np.median(each)) for name, each in times.items()}
-    ratios = {name: cost_ratio(each, times[BARE]) for name, each in times.items()}
+    medians = {name: float(np.median(taken_us)) for name, taken_us in times.items()}
+    ratios = {
+        name: cost_ratio(taken_us, times[BARE]) for name, taken_us in times.items()
+    }
     is_cheap = ratios[CONTROL] <= RATIO and tails[CONTROL] <= TAIL_US
     targets = {
         CONTROL: (f"ratio ≤ {RATIO:g}, tail ≤ {TAIL_US:g}", is_cheap),

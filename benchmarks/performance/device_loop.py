@@ -41,9 +41,7 @@ QUANTILES = (50.0, 99.0, 99.9, 100.0)
 
 
 def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
-    """Run the loop, alone and, if wanted, with the scene and with a recorder beside
-    it.
-    """
+    """Run the loop alone and, if wanted, beside the scene and a recorder."""
     if not 0.0 < seconds < inf:
         raise BenchmarkError(
             f"--loop {seconds:g}: expected a positive number of seconds"
@@ -58,8 +56,8 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
     quantiles = tuple(f"p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
     is_real_time = "with" if _is_real_time() else "without"
     return ResultTable(
-        title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, {is_real_time} "
-        "real-time priority",
+        title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, "
+        f"{is_real_time} real-time priority",
         heads=(
             "loop",
             "what",
@@ -75,6 +73,7 @@ def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> Resul
 
 
 def _is_real_time() -> bool:
+    """Return whether the system grants real-time priority."""
     is_granted = take_real_time()
     leave_real_time()
     return is_granted
@@ -84,25 +83,26 @@ def _is_real_time() -> bool:
 def _beside(
     kind: str, robot: Robot, notes: list[str]
 ) -> Iterator[Callable[[Any, ArmReading], None]]:
-    """What takes the estimate and the sample of every tick; at the end, what else is
-    to be said.
+    """Yield what takes the estimate and the sample of every tick.
+
+    At the end it adds what else is to be said.
     """
     if kind == SCENE:
         from needleforce.scene import open_viewer
 
         context = multiprocessing.get_context("spawn")
-        before = {child.pid for child in psutil.Process().children()}
+        pids_before = {child.pid for child in psutil.Process().children()}
         with open_viewer(robot) as view:
-            pages = {child.pid for child in psutil.Process().children()} - before
+            pages = {child.pid for child in psutil.Process().children()} - pids_before
             pipe, other = context.Pipe()
-            given = (other, view.url, sorted(pages))
-            context.Process(target=_watch, args=given, daemon=True).start()
+            arguments = (other, view.url, sorted(pages))
+            context.Process(target=_watch, args=arguments, daemon=True).start()
             yield lambda now, sample: view.put(now, sample.q_rad)
             pipe.send("stop")
             updates_Hz, processor = pipe.recv()
             notes.append(
-                f"The scene's process: {updates_Hz:.1f} updates a second reach a page (at least "
-                f"30), for {processor:.1f} % of a core (at most 10). "
+                f"The scene's process: {updates_Hz:.1f} updates a second reach a page "
+                f"(at least 30), for {processor:.1f} % of a core (at most 10). "
             )
     elif kind == RECORDER:
         names = robot.joint_names
@@ -116,8 +116,9 @@ def _beside(
 
 
 def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
-    """The process of a page's reader: counts its updates, and its server's processor
-    time.
+    """Count the updates that reach a page, and its server's processor time.
+
+    This is the process of the page's reader.
     """
     import viser
     import zstandard
@@ -155,6 +156,7 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
 def _one(
     run: Any, seconds: float, kind: str, notes: list[str]
 ) -> list[tuple[str, ...]]:
+    """Run the loop once; return its two lines of the table."""
     signals = run.signals
     cycles = round(1e3 * seconds) + WARM_UP
     arm = FriArm(port=0, give_up_s=0.5)
@@ -174,13 +176,13 @@ def _one(
         controller = stack.enter_context(Emulator(emulate_fri, settings))
         take_real_time()
         for sample in arm:
-            before = perf_counter_ns()
+            begin_ns = perf_counter_ns()
             tau = sample.tau_Nm
             assert tau is not None  # an LWR sends it
-            now = session.update(sample.q_rad, None, tau, sample.dt_s)
-            put(now, sample)
-            arrived_us.append(before / 1e3)
-            taken_us.append((perf_counter_ns() - before) / 1e3)
+            estimate = session.update(sample.q_rad, None, tau, sample.dt_s)
+            put(estimate, sample)
+            arrived_us.append(begin_ns / 1e3)
+            taken_us.append((perf_counter_ns() - begin_ns) / 1e3)
         leave_real_time()
         counts = controller.counts()
     tick_us = np.array(taken_us[WARM_UP:])
@@ -196,4 +198,5 @@ def _one(
 
 
 def _quantiles(values: np.ndarray) -> list[str]:
+    """Return the quantiles of values as cells."""
     return [f"{np.percentile(values, q):.0f}" for q in QUANTILES]

@@ -1,5 +1,4 @@
-"""The same samples through orocos KDL's estimator of a wrench: error and time beside
-ours.
+"""The same samples through orocos KDL's estimator of a wrench: error and time.
 
 ``ChainExternalWrenchEstimator`` is what a user finds in Debian (``liborocos-kdl-dev``).
 It gets the robot, the gain and the samples that ours gets; its inner filter is off, as
@@ -18,11 +17,12 @@ import pinocchio as pin
 
 from benchmarks import BenchmarkError
 from benchmarks.insertion.methods import joint_residual, on_lwr
-from benchmarks.insertion.signals import Array, ForceTruth, JointSignals
+from benchmarks.insertion.signals import ForceTruth, JointSignals
 from benchmarks.insertion.simulated import read_sensors
 from benchmarks.jobs import Progress, progress_part
 from benchmarks.performance.speed import Update, cost_ratio, fed, time_side_by_side
 from benchmarks.report.tables import ResultTable, met_mark
+from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
@@ -54,14 +54,14 @@ class KdlAbsentError(BenchmarkError):
 
 
 def kdl_library() -> ctypes.CDLL:
-    """KDL's estimator behind `kdl_shim.cpp`, compiled now.
+    """Compile and load KDL's estimator behind `kdl_shim.cpp`.
 
     Raises:
         KdlAbsentError: It cannot be compiled.
     """
     source = Path(__file__).with_name("kdl_shim.cpp")
     with TemporaryDirectory() as folder:  # what is loaded stays when the file goes
-        made = Path(folder) / "kdl_shim.so"
+        compiled = Path(folder) / "kdl_shim.so"
         command = [
             "g++",
             "-O2",
@@ -70,7 +70,7 @@ def kdl_library() -> ctypes.CDLL:
             "-I/usr/include/eigen3",
             source,
             "-o",
-            made,
+            compiled,
         ]
         try:
             subprocess.run([*command, "-lorocos-kdl"], check=True, capture_output=True)
@@ -78,7 +78,7 @@ def kdl_library() -> ctypes.CDLL:
             raise KdlAbsentError(
                 f"no comparison with KDL: it needs {PACKAGES}"
             ) from error
-        library = ctypes.CDLL(str(made))
+        library = ctypes.CDLL(str(compiled))
     library.kdl_new.restype = ctypes.c_void_p
     for name, count in (("kdl_delete", 1), ("kdl_start", 3), ("kdl_update", 5)):
         getattr(library, name).argtypes = [ctypes.c_void_p] * count
@@ -86,7 +86,10 @@ def kdl_library() -> ctypes.CDLL:
 
 
 def chain_numbers(robot: Robot) -> Array:
-    """A serial arm of turning joints as `kdl_shim.cpp` takes it, shape (n + 1, 26)."""
+    """Return a serial arm as `kdl_shim.cpp` takes it, shape (n + 1, 26).
+
+    Its joints turn.
+    """
     model = robot.model
     data = robot.create_data()
     at_zero = pin.neutral(robot.model)
@@ -127,7 +130,7 @@ class KdlEstimator:
         gravity = np.array(robot.gravity_m_s2)
         rate_hz = 1.0 / float(np.median(signals.dt_s))
         settings = map(ctypes.c_double, (rate_hz, gain_per_s, 0.0))
-        arrays = (each.ctypes.data_as(ctypes.c_void_p) for each in (numbers, gravity))
+        arrays = (array.ctypes.data_as(ctypes.c_void_p) for array in (numbers, gravity))
         self._handle = ctypes.c_void_p(
             library.kdl_new(len(numbers), *arrays, *settings)
         )
@@ -139,7 +142,7 @@ class KdlEstimator:
         self._wrench = np.zeros(6)  # on the tool frame, in its axes
         self._into = self._wrench.ctypes.data
         library.kdl_start(
-            self._handle, *(each.ctypes.data for each in self._samples[0][:2])
+            self._handle, *(array.ctypes.data for array in self._samples[0][:2])
         )
 
     def __call__(self, k: int) -> None:
@@ -148,11 +151,9 @@ class KdlEstimator:
         self.call(q.ctypes.data, dq.ctypes.data, tau.ctypes.data)
 
     def bare(self) -> Update:
-        """What takes sample k where it is known in advance at which addresses it
-        lies.
-        """
+        """Return what takes sample k where its addresses are known in advance."""
         places = [
-            tuple(each.ctypes.data for each in sample) for sample in self._samples
+            tuple(array.ctypes.data for array in sample) for sample in self._samples
         ]
         return lambda k: self.call(*places[k])
 
@@ -171,8 +172,9 @@ class KdlEstimator:
 
 
 class PlainEstimator:
-    """Our observer and, as KDL's, the pseudo-inverse of all six rows; arguments as
-    `KdlEstimator`.
+    """Our observer and, as KDL's, the pseudo-inverse of all six rows.
+
+    Arguments are those of `KdlEstimator`.
 
     Attributes:
         axial_N: Resistance to insertion at the last sample.
@@ -200,7 +202,7 @@ Error = dict[str, float]
 
 
 def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
-    """Errors on one insertion, from first contact to the end of the withdrawal."""
+    """Measure one insertion, from first contact to the end of the withdrawal."""
     case = read_sensors(run, progress, ("ours",))
     truth = case.truth
     signals = case.signals
@@ -209,10 +211,10 @@ def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
     free = (truth.t_s > truth.zeroed_s - TARE_s) & (truth.t_s <= truth.zeroed_s)
     residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
     tared = replace(signals, tau_Nm=signals.tau_Nm + residual[free].mean(axis=0))
-    for how, given in (("", signals), (TARED, tared)):
+    for how, sent in (("", signals), (TARED, tared)):
         for name, estimator in (
-            (KDL, KdlEstimator(library, run.robot, given, gain_per_s)),
-            (OURS, PlainEstimator(run.robot, given, gain_per_s)),
+            (KDL, KdlEstimator(library, run.robot, sent, gain_per_s)),
+            (OURS, PlainEstimator(run.robot, sent, gain_per_s)),
         ):
             axial_N = np.zeros(len(truth.t_s))
             for k in range(len(axial_N)):
@@ -223,6 +225,7 @@ def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
 
 
 def _rms(axial_N: Array, truth: ForceTruth) -> float:
+    """Return the rms error over the judged part [N]."""
     return float(np.sqrt(np.mean((axial_N - truth.axial_N)[truth.judged] ** 2)))
 
 
@@ -242,8 +245,9 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
 
 
 def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
-    """The table, and whether both targets are met; without KDL that is said, and
-    there is none.
+    """Return the table, and whether both targets are met.
+
+    Without KDL that is said, and there is no table.
     """
     errors: list[Error] = []
     times: dict[str, Array] = {}
@@ -253,7 +257,9 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
         say(f"skipped: {error}")
         return [], True
     for number, seed in enumerate(SEEDS):
-        begin, middle, end = ((number + part) / len(SEEDS) for part in (0.0, 0.5, 1.0))
+        begin, middle, end = (
+            (number + fraction) / len(SEEDS) for fraction in (0.0, 0.5, 1.0)
+        )
         run = simulate(SCENARIO, PLANT, seed, progress_part(progress, begin, middle))
         errors.append(peer_errors(run, library, progress_part(progress, middle, end)))
         times = times or peer_times(run, library)
@@ -263,29 +269,37 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
 def _report(
     errors: list[Error], times: dict[str, Array]
 ) -> tuple[list[ResultTable], bool]:
-    middle = {
-        name: float(np.median([found[name] for found in errors])) for name in errors[0]
+    """Return the table, and whether both targets are met."""
+    medians_N = {
+        name: float(np.median([error[name] for error in errors])) for name in errors[0]
     }
-    targets = {OURS: ("time", TIME_RATIO), SENSOR: ("error", ERROR_RATIO)}
     lines = []
     is_met = True
     for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
-        ratios = {}
-        error = ("", "")
-        time = ("", "", "")
-        mark = ("", "")
-        if name in middle:
-            ratios["error"] = middle[name] / middle[KDL]
-            error = (f"{middle[name]:.3f}", f"{ratios['error']:.3f}")
+        error_cells = ("", "")
+        time_cells = ("", "", "")
+        target_cells = ("", "")
+        if name in medians_N:
+            error_ratio = medians_N[name] / medians_N[KDL]
+            error_cells = (f"{medians_N[name]:.3f}", f"{error_ratio:.3f}")
+            if name == SENSOR:
+                is_met &= error_ratio <= ERROR_RATIO
+                mark = met_mark(error_ratio <= ERROR_RATIO)
+                target_cells = (f"error ≤ {ERROR_RATIO:g}", mark)
         if name in times:
-            ratios["time"] = cost_ratio(times[name], times[KDL])
-            numbers = (np.median(times[name]), np.mean(times[name]))
-            time = (*(f"{each:.1f}" for each in numbers), f"{ratios['time']:.2f}")
-        if name in targets:
-            what, most = targets[name]
-            is_met &= ratios[what] <= most
-            mark = (f"{what} ≤ {most:g}", met_mark(ratios[what] <= most))
-        lines.append((name, *error, *time, *mark))
+            time_ratio = cost_ratio(times[name], times[KDL])
+            time_cells = (
+                f"{np.median(times[name]):.1f}",
+                f"{np.mean(times[name]):.1f}",
+                f"{time_ratio:.2f}",
+            )
+            if name == OURS:
+                is_met &= time_ratio <= TIME_RATIO
+                target_cells = (
+                    f"time ≤ {TIME_RATIO:g}",
+                    met_mark(time_ratio <= TIME_RATIO),
+                )
+        lines.append((name, *error_cells, *time_cells, *target_cells))
     table = ResultTable(
         title="Beside orocos KDL's ChainExternalWrenchEstimator",
         heads=(
@@ -300,8 +314,9 @@ def _report(
         ),
         align="LrrrrrLL",
         lines=tuple(lines),
-        caption=f"{SCENARIO}, {PLANT}, seeds {SEEDS[0]} to {SEEDS[-1]}, median; ticks of the first,"
-        f" taking turns, KDL through ctypes; K = {DEFAULT.slowest_gain_per_s:g}/s for all, KDL's "
-        "filter off. KDL's estimator has no offset removal, tare, deviation or check of its input.",
+        caption=f"{SCENARIO}, {PLANT}, seeds {SEEDS[0]} to {SEEDS[-1]}, median; ticks "
+        "of the first, taking turns, KDL through ctypes; K = "
+        f"{DEFAULT.slowest_gain_per_s:g}/s for all, KDL's filter off. KDL's estimator "
+        "has no offset removal, tare, deviation or check of its input.",
     )
     return [table], is_met

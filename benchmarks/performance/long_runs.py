@@ -1,6 +1,4 @@
-"""A million updates, and recordings of any length: does the chain grow, does it slow
-down?
-"""
+"""A million updates, and recordings of any length: does the chain grow or slow down?"""
 
 import math
 import os
@@ -21,10 +19,11 @@ import psutil
 
 from benchmarks import BenchmarkError
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.insertion.signals import Array, JointSignals
+from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Progress, progress_part
 from benchmarks.report.tables import ResultTable, met_mark
 from benchmarks.targets import SOAK_COST_RATIO, SOAK_GROWTH_KB
+from foundation.arrays import Array
 from groundtruth import insert_needle, simulate
 from needleforce import InsertionSession
 from needleforce.recordings import RecordingError
@@ -65,23 +64,58 @@ class Soak:
     skipped: int
 
     @property
-    def marks(self) -> tuple[bool, bool, bool]:
-        """Whether it stayed as quick, held no more, and was busy: idling is cheap."""
-        return (
-            self.tick_us[1] <= SOAK_COST_RATIO * self.tick_us[0],
-            self.python_kB[1] - self.python_kB[0] <= SOAK_GROWTH_KB,
-            self.skipped == 0 and min(self.ruptures) > 0,
-        )
+    def is_quick(self) -> bool:
+        """Whether an update stayed as quick."""
+        return self.tick_us[1] <= SOAK_COST_RATIO * self.tick_us[0]
+
+    @property
+    def is_lean(self) -> bool:
+        """Whether Python held no more."""
+        return self.python_kB[1] - self.python_kB[0] <= SOAK_GROWTH_KB
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether there was something to do throughout: idling is cheap."""
+        return self.skipped == 0 and min(self.ruptures) > 0
 
     @property
     def is_met(self) -> bool:
         """Whether all targets are."""
-        return all(self.marks)
+        return self.is_quick and self.is_lean and self.is_busy
+
+
+class TickTime(NamedTuple):
+    """One update of a soak.
+
+    Attributes:
+        tick: Its number.
+        is_rupture: Whether it raised a rupture.
+        taken_us: Time it took.
+    """
+
+    tick: int
+    is_rupture: bool
+    taken_us: float
+
+
+class SoakTimes(NamedTuple):
+    """What a pass over all updates took and found.
+
+    Attributes:
+        taken_us: Time of every update, shape (ticks,).
+        ruptures: Found in each whole cycle.
+        rejected: Samples that the session rejected.
+    """
+
+    taken_us: Array
+    ruptures: tuple[int, ...]
+    rejected: int
 
 
 class Cycle:
-    """An insertion with as long a rest in the tissue, without end; `length` updates
-    make one.
+    """An insertion with as long a rest in the tissue, without end.
+
+    `length` updates make one.
     """
 
     def __init__(self) -> None:
@@ -96,12 +130,12 @@ class Cycle:
         # Forth and back: a jump from the last to the first would be a spike to the
         # session.
         moving = len(self._rows) - self.tare
-        rest = (still + still[::-1]) * (moving // (2 * STILL))
-        self.order = [*range(self.tare, at), *rest, *range(at, len(self._rows))]
+        resting = (still + still[::-1]) * (moving // (2 * STILL))
+        self.order = [*range(self.tare, at), *resting, *range(at, len(self._rows))]
         self.length = len(self.order)
 
     def tared(self) -> InsertionSession:
-        """A session in free air before the first insertion."""
+        """Return a session in free air before the first insertion."""
         session = InsertionSession(self._robot, on_lwr(DEFAULT))
         for row in self._rows[: self.tare]:
             session.update(*row)
@@ -110,8 +144,8 @@ class Cycle:
 
     def updates(
         self, session: InsertionSession, ticks: int, progress: Progress
-    ) -> Iterator[tuple[int, bool, float]]:
-        """Index, whether a rupture was raised, and time [us] of every update.
+    ) -> Iterator[TickTime]:
+        """Update a session, and yield what each update took.
 
         Each cycle is a new insertion.
         """
@@ -122,36 +156,33 @@ class Cycle:
             if k % WINDOW == 0:
                 progress(k / ticks)
             row = self._rows[self.order[at]]
-            before = perf_counter_ns()
-            found = session.update(*row)
-            taken_us = (perf_counter_ns() - before) / NS_PER_US
-            yield k, found.identification.rupture is not None, taken_us
+            begin_ns = perf_counter_ns()
+            estimate = session.update(*row)
+            taken_us = (perf_counter_ns() - begin_ns) / NS_PER_US
+            yield TickTime(k, estimate.identification.rupture is not None, taken_us)
 
-    def time(
-        self, ticks: int, progress: Progress
-    ) -> tuple[Array, tuple[int, ...], int]:
-        """Time of every update [us], shape (ticks,); ruptures by whole cycle;
-        samples rejected.
-        """
+    def time(self, ticks: int, progress: Progress) -> SoakTimes:
+        """Time every update, and count ruptures and rejected samples."""
         session = self.tared()
-        taken = np.zeros(ticks)
+        taken_us = np.zeros(ticks)
         ruptures = [0] * (ticks // self.length + 1)
-        for k, is_rupture, taken_us in self.updates(session, ticks, progress):
-            taken[k] = taken_us
-            ruptures[k // self.length] += is_rupture
-        return taken, tuple(ruptures[:-1]), session.rejected
+        for update in self.updates(session, ticks, progress):
+            taken_us[update.tick] = update.taken_us
+            ruptures[update.tick // self.length] += update.is_rupture
+        return SoakTimes(taken_us, tuple(ruptures[:-1]), session.rejected)
 
     def memory(self, ticks: int, progress: Progress) -> Array:
-        """Memory of Python [kB] and of the process [MB], after each whole cycle,
-        shape (n, 2).
+        """Return memory of Python [kB] and of the process [MB], shape (n, 2).
+
+        One row after each whole cycle.
         """
         session = self.tared()
         process = psutil.Process()
         held = []
         tracemalloc.start()
         try:
-            for k, _, _ in self.updates(session, ticks, progress):
-                if k % self.length == 0 and k > 0:
+            for update in self.updates(session, ticks, progress):
+                if update.tick % self.length == 0 and update.tick > 0:
                     python_kB = tracemalloc.get_traced_memory()[0] / BYTES_PER_KB
                     held.append((python_kB, process.memory_info().rss / BYTES_PER_MB))
             return np.array(held)
@@ -160,54 +191,65 @@ class Cycle:
 
 
 def run_soak(ticks: int, progress: Progress = lambda fraction: None) -> Soak:
-    """Insert, rest and withdraw over and over on one tare, every time as a new
-    insertion.
+    """Insert, rest and withdraw over and over on one tare.
 
-    In every cycle the needle rests in the tissue for as long as it moves. Cost and
-    memory are measured in separate passes, since watching memory costs time. At least
-    two cycles are run.
+    Every time is a new insertion. In every cycle the needle rests in the tissue for as
+    long as it moves. Cost and memory are measured in separate passes, since watching
+    memory costs time. At least two cycles are run.
     """
     cycle = Cycle()
     ticks = max(ticks, 2 * cycle.length + 1)
-    times, ruptures, skipped = cycle.time(ticks, progress_part(progress, 0.0, 0.5))
+    times = cycle.time(ticks, progress_part(progress, 0.0, 0.5))
+    taken_us = times.taken_us
     # The same part of a cycle at the end.
-    last = ((len(times) - WINDOW) // cycle.length) * cycle.length
-    medians = [float(np.median(times[at : at + WINDOW])) for at in (cycle.length, last)]
+    end = ((len(taken_us) - WINDOW) // cycle.length) * cycle.length
+    medians_us = [
+        float(np.median(taken_us[at : at + WINDOW])) for at in (cycle.length, end)
+    ]
     held = cycle.memory(ticks, progress_part(progress, 0.5, 1.0))
     return Soak(
-        tick_us=(medians[0], medians[1]),
+        tick_us=(medians_us[0], medians_us[1]),
         python_kB=(held[0, 0], held[-1, 0]),
         process_MB=(held[0, 1], held[-1, 1]),
-        ruptures=ruptures,
-        skipped=skipped,
+        ruptures=times.ruptures,
+        skipped=times.rejected,
     )
 
 
-def soak_table(found: Soak, ticks: int) -> ResultTable:
-    """Start and end, with the targets."""
-    is_quick, is_lean, is_busy = map(met_mark, found.marks)
-    tick_us = (f"{value:.1f}" for value in found.tick_us)
-    python_kB = map(round, found.python_kB)
-    ends = (str(found.ruptures[0]), str(found.ruptures[-1]))
+def soak_table(soak: Soak, ticks: int) -> ResultTable:
+    """Return start and end, with the targets."""
+    tick_us = (f"{value:.1f}" for value in soak.tick_us)
+    python_kB = map(round, soak.python_kB)
+    ends = (str(soak.ruptures[0]), str(soak.ruptures[-1]))
     return ResultTable(
         title=f"{ticks} ticks of the chain: insertions, rests and cycles on one tare",
         heads=("what", "start", "end", "target", ""),
         align="LrrrL",
         lines=(
-            ("median tick, us", *tick_us, f"≤ {SOAK_COST_RATIO:g} x start", is_quick),
+            (
+                "median tick, us",
+                *tick_us,
+                f"≤ {SOAK_COST_RATIO:g} x start",
+                met_mark(soak.is_quick),
+            ),
             (
                 "Python's memory, kB",
                 *map(str, python_kB),
                 f"+ {SOAK_GROWTH_KB:g} at most",
-                is_lean,
+                met_mark(soak.is_lean),
             ),
             (
                 "memory of the process, MB",
-                *(f"{value:.1f}" for value in found.process_MB),
+                *(f"{value:.1f}" for value in soak.process_MB),
                 "",
                 "",
             ),
-            ("ruptures an insertion", *ends, "≥ 1 in all, none skipped", is_busy),
+            (
+                "ruptures an insertion",
+                *ends,
+                "≥ 1 in all, none skipped",
+                met_mark(soak.is_busy),
+            ),
         ),
     )
 
@@ -221,27 +263,26 @@ RETURN_S = 20.0
 FORCE_NOISE_N = 0.003
 POLL_S = 0.05
 BYTES_IN_MB = 1e6
-LEAST_TIMES_REAL = 20.0
+MIN_TIMES_REAL = 20.0
 """Times real time, on one core."""
-MOST_GROWTH_MB = 20.0
+MAX_GROWTH_MB = 20.0
 """From a tenth of the recording to its end; interpreters and allocators breathe."""
-LEAST_SECONDS = 2.0 * FREE_S
+MIN_SECONDS = 2.0 * FREE_S
 
 
 def joint_recording(seconds: float) -> Iterator[Columns]:
-    """Joint signals of the insertions of a soak, part by part."""
+    """Yield joint signals of the insertions of a soak, part by part."""
     cycle = Cycle()
     order = [*range(cycle.tare), *cycle.order]
     sent = cycle.signals
     assert sent.dq_rad_s is not None
     columns = {"q_rad": sent.q_rad, "dq_rad_s": sent.dq_rad_s, "tau_Nm": sent.tau_Nm}
-    taken = {name: values[order] for name, values in columns.items()}
-    return _repeated(taken, seconds, cycle.tare)
+    cycle_columns = {name: values[order] for name, values in columns.items()}
+    return _repeated(cycle_columns, seconds, cycle.tare)
 
 
 def needle_recording(seconds: float) -> Iterator[Columns]:
-    """Depth, speed and force of a needle that is inserted into gel and withdrawn, again
-    and again.
+    """Yield depth, speed and force of a needle inserted into gel again and again.
 
     Every cycle is in fresh tissue, whose surface lies as deep as the needle
     has come before: in the channel of an insertion there is nothing left to rupture.
@@ -267,18 +308,19 @@ def needle_recording(seconds: float) -> Iterator[Columns]:
 
 
 def _repeated(cycle: Columns, seconds: float, again_from: int) -> Iterator[Columns]:
-    """The cycle, and then over and over its rows from `again_from` on."""
-    left = round(seconds * RATE_HZ)
-    done = 0
+    """Yield the cycle, and then over and over its rows from `again_from` on."""
+    remaining = round(seconds * RATE_HZ)
+    written = 0
     start = 0
-    while left > 0:
+    while remaining > 0:
         columns = {
-            name: values[start : start + left].copy() for name, values in cycle.items()
+            name: values[start : start + remaining].copy()
+            for name, values in cycle.items()
         }
         rows = len(next(iter(columns.values())))
-        yield {"t_s": np.arange(done, done + rows) / RATE_HZ, **columns}
-        left = left - rows
-        done = done + rows
+        yield {"t_s": np.arange(written, written + rows) / RATE_HZ, **columns}
+        remaining = remaining - rows
+        written = written + rows
         start = again_from
 
 
@@ -303,8 +345,9 @@ class ProcessUse(NamedTuple):
     memory_MB: tuple[float, ...]
 
     def memory_at(self, fraction: float) -> float:
-        """Resident memory when that fraction of the time had passed [MB]; nan if
-        unknown.
+        """Return resident memory when that fraction of the time had passed [MB].
+
+        It is nan if unknown.
         """
         if not self.memory_MB:
             return float("nan")
@@ -324,7 +367,7 @@ def run_python(
     # One thread of linear algebra: what is measured is one core.
     environment = os.environ | {"OMP_NUM_THREADS": "1"}
     start_s = time.perf_counter()
-    before = psutil.Process().cpu_times()
+    times_before = psutil.Process().cpu_times()
     memory_MB: list[float] = []
     # A file, not a pipe: that would be full after 64 kB, and the process would wait for
     # ever.
@@ -346,8 +389,8 @@ def run_python(
             f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}"
         )
     # Time of all children that have ended: nothing else is started meanwhile.
-    times = (before, psutil.Process().cpu_times())
-    before_s, after_s = (each.children_user + each.children_system for each in times)
+    times = (times_before, psutil.Process().cpu_times())
+    before_s, after_s = (cpu.children_user + cpu.children_system for cpu in times)
     return ProcessUse(wall_s, after_s - before_s, tuple(memory_MB))
 
 
@@ -359,6 +402,7 @@ class StreamSpeed(NamedTuple):
         suffix: Of the recording; results are written as CSV.
         seconds: Length of the recording.
         rows: Of the recording.
+        use: What the process needed.
     """
 
     command: str
@@ -376,7 +420,7 @@ class StreamSpeed(NamedTuple):
     def is_met(self) -> bool:
         """Whether both targets are; unknown memory counts as a miss."""
         growth_MB = self.use.memory_at(1.0) - self.use.memory_at(0.1)
-        return self.times_real >= LEAST_TIMES_REAL and growth_MB <= MOST_GROWTH_MB
+        return self.times_real >= MIN_TIMES_REAL and growth_MB <= MAX_GROWTH_MB
 
 
 def measure_stream(
@@ -386,13 +430,13 @@ def measure_stream(
     folder: Path | None,
     progress: Callable[[float], None],
 ) -> StreamSpeed:
-    """Make a recording of at least `LEAST_SECONDS` and send it through a command.
+    """Make a recording of at least `MIN_SECONDS` and send it through a command.
 
     Raises:
         BenchmarkError: The files cannot be written, or the command failed.
     """
     options = ["--tare", f"0:{FREE_S:g}"] if command == "residual" else []
-    expected_s = seconds / LEAST_TIMES_REAL
+    expected_s = seconds / MIN_TIMES_REAL
     rows = 0
     try:
         with TemporaryDirectory(dir=folder) as place:
@@ -434,9 +478,9 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
         mark = met_mark(speed.is_met)
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, mark))
     return ResultTable(
-        title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, CSV out "
-        f"(targets: {LEAST_TIMES_REAL:g} times real time of one core (x wall: by the clock), "
-        f"memory grows by {MOST_GROWTH_MB:g} MB at most)",
+        title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, "
+        f"CSV out (targets: {MIN_TIMES_REAL:g} times real time of one core (x wall: "
+        f"by the clock), memory grows by {MAX_GROWTH_MB:g} MB at most)",
         heads=(
             *("command", "log", "rows", "us per row", "x real", "x wall"),
             *("MB 10 %", "MB end", "MB most", ""),

@@ -1,6 +1,4 @@
-"""What an update of the estimators costs, beside the bare Pinocchio calls of its
-equations.
-"""
+"""What an update of the estimators costs, beside its bare Pinocchio calls."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -11,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.insertion.signals import Array, JointSignals
+from benchmarks.insertion.signals import JointSignals
 from benchmarks.report.tables import ResultTable, met_mark
 from benchmarks.targets import (
     CHAIN_COST_RATIOS,
@@ -20,6 +18,7 @@ from benchmarks.targets import (
     OBSERVER_COST_RATIOS,
     SENSOR_COST_RATIOS,
 )
+from foundation.arrays import Array
 from foundation.jit import COMPILER
 from groundtruth import simulate
 from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
@@ -45,8 +44,12 @@ BARE_SENSOR = "dynamics of the sensor"
 
 
 class Subject(NamedTuple):
-    """What a subject's cost is a multiple of, and the most it may be, compiled by
-    numba or not.
+    """What a subject's cost is a multiple of, and the most it may be.
+
+    Attributes:
+        bare: Name of the bare calls that it is relative to.
+        compiled: Limit of the ratio where numba compiles; None for none.
+        plain: Limit of the ratio in plain Python.
     """
 
     bare: str
@@ -70,8 +73,9 @@ SUBJECTS: Mapping[str, Subject] = {
 
 
 def cost_ratio(times: Array, bare: Array) -> float:
-    """Cost relative to the bare dynamics: median of the ratios of neighbouring
-    blocks' medians.
+    """Return the cost relative to the bare dynamics.
+
+    It is the median of the ratios of neighbouring blocks' medians.
     """
     return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
 
@@ -95,17 +99,16 @@ def time_side_by_side(
 
 def time_each(update: Update, indices: Iterable[int]) -> list[float]:
     """Time of every update [us]."""
-    taken = []
+    taken_us = []
     for k in indices:
-        before = perf_counter_ns()
+        begin_ns = perf_counter_ns()
         update(k)
-        taken.append((perf_counter_ns() - before) / NS_PER_US)
-    return taken
+        taken_us.append((perf_counter_ns() - begin_ns) / NS_PER_US)
+    return taken_us
 
 
 class ChainUpdate:
-    """A session that takes an arm's signals sample by sample, called with the index of
-    the next.
+    """A session that takes an arm's signals, called with the index of the next sample.
 
     `alarms` are the updates that raised a rupture, `layers` those that worked on
     identifying a traversed layer.
@@ -128,10 +131,10 @@ class ChainUpdate:
         """Take sample k."""
         if k == self._tare:
             self._session.tare()
-        found = self._session.update(*self._samples[k]).identification
-        if found.rupture is not None:
+        identification = self._session.update(*self._samples[k]).identification
+        if identification.rupture is not None:
             self.alarms.append(k)
-        if found.identified_layer is not None:
+        if identification.identified_layer is not None:
             self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
 
 
@@ -176,16 +179,16 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     return SpeedReport(
         times=times,
         alarms={
-            name: [k - first for k in each.alarms] for name, each in chains.items()
+            name: [k - first for k in chain.alarms] for name, chain in chains.items()
         },
         layers={
-            name: [k - first for k in each.layers] for name, each in chains.items()
+            name: [k - first for k in chain.layers] for name, chain in chains.items()
         },
     )
 
 
 def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
-    """Mass matrix, Coriolis matrix and gravity."""
+    """Return what calls mass matrix, Coriolis matrix and gravity."""
     model = robot.model
     data = robot.create_data()
     assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
@@ -202,8 +205,9 @@ def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
 
 
 def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
-    """Mass and Coriolis matrix, gravity and Jacobian; the torque regressor when the
-    bias is due.
+    """Return what calls mass and Coriolis matrix, gravity and Jacobian.
+
+    And the torque regressor when the bias is due.
     """
     model = robot.model
     data = robot.create_data()
@@ -225,8 +229,9 @@ def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
 
 
 def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
-    """An estimator that gets the sample of each index, and is tared before that of
-    `tare`.
+    """Return what gives an estimator the sample of each index.
+
+    It is tared before that of `tare`.
     """
     samples = signals.samples()
 
@@ -239,16 +244,16 @@ def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
 
 
 def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
-    """Tables, and whether all targets are met."""
+    """Return the tables, and whether all targets are met."""
     tables = [speed_table(report), event_table(report)]
     return tables, not any("missed" in line for table in tables for line in table.lines)
 
 
 def speed_table(report: SpeedReport) -> ResultTable:
-    """Microseconds per update, and the ratio to the bare dynamics with its target."""
+    """Return time per update, and the ratio to the bare dynamics with its target."""
     lines = []
     for name, times in report.times.items():
-        taken = [
+        percentiles_us = [
             float(np.percentile(times, percent)) for percent in PERCENTILES.values()
         ]
         mean = float(np.mean(times))
@@ -260,9 +265,11 @@ def speed_table(report: SpeedReport) -> ResultTable:
             cells[0] = f"{ratio:.2f}"
             if limit is not None:
                 cells[1:3] = f"≤ {limit:g}", met_mark(ratio <= limit)
-                is_even = mean <= MEAN_TICK_RATIO * taken[0]
-                cells[3:] = f"{mean / taken[0]:.2f}", met_mark(is_even)
-        lines.append((name, *(f"{value:.1f}" for value in (mean, *taken)), *cells))
+                is_even = mean <= MEAN_TICK_RATIO * percentiles_us[0]
+                cells[3:] = f"{mean / percentiles_us[0]:.2f}", met_mark(is_even)
+        lines.append(
+            (name, *(f"{value:.1f}" for value in (mean, *percentiles_us)), *cells)
+        )
     ticks = next(iter(report.times.values())).size
     how = (
         f"compiled by {COMPILER}"
@@ -277,28 +284,26 @@ def speed_table(report: SpeedReport) -> ResultTable:
         ),
         align="LrrrrrrrLrL",
         lines=tuple(lines),
-        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios of medians, "
-        f"relative to the bare Pinocchio calls; means at most {MEAN_TICK_RATIO:g} x the median; "
-        f"{how}",
+        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios "
+        "of medians, relative to the bare Pinocchio calls; means at most "
+        f"{MEAN_TICK_RATIO:g} x the median; {how}",
     )
 
 
 def event_table(report: SpeedReport) -> ResultTable:
-    """Updates that raise a rupture and updates that identify a layer, in the same
-    insertion.
-    """
+    """Return the updates that raise a rupture, and those that identify a layer."""
     lines = []
-    for what, events in (
+    for event, events in (
         ("rupture raised", report.alarms),
         ("layer identified", report.layers),
     ):
         for name, indices in events.items():
             times = report.times[name].reshape(-1)
-            taken = times[[k for k in indices if 0 <= k < times.size]]
-            if taken.size:
-                ratio = taken.max() / np.median(report.times[BARE_SENSOR])
-                numbers = (taken.size, np.median(taken), taken.max(), ratio)
-                lines.append((what, name, *(f"{number:.0f}" for number in numbers)))
+            taken_us = times[[k for k in indices if 0 <= k < times.size]]
+            if taken_us.size:
+                ratio = taken_us.max() / np.median(report.times[BARE_SENSOR])
+                numbers = (taken_us.size, np.median(taken_us), taken_us.max(), ratio)
+                lines.append((event, name, *(f"{number:.0f}" for number in numbers)))
     return ResultTable(
         title="Ticks in which something happens",
         heads=("what", "in", "ticks", "median\nus", "worst\nus", "worst,\nratio"),

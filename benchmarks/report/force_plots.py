@@ -1,5 +1,6 @@
-"""Figures of the axial force of one run, after the published Figure 5; all figures
-of a run.
+"""Figures of the axial force of one run, after the published Figure 5.
+
+And what saves all figures of a run.
 """
 
 from collections.abc import Sequence
@@ -10,10 +11,12 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.insertion.methods import ForceReading, force_lag_s
-from benchmarks.insertion.signals import Array, ForceTruth
+from benchmarks.insertion.signals import ForceTruth
 from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.report.frames import NOTHING
 from benchmarks.report.published_figures import FORCE_PANELS
 from benchmarks.targets import PUBLISHED_RMSE_N
+from foundation.arrays import Array
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
 
 Over = Literal["time", "depth"]
@@ -22,7 +25,13 @@ Over = Literal["time", "depth"]
 
 @dataclass(slots=True)
 class RunFigures:
-    """Saves the figures of one run in a folder, and keeps them in order."""
+    """The figures of one run, saved in a folder.
+
+    Attributes:
+        job: The run.
+        folder: Where they are saved.
+        saved: What was saved, in order.
+    """
 
     job: Job
     folder: Path
@@ -39,12 +48,12 @@ class RunFigures:
         facts: tuple[Fact, ...] = (),
         is_alone: bool = False,
     ) -> None:
-        """Draw a chart; its title says what is shown, this adds of which figure and
-        run.
+        """Draw a chart and save it.
 
-        `kind` is the ending of the file's name, `panel` the published figure and its
-        letter, empty for none; a chart alone takes the whole width of the page. The
-        rest is as in `Drawing`.
+        Its title says what is shown; this adds of which figure and run. `kind` is the
+        ending of the file's name, `panel` the published figure and its letter, empty
+        for none; a chart alone takes the whole width of the page. The rest is as in
+        `Drawing`.
 
         Raises:
             FiguresError: It cannot be drawn or saved.
@@ -67,7 +76,7 @@ class RunFigures:
         )
 
     def _title(self, number: str, what: str) -> str:
-        """What is shown, and below it of which run."""
+        """Return what is shown, and below it of which run."""
         run = f"{self.job.benchmark}, {self.job.where}"
         return (
             f"Figure {number}: {what}\n{run}"
@@ -85,7 +94,7 @@ STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
 ones."""
 MARGIN_s = 2.0
 """Shown before contact and after withdrawal."""
-MOST_OF = 99.0
+MIN_SHOWN_PCT = 99.0
 """Per cent of each error curve that its panel must hold."""
 CALM_RATIO = 3.0
 """Limit of the error panel over the size of the smallest error: no wild curve
@@ -95,7 +104,7 @@ flattens the rest."""
 def force_chart(
     title: str, truth: ForceTruth, readings: Sequence[ForceReading], over: Over = "time"
 ) -> Chart:
-    """Force, and below it the error against the true force.
+    """Return force, and below it the error against the true force.
 
     Over time since the sensors were zeroed [s], or over depth since contact [mm].
     """
@@ -138,11 +147,12 @@ def force_chart(
 
 
 def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
-    """Errors differ: the quieter one lies on the noisier one, and lines are thin."""
+    """Make lines thin: the quieter error lies on the noisier one."""
     ordered = sorted(errors, key=lambda curve: curve.style is not palette.OURS)
     dark = replace(palette.OTHER_DASHED, dash="-")
     styles = [
-        dark if one.style is palette.OTHER_SENSOR else one.style for one in ordered
+        dark if curve.style is palette.OTHER_SENSOR else curve.style
+        for curve in ordered
     ]
     return tuple(
         replace(curve, style=replace(style, width_pt=0.7))
@@ -151,15 +161,19 @@ def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
 
 
 def _error_limit(errors: Sequence[Curve]) -> float:
-    """Half the height of the error panel: no wild curve may flatten the others."""
-    sizes = [float(np.percentile(np.abs(curve.y), MOST_OF)) for curve in errors]
+    """Return half the height of the error panel.
+
+    No wild curve may flatten the others.
+    """
+    sizes = [float(np.percentile(np.abs(curve.y), MIN_SHOWN_PCT)) for curve in errors]
     limit = 1.2 * min(max(sizes), CALM_RATIO * min(sizes)) if sizes else 0.0
     return limit or 1.0
 
 
 def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
-    """Difference of a reading from the true force, or another one, over the judged
-    part.
+    """Return the rms difference of a reading from the truth, or from another one.
+
+    It counts over the judged part.
     """
     return float(np.sqrt(np.mean((reading.axial_N - target_N)[truth.judged] ** 2)))
 
@@ -167,17 +181,19 @@ def rmse_N(reading: ForceReading, truth: ForceTruth, target_N: Array) -> float:
 def force_figures(
     job: Job, folder: Path, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> tuple[Drawing, ...]:
-    """Force and error over time, and over depth where they are published so."""
+    """Draw force and error over time, and over depth where published so."""
     figures = RunFigures(job, folder)
     panels = FORCE_PANELS.get(job.benchmark, ())
     figures.add(
         force_chart("axial force over time", truth, readings),
         "force-time",
         panel=("5", panels[0]) if panels else ("", ""),
-        alt="Axial force over time by every sensor, with the true force; below, the errors",
-        caption="Axial force [N] over time [s]; below, its error against the true force [N], with "
-        "the band of two standard deviations that our sensor states. Triangles mark where a curve "
-        "leaves its panel. RMSE from first contact to the end of the withdrawal.",
+        alt="Axial force over time by every sensor, with the true force; below, the "
+        "errors",
+        caption="Axial force [N] over time [s]; below, its error against the true "
+        "force [N], with the band of two standard deviations that our sensor states. "
+        "Triangles mark where a curve leaves its panel. RMSE from first contact to "
+        "the end of the withdrawal.",
         facts=_facts(job.benchmark, truth, readings) if panels else (),
         is_alone=not panels,
     )
@@ -186,9 +202,10 @@ def force_figures(
             force_chart("axial force over depth", truth, readings, "depth"),
             "force-depth",
             panel=("5", panels[1]),
-            alt="Axial force over depth by every sensor, with the true force; below, the errors",
-            caption="The same over depth [mm]. The upper branch is the insertion, the lower one "
-            "the withdrawal, where friction holds the needle back.",
+            alt="Axial force over depth by every sensor, with the true force; below, "
+            "the errors",
+            caption="The same over depth [mm]. The upper branch is the insertion, the "
+            "lower one the withdrawal, where friction holds the needle back.",
         )
     return tuple(figures.saved)
 
@@ -196,35 +213,55 @@ def force_figures(
 def _facts(
     scenario: str, truth: ForceTruth, readings: Sequence[ForceReading]
 ) -> tuple[Fact, ...]:
+    """Return the numbers that stand below Figure 5."""
     by_key = {(item.source, item.method): item for item in readings}
     if len(by_key) < len(STYLES):
         return ()
     ft, ours, published = (by_key[key] for key in STYLES)
-    part = truth.judged
-    both = (published, ours)
-    time_s = truth.t_s[part]
-    true_N = truth.axial_N[part]
-    delays_ms = [1e3 * force_lag_s(time_s, item.axial_N[part], true_N) for item in both]
-    is_within = np.abs(ours.axial_N - truth.axial_N)[part] <= 2.0 * ours.std_N[part]
-    within = f"{100.0 * np.mean(is_within):.1f}"
-    values = {
-        "RMSE against the F/T sensor [N]": [
-            f"{rmse_N(i, truth, ft.axial_N):.4f}" for i in both
-        ],
-        "RMSE against the true force [N]": [
-            f"{rmse_N(i, truth, truth.axial_N):.4f}" for i in both
-        ],
-        "delay behind the true force [ms]": [
-            f"{delay_ms:.0f}" for delay_ms in delays_ms
-        ],
-        "true force within 2 stated standard deviations [%]": ["none stated", within],
-    }
-    heads = ("published, here", "ours, here")
+    judged = truth.judged
+    time_s = truth.t_s[judged]
+    true_N = truth.axial_N[judged]
+    error_N = np.abs(ours.axial_N - truth.axial_N)[judged]
+    within_pct = 100.0 * np.mean(error_N <= 2.0 * ours.std_N[judged])
+
+    def delay_ms(reading: ForceReading) -> str:
+        return f"{1e3 * force_lag_s(time_s, reading.axial_N[judged], true_N):.0f}"
+
+    def against(reading: ForceReading, target_N: Array) -> str:
+        return f"{rmse_N(reading, truth, target_N):.4f}"
+
+    published_N = f"{PUBLISHED_RMSE_N[scenario]:g}"
+    rows = (
+        (
+            "RMSE against the F/T sensor [N]",
+            published_N,
+            against(published, ft.axial_N),
+            against(ours, ft.axial_N),
+        ),
+        (
+            "RMSE against the true force [N]",
+            NOTHING,
+            against(published, truth.axial_N),
+            against(ours, truth.axial_N),
+        ),
+        (
+            "delay behind the true force [ms]",
+            NOTHING,
+            delay_ms(published),
+            delay_ms(ours),
+        ),
+        (
+            "true force within 2 stated standard deviations [%]",
+            NOTHING,
+            "none stated",
+            f"{within_pct:.1f}",
+        ),
+    )
     return tuple(
         Fact(
-            what=f"`{scenario}`: {what}",
-            published=f"{PUBLISHED_RMSE_N[scenario]:g}" if "F/T" in what else "–",
-            here=tuple(zip(heads, texts, strict=True)),
+            what=f"`{scenario}`: {quantity}",
+            published=in_publication,
+            here=(("published, here", by_published), ("ours, here", by_ours)),
         )
-        for what, texts in values.items()
+        for quantity, in_publication, by_published, by_ours in rows
     )

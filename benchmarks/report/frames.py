@@ -53,14 +53,14 @@ def ratio_of(
     """Return rows of a new metric: one selection over another, run by run."""
     keys = [key for key in KEYS if key not in numerator]
     values = {
-        part: select(frame, **wanted).set_index(keys)["value"]
-        for part, wanted in (("top", numerator), ("bottom", denominator))
+        place: select(frame, **selection).set_index(keys)["value"]
+        for place, selection in (("top", numerator), ("bottom", denominator))
     }
-    both: Frame = pd.concat(values, axis=1, join="inner")
-    both = both[both["bottom"] != 0.0].copy()
-    both["value"] = both["top"] / both["bottom"]
+    pairs: Frame = pd.concat(values, axis=1, join="inner")
+    pairs = pairs[pairs["bottom"] != 0.0].copy()
+    pairs["value"] = pairs["top"] / pairs["bottom"]
     fixed = dict(numerator) | {"metric": name}
-    return both.reset_index().assign(**fixed)[[*KEYS, "value"]]
+    return pairs.reset_index().assign(**fixed)[[*KEYS, "value"]]
 
 
 def select(frame: Frame, **wanted: str | None) -> Frame:

@@ -109,12 +109,12 @@ def add_offline(
         offline_chart("both models, fitted offline", on_ft.signal, truth),
         "offline",
         panel=panel,
-        alt="Force of the F/T sensor, and as reconstructed by the Kelvin-Voigt and the multi-layer "
-        "model; below, the errors",
-        caption="Axial force of the F/T sensor [N] over time [s], and the two models fitted to the "
-        "insertion with true layers and ruptures given; below, measured minus modelled force. "
-        "Triangles mark where a curve leaves its panel. RMSE from first contact to the deepest "
-        "point.",
+        alt="Force of the F/T sensor, and as reconstructed by the Kelvin-Voigt and "
+        "the multi-layer model; below, the errors",
+        caption="Axial force of the F/T sensor [N] over time [s], and the two models "
+        "fitted to the insertion with true layers and ruptures given; below, measured "
+        "minus modelled force. Triangles mark where a curve leaves its panel. RMSE "
+        "from first contact to the deepest point.",
         facts=(Fact(what=what, published="ML below KV", here=here),),
         is_alone=not panel[1],
     )
@@ -135,7 +135,10 @@ def add_enhanced(
     number = figure.number if figure else ""
     sensor = SENSORS[source]
     has_speed = number == "9"
-    alt = f"Axial force of the {sensor}, predicted force and enhanced force, with the true one, "
+    alt = (
+        f"Axial force of the {sensor}, predicted force and enhanced force, "
+        "with the true one, "
+    )
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
     title = f"friction compensation by the published method, {sensor}"
     figures.add(
@@ -145,8 +148,9 @@ def add_enhanced(
         f"{source}-published",
         panel=(number, "a" if number else ""),
         alt=f"{alt}published method",
-        caption="Axial forces [N] over time [s]. The published method with the settings of its "
-        f"authors: commanded speed, σ₁ = {tuned.config.sigma1_N:g} N.{none}",
+        caption="Axial forces [N] over time [s]. The published method with the "
+        f"settings of its authors: commanded speed, σ₁ = {tuned.config.sigma1_N:g} "
+        f"N.{none}",
     )
     title = f"friction compensation by our method, {sensor}"
     figures.add(
@@ -154,7 +158,8 @@ def add_enhanced(
         f"{source}-ours",
         panel=(number, "b" if number else ""),
         alt=f"{alt}our method",
-        caption="The same by our method: measured speed, one setting for every recording.",
+        caption="The same by our method: measured speed, one setting for every "
+        "recording.",
         facts=enhanced_facts(figure, truth, compared, numbers) if figure else (),
     )
 
@@ -168,11 +173,13 @@ def add_parameters(
         parameter_chart(f"identified parameters, {SENSORS[source]}", truth, compared),
         f"{source}-parameters",
         panel=(number, "c"),
-        alt="Stiffness, friction per length and cumulative friction over time, both methods",
-        caption="From above: stiffness K and friction B of the layer the tip is in, and cumulative "
-        "friction of the layers traversed, over time [s]. At constant speed K and B cannot be "
-        "separated before the rupture, hence the broad band of two standard deviations. Triangles "
-        "mark where a curve leaves its panel, with its farthest value.",
+        alt="Stiffness, friction per length and cumulative friction over time, both "
+        "methods",
+        caption="From above: stiffness K and friction B of the layer the tip is in, "
+        "and cumulative friction of the layers traversed, over time [s]. At constant "
+        "speed K and B cannot be separated before the rupture, hence the broad band "
+        "of two standard deviations. Triangles mark where a curve leaves its panel, "
+        "with its farthest value.",
         is_alone=True,
     )
 
@@ -214,7 +221,10 @@ def enhanced_facts(
 
 
 def describe_ruptures(item: Identified, truth: InsertionTruth) -> str:
-    """Those of the insertion; in the withdrawal there are none to find."""
+    """Describe the ruptures of the insertion.
+
+    In the withdrawal there are none to find.
+    """
     inside = [
         alarm.alarm_s for alarm in item.alarms if alarm.alarm_s <= truth.insertion_end_s
     ]

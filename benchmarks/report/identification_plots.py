@@ -1,8 +1,7 @@
-"""Charts of the identification in one run, after the published Figures 2, 3, 8, 9 and
-11 to 14.
+"""Charts of the identification in one run.
 
-The clock starts where the tare stroke ends and the needle sets out, as in the
-publication.
+After the published Figures 2, 3, 8, 9 and 11 to 14. The clock starts where the tare
+stroke ends and the needle sets out, as in the publication.
 """
 
 from collections.abc import Sequence
@@ -12,14 +11,15 @@ import numpy as np
 
 from benchmarks.insertion.methods import ForceReading, Identified
 from benchmarks.insertion.offline import layer_spans, offline_fit, quiet_speed_m_s
-from benchmarks.insertion.signals import Array, InsertionTruth, NeedleSignal
+from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
+from foundation.arrays import Array
 from identification.config import Model
 from identification.published.offline import regression_matrix
 from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
 
 MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""
-LEAST_RUPTURE_PT = 4.0
+MIN_RUPTURE_PT = 4.0
 """A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
 WHOSE = {
@@ -30,16 +30,16 @@ WHOSE = {
 
 
 def _limits_s(truth: InsertionTruth) -> tuple[float, float]:
-    """From just before contact to just after the deepest point."""
+    """Return the limits from just before contact to just after the deepest point."""
     zero = truth.tare_end_s
     return truth.contact_s - MARGIN_s - zero, truth.insertion_end_s + MARGIN_s - zero
 
 
 def _true_ruptures(truth: InsertionTruth) -> Shading:
-    """When layers ruptured: from the onset to the end of the release."""
+    """Return when layers ruptured: from the onset to the end of the release."""
     zero = truth.tare_end_s
     spans = tuple((item.onset_s - zero, item.end_s - zero) for item in truth.ruptures)
-    return Shading("true rupture", palette.TRUE_RUPTURE, spans, LEAST_RUPTURE_PT)
+    return Shading("true rupture", palette.TRUE_RUPTURE, spans, MIN_RUPTURE_PT)
 
 
 def _times_s(item: Identified, truth: InsertionTruth) -> Array:
@@ -48,9 +48,11 @@ def _times_s(item: Identified, truth: InsertionTruth) -> Array:
 
 
 def _events(item: Identified, truth: InsertionTruth) -> tuple[Instants, Instants]:
-    """Alarms, and where friction was identified, by a method."""
+    """Return alarms, and where friction was identified, by a method."""
     alarms = tuple(alarm.alarm_s - truth.tare_end_s for alarm in item.alarms)
-    is_identified = [one.identified_layer is not None for one in item.result.estimates]
+    is_identified = [
+        estimate.identified_layer is not None for estimate in item.result.estimates
+    ]
     identified = tuple(_times_s(item, truth)[is_identified].tolist())
     return (
         Instants("rupture detected", palette.RUPTURE, alarms),
@@ -67,7 +69,7 @@ def enhanced_chart(
     *,
     has_speed: bool = False,
 ) -> Chart:
-    """Measured, predicted and enhanced force of one method, with its own events.
+    """Return measured, predicted and enhanced force of one method with its events.
 
     Beside it the same with the Kelvin-Voigt model, the F/T sensor's force where the
     method was given another, and the profile of the speed, as in Figure 9.
@@ -126,7 +128,7 @@ def enhanced_chart(
 
 
 def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
-    """Steps over time, by the name of the estimate they belong to.
+    """Return steps over time, by the name of the estimate they belong to.
 
     True friction is no coefficient (it also depends on speed in other ways): these are
     its values at each rupture, friction over speed, and that over the travel since the
@@ -170,25 +172,22 @@ class Compared:
     Attributes:
         ours: One setting for everything.
         tuned: The published method with the settings of its authors.
+        published: The published method with one setting and the measured speed.
+        kelvin_voigt: `tuned` with the Kelvin-Voigt model, if shown.
+        ft: The F/T sensor's force, where the force was another.
         on_ft: Ours on the F/T sensor's force, likewise.
     """
 
     ours: Identified
     tuned: Identified
-    published: (
-        Identified  # the published method with one setting and the measured speed
-    )
-    kelvin_voigt: Identified | None = (
-        None  # `tuned` with the Kelvin-Voigt model, if shown
-    )
-    ft: ForceReading | None = (
-        None  # the F/T sensor's force, where the force was another
-    )
+    published: Identified
+    kelvin_voigt: Identified | None = None
+    ft: ForceReading | None = None
     on_ft: Identified | None = None
 
 
 def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:
-    """Stiffness, friction per length and cumulative friction of every method.
+    """Return stiffness, friction and cumulative friction of every method.
 
     The Kelvin-Voigt model's friction has another unit and is drawn only where the units
     agree.
@@ -217,8 +216,10 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
         layers = [
             alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None
         ]
-        found = [getattr(layer, name) for layer in layers if hasattr(layer, name)]
-        limits = _parameter_limits(_limits_s(truth), curves, found)
+        identified_values = [
+            getattr(layer, name) for layer in layers if hasattr(layer, name)
+        ]
+        limits = _parameter_limits(_limits_s(truth), curves, identified_values)
         panels.append(Panel(y_label=label, curves=tuple(curves), limits=limits))
     return Chart(
         title=title,
@@ -234,6 +235,7 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
 def _parameter(
     item: Identified, truth: InsertionTruth, style: LineStyle, label: str, name: str
 ) -> Curve:
+    """Return the curve of a parameter, ours with its stated deviation."""
     spread = name.replace("_N_", "_std_N_").replace("_Ns_", "_std_Ns_")
     std = item.series(spread) if style is palette.OURS else None
     x = _times_s(item, truth)
@@ -243,12 +245,15 @@ def _parameter(
 
 
 def _parameter_limits(
-    shown_s: tuple[float, float], curves: Sequence[Curve], found: Sequence[float]
+    shown_s: tuple[float, float],
+    curves: Sequence[Curve],
+    identified_values: Sequence[float],
 ) -> tuple[float, float]:
-    """Room for the identified layers, the truth, and most of every curve, without
-    transients.
+    """Return limits that hold the identified layers, the truth and most curves.
+
+    Transients are left out.
     """
-    sizes = [1e-9, *(1.1 * value for value in found)]
+    sizes = [1e-9, *(1.1 * value for value in identified_values)]
     low, high = shown_s
     for curve in curves:
         inside = curve.y[(curve.x > low) & (curve.x < high) & np.isfinite(curve.y)]
@@ -268,7 +273,7 @@ MODELS: tuple[tuple[Model, str, LineStyle], ...] = (
 
 
 def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Chart:
-    """F/T sensor's force, both models fitted to the insertion, and their errors.
+    """Return the F/T force, both models fitted to it, and their errors.
 
     The withdrawal is predicted with the parameters of the insertion.
     """

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.insertion.signals import Array
 from benchmarks.jobs import Drawing, Job
 from benchmarks.report.frames import CUMULATIVE, NOTHING, Frame, frame_of, select
 from benchmarks.report.published_figures import (
@@ -22,6 +21,7 @@ from benchmarks.report.summary import results_page
 from benchmarks.report.tables import ResultTable, result_tables
 from benchmarks.results import Row, to_json
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
+from foundation.arrays import Array
 from needleforce.plots import (
     Chart,
     Curve,
@@ -46,7 +46,13 @@ PERCENTS = tuple(TABLE_ONE_Ns_per_m)
 
 
 class Estimate(NamedTuple):
-    """Which friction of a gel."""
+    """Which friction of a gel.
+
+    Attributes:
+        kind: ``true``, ``offline`` or ``online``.
+        source: See `benchmarks.results.Source`.
+        method: See `benchmarks.results.Method`.
+    """
 
     kind: str
     source: str = "ft"
@@ -57,24 +63,26 @@ TUNED = Estimate("online", "ft", "published-as-run")
 
 
 def gel_friction(rows: Iterable[Row]) -> Frame | None:
-    """Rows of the gels' friction [Ns/m] on the best plant they were run on; None
-    without any.
+    """Return the gels' friction [Ns/m] on the best plant they were run on.
+
+    None without any.
     """
-    found = [
+    gel_rows = [
         row
         for row in rows
         if row.scenario in GELS and row.metric.startswith("cumulative_")
     ]
-    plant = _best_plant({row.plant for row in found})
-    return frame_of(row for row in found if row.plant == plant) if plant else None
+    plant = _best_plant({row.plant for row in gel_rows})
+    return frame_of(row for row in gel_rows if row.plant == plant) if plant else None
 
 
 def _best_plant(plants: set[str]) -> str:
+    """Return the first plant of `PLANTS` among some; empty for none."""
     return next((plant for plant in PLANTS if plant in plants), "")
 
 
 def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
-    """Of all seeds at the speeds, by default at both."""
+    """Return values of all seeds at the speeds, by default at both."""
     kind, source, method = estimate
     mine = select(gels, metric=CUMULATIVE.format(kind), source=source, method=method)
     names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
@@ -82,9 +90,11 @@ def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list
 
 
 def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
-    """One per gel; nan where there is none."""
-    found = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
-    return [statistics.median(values) if values else math.nan for values in found]
+    """Return one per gel; nan where there is none."""
+    values_of_gels = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
+    return [
+        statistics.median(values) if values else math.nan for values in values_of_gels
+    ]
 
 
 ONLINE = {
@@ -96,7 +106,10 @@ ONLINE = {
 
 
 def gel_table(gels: Frame) -> PageTable:
-    """The published Table I beside ours: mean ± spread over both speeds (and seeds)."""
+    """Return the published Table I beside ours.
+
+    Mean ± spread over both speeds (and seeds).
+    """
     head = [
         "gel",
         "published\noffline",
@@ -121,18 +134,20 @@ def gel_table(gels: Frame) -> PageTable:
             )
         )
     return PageTable(
-        caption="Cumulative friction of single gels [Ns/m]: mean ± spread over both speeds "
-        "(online: difference from offline)",
+        caption="Cumulative friction of single gels [Ns/m]: mean ± spread over both "
+        "speeds (online: difference from offline)",
         head=tuple(head),
         rows=tuple(rows),
         numeric=frozenset(range(1, len(head))),
-        note="The published spread is called a variance; its size and unit are those of a standard "
-        "deviation. Tuned: with the commanded speed and its authors' settings; else with the "
-        "measured speed, whose noise the published method takes for excitation.",
+        note="The published spread is called a variance; its size and unit are those "
+        "of a standard deviation. Tuned: with the commanded speed and its authors' "
+        "settings; else with the measured speed, whose noise the published method "
+        "takes for excitation.",
     )
 
 
 def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
+    """Return mean and spread of values, and their change from offline."""
     if not values:
         return NOTHING
     mean = statistics.fmean(values)
@@ -158,8 +173,9 @@ STEP = 0.14
 
 
 def friction_chart(title: str, gels: Frame) -> Chart:
-    """After the published Figure 10: from the left the published means of a gel,
-    then ours.
+    """Return the chart after the published Figure 10.
+
+    From the left the published means of a gel, then ours.
     """
     places = np.arange(3.0)
     known = TABLE_ONE_Ns_per_m.values()
@@ -210,7 +226,7 @@ def friction_chart(title: str, gels: Frame) -> Chart:
 def published_sections(
     drawings: Sequence[Drawing], rows: Sequence[Row]
 ) -> list[Section]:
-    """One section per published figure that these runs give, at least in part."""
+    """Return a section for each published figure that these runs give in part."""
     sections = []
     gels = gel_friction(rows)
     of_gels = set() if gels is None else set(gels["scenario"])
@@ -226,16 +242,17 @@ def published_sections(
 
 
 def chosen(drawings: Iterable[Drawing], figure: str) -> list[Drawing]:
-    """The panels of a figure, on the one plant that is shown."""
-    found = [drawing for drawing in drawings if drawing.figure == figure]
-    best = _best_plant({drawing.job.plant for drawing in found})
-    mine = [drawing for drawing in found if drawing.job.plant == best]
+    """Return the panels of a figure, on the one plant that is shown."""
+    panels = [drawing for drawing in drawings if drawing.figure == figure]
+    best = _best_plant({drawing.job.plant for drawing in panels})
+    mine = [drawing for drawing in panels if drawing.job.plant == best]
     return sorted(mine, key=lambda drawing: drawing.panel)
 
 
 def further_sections(drawings: Sequence[Drawing]) -> list[Section]:
-    """Runs that are the counterpart of no figure, or were made with another plant
-    model as well.
+    """Return the runs that are the counterpart of no figure.
+
+    Or that were made with another plant model as well.
     """
     used = {
         id(drawing)
@@ -264,6 +281,7 @@ def _section(
     tables: tuple[PageTable, ...],
     here: set[str],
 ) -> Section:
+    """Return the section of a published figure."""
     absent = ", ".join(name for name in item.scenarios if name not in here)
     notice = f"Not among these runs, so missing here: {absent}. For all panels run:"
     return Section(
@@ -278,6 +296,7 @@ def _section(
 
 
 def _figure(drawing: Drawing) -> PageFigure:
+    """Return a figure, with its run in the caption."""
     shown = drawing.shown
     job = drawing.job
     return replace(
@@ -286,6 +305,7 @@ def _figure(drawing: Drawing) -> PageFigure:
 
 
 def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, ...]:
+    """Return the table of a figure's numbers, if it has any."""
     facts = [fact for drawing in mine for fact in drawing.facts]
     if not facts:
         return ()
@@ -300,7 +320,7 @@ def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, .
 
 
 def page_table(table: ResultTable) -> PageTable:
-    """A table of the terminal, without colours."""
+    """Return a table of the terminal, without colours."""
     return PageTable(
         caption=table.title,
         head=table.heads,
@@ -312,15 +332,17 @@ def page_table(table: ResultTable) -> PageTable:
 
 TITLE = "needleforce: the published figures, from our own runs"
 LEAD = (
-    "Counterparts of the figures of “Online needle-tissue interaction model identification for "
-    "force feedback enhancement in robot-assisted interventional procedures” (Ferro, Gaz, "
-    "Anzidei, Vendittelli). The insertions are simulated, so the true force is known; the "
-    "estimators get only the signals that a robot would give them.",
-    "Blue, continuous: our method, one setting for everything. Orange, dashed: the published "
-    "method; in Figures 8 to 14 with its authors' settings (commanded speed, σ₁ set for each "
-    "recording), in the tables of all numbers also with one setting and the measured speed. "
-    "Black, dotted: the ground truth. Times count from the start of the needle's motion. Forces "
-    "are positive when tissue pushes back.",
+    "Counterparts of the figures of “Online needle-tissue interaction model "
+    "identification for force feedback enhancement in robot-assisted interventional "
+    "procedures” (Ferro, Gaz, Anzidei, Vendittelli). The insertions are simulated, so "
+    "the true force is known; the estimators get only the signals that a robot would "
+    "give them.",
+    "Blue, continuous: our method, one setting for everything. Orange, dashed: the "
+    "published method; in Figures 8 to 14 with its authors' settings (commanded "
+    "speed, σ₁ set for each recording), in the tables of all numbers also with one "
+    "setting and the measured speed. Black, dotted: the ground truth. Times count "
+    "from the start of the needle's motion. Forces are positive when tissue pushes "
+    "back.",
 )
 
 
@@ -347,8 +369,8 @@ def write_report(
         heading="All numbers of these runs",
         anchor="numbers",
         paragraphs=(
-            "As printed by the command, targets last; `results.json` beside this page has "
-            "them all.",
+            "As printed by the command, targets last; `results.json` beside this page "
+            "has them all.",
         ),
         tables=tuple(map(page_table, result_tables(rows))),
     )
@@ -359,6 +381,7 @@ def write_report(
 
 
 def _friction_drawing(folder: Path, gels: Frame) -> Drawing:
+    """Draw the friction of the gels."""
     plant = gels["plant"].iloc[0]
     seeds = gels["seed"].nunique()
     run = "needle without an arm" if plant == "needle" else f"{plant} plant"
@@ -366,14 +389,15 @@ def _friction_drawing(folder: Path, gels: Frame) -> Drawing:
     shown = save_page_figure(
         friction_chart(title, gels),
         folder / f"figure-{FRICTION_FIGURE}-{plant}.svg",
-        alt="Cumulative friction of the 25, 50 and 70 % gel: the published means and ours, offline "
-        "and online, at both speeds",
-        caption="Cumulative friction [Ns/m] by gel. Grey: the published means over both speeds "
-        "(Table I). Triangles: offline; stars: ours online on the F/T sensor's force; diamonds: on "
-        "the virtual sensor's; crosses: the published method on the F/T sensor's, with its "
-        "authors' settings. The sinusoidal speed is lower at the rupture, and friction over speed "
-        "is then another number: hence two lines of ground truth. Medians over "
-        f"{seeds} seed{'' if seeds == 1 else 's'}.",
+        alt="Cumulative friction of the 25, 50 and 70 % gel: the published means and "
+        "ours, offline and online, at both speeds",
+        caption="Cumulative friction [Ns/m] by gel. Grey: the published means over "
+        "both speeds (Table I). Triangles: offline; stars: ours online on the F/T "
+        "sensor's force; diamonds: on the virtual sensor's; crosses: the published "
+        "method on the F/T sensor's, with its authors' settings. The sinusoidal "
+        "speed is lower at the rupture, and friction over speed is then another "
+        f"number: hence two lines of ground truth. Medians over {seeds} "
+        f"seed{'' if seeds == 1 else 's'}.",
         is_alone=True,
     )
     job = Job(benchmark="gel-*", plant=plant)

@@ -1,6 +1,4 @@
-"""The published figures: which run gives the counterpart of each, and what to
-compare.
-"""
+"""The published figures: which run gives each, and what to compare."""
 
 from pathlib import Path
 
@@ -15,8 +13,7 @@ TABLE_ONE = "I"
 class PublishedFigure(
     msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 ):
-    """One figure of Ferro et al., or their table, as `published_figures.toml` has
-    it.
+    """One figure of Ferro et al., or their table, as in `published_figures.toml`.
 
     Attributes:
         number: In the publication.
@@ -24,8 +21,12 @@ class PublishedFigure(
         scenarios: Runs that give its counterpart.
         shows: What is published.
         see: What to compare in ours; the results stand in the numbers of the run.
+        source: Of the force whose friction is compensated online; empty for other
+            figures.
         ruptures: What the text says of such a figure, times on the clock of its
             recordings.
+        friction: What it says of cumulative friction.
+        remaining: What it says of the force that remains behind the last layer.
     """
 
     number: str
@@ -33,9 +34,7 @@ class PublishedFigure(
     scenarios: tuple[str, ...]
     shows: str
     see: str
-    source: str = (
-        ""  # of the force whose friction is compensated online; empty for other figures
-    )
+    source: str = ""
     ruptures: str = ""
     friction: str = "not stated"
     remaining: str = ""
@@ -52,11 +51,14 @@ class PublishedFigure(
 
 
 class _File(msgspec.Struct):
+    """What `published_figures.toml` holds."""
+
     enhanced: str  # to compare in every figure of friction compensated online
     figures: list[PublishedFigure]
 
 
 def _read() -> tuple[PublishedFigure, ...]:
+    """Read the published figures."""
     content = Path(__file__).with_name("published_figures.toml").read_bytes()
     file = msgspec.toml.decode(content, type=_File)
     return tuple(

@@ -97,10 +97,11 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         ),
         align="LLrrrrrL",
         lines=tuple(line.cells for line in lines),
-        caption="Virtual force sensor on a simulated arm, but for `liver-real`, a recording of "
-        "real tissue. Several runs: median, of fractions mean [95 % bootstrap interval over seeds; "
-        "of fewer than five, over runs]. As run, best K: the published method with commanded "
-        "speed, its threshold and gain chosen for each run.",
+        caption="Virtual force sensor on a simulated arm, but for `liver-real`, a "
+        "recording of real tissue. Several runs: median, of fractions mean [95 % "
+        "bootstrap interval over seeds; of fewer than five, over runs]. As run, best "
+        "K: the published method with commanded speed, its threshold and gain chosen "
+        "for each run.",
     )
 
 
@@ -148,8 +149,9 @@ def results_page(rows: Sequence[Row], command: str) -> str:
     parts = [
         "# Results",
         "",
-        "Every number of the benchmark, the worst first. Simulated insertions have a ground truth; "
-        "`recording` is real data. A dash: there is no such number. Written by",
+        "Every number of the benchmark, the worst first. Simulated insertions have a "
+        "ground truth; `recording` is real data. A dash: there is no such number. "
+        "Written by",
         "",
         f"```sh\n{command}\n```",
         "",

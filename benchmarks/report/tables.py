@@ -242,7 +242,7 @@ def unit_cells(by: Sequence[str], group: Frame) -> list[str]:
 
 
 def force_mark(group: Frame) -> str:
-    """Return whether the runs of a scenario on a plant keep the limits of their RMSE."""
+    """Return whether the runs of a scenario keep the limits of their RMSE."""
     scenario = group["scenario"].iloc[0]
     plant = group["plant"].iloc[0]
     ours = select(group, source="virtual", method="ours")
@@ -259,7 +259,7 @@ def force_mark(group: Frame) -> str:
 
 
 def show_limits(group: Frame) -> str:
-    """Return the limits of the targets that a group belongs to, and whether they are kept."""
+    """Return the limits of a group's targets, and whether they are kept."""
     rows = [Row(**record) for record in group[list(NAMES)].to_dict("records")]
     evaluations = evaluate(rows)
     return ", ".join(
@@ -284,7 +284,7 @@ SHORT_OF = {
 
 
 def shortfall(group: Frame) -> tuple[float, float]:
-    """Return how much our fractions, means over runs, fall short: the worst, and all."""
+    """Return how far our mean fractions fall short: the worst, and the sum."""
     ours = select(group, method="ours")
     differences = [
         best - select(ours, metric=name, source=source)["value"].mean()

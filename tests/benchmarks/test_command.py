@@ -23,9 +23,12 @@ def pretend(job, progress):
     if job.seed == 3:
         raise DataError("the third is broken")
     rmse = HARD_RMSE_N[job.benchmark]
-    found = ("ours", "wrench_rmse_N", rmse), ("published", "wrench_rmse_N", 10.0 * rmse)
-    found += (("ours", "residual_rms_Nm", 1e-9),)
-    return JobResult([Measurement("virtual", *each) for each in found])
+    numbers = (
+        ("ours", "wrench_rmse_N", rmse),
+        ("published", "wrench_rmse_N", 10.0 * rmse),
+    )
+    numbers += (("ours", "residual_rms_Nm", 1e-9),)
+    return JobResult([Measurement("virtual", *measurement) for measurement in numbers])
 
 
 @pytest.fixture(autouse=True)
@@ -44,7 +47,7 @@ def run(*arguments):
     return main(["run", "--workers", "1", *arguments])
 
 
-def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict(
+def test_a_run_fails_for_missed_targets_when_strict(
     capsys,
 ):
     assert run("--plant", "degraded") == 0
@@ -61,7 +64,7 @@ def test_a_run_prints_its_targets_and_what_it_skipped_and_fails_only_when_strict
     assert run("gel-25-constant", "--plant", "degraded") == 0
 
 
-def test_plants_may_be_listed_or_repeated_and_two_runs_write_equal_bytes(tmp_path):
+def test_plants_may_be_listed_and_runs_are_repeatable(tmp_path):
     paths = [tmp_path / name for name in ("a.json", "b.json")]
     for path in paths:
         run(
@@ -84,7 +87,7 @@ def test_plants_may_be_listed_or_repeated_and_two_runs_write_equal_bytes(tmp_pat
     ]
 
 
-def test_a_benchmark_that_fails_is_named_and_the_others_go_on(tmp_path, capsys):
+def test_a_failing_benchmark_is_named_and_others_run(tmp_path, capsys):
     path = tmp_path / "a.json"
     assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
     assert (
@@ -109,7 +112,7 @@ MISTAKES = {
 
 
 @pytest.mark.parametrize(("arguments", "message"), MISTAKES.items())
-def test_a_mistake_is_one_line_and_exit_code_2(
+def test_a_mistake_is_one_line_and_code_2(
     tmp_path, monkeypatch, capsys, arguments, message
 ):
     monkeypatch.chdir(tmp_path)
@@ -122,7 +125,7 @@ def test_a_mistake_is_one_line_and_exit_code_2(
     assert error.count("\n") == 1
 
 
-def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(capsys):
+def test_wrong_usage_is_code_2_help_states_durations(capsys):
     assert main([]) == 2
     assert "compare" in capsys.readouterr().out
     assert main(["walk"]) == 2
@@ -138,9 +141,7 @@ def test_wrong_usage_is_exit_code_2_and_help_says_how_long_a_slow_command_takes(
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
 
 
-def test_compare_fails_on_what_is_worse_or_lost_and_says_it(
-    tmp_path, monkeypatch, capsys
-):
+def test_compare_fails_on_what_is_worse_or_lost(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     rows = {
         "old": [0.1, 0.1],
@@ -166,11 +167,11 @@ def test_compare_fails_on_what_is_worse_or_lost_and_says_it(
         assert said in "".join(capsys.readouterr())
 
 
-def test_processes_return_outcomes_in_the_order_of_the_jobs():
+def test_outcomes_stand_in_the_order_of_jobs():
     jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
-    done = {}
-    outcomes = run_jobs(jobs, Workers(workers=2), done.__setitem__)
+    progress = {}
+    outcomes = run_jobs(jobs, Workers(workers=2), progress.__setitem__)
     assert [item.job for item in outcomes] == jobs
     for k, item in enumerate(outcomes):
         assert f"no benchmark 'none-{k}'" in (item.failure or "")
-    assert set(done.values()) <= {1.0}
+    assert set(progress.values()) <= {1.0}

@@ -44,7 +44,7 @@ from benchmarks.targets import (
 from tests.benchmarks.benchmark_cases import TEMPLATE, make_row
 
 
-def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
+def test_rows_survive_a_file_of_the_documented_schema(tmp_path):
     rows = [make_row(), make_row(seed=1, value=0.25, method="published")]
     write_results(tmp_path / "a.json", rows)
     assert read_results(tmp_path / "a.json") == rows
@@ -78,9 +78,7 @@ def test_rows_survive_the_way_through_a_file_of_the_documented_schema(tmp_path):
         (json.dumps({"schema": 1, "rows": [TEMPLATE, TEMPLATE]}), "more than one row"),
     ],
 )
-def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(
-    tmp_path, content, message
-):
+def test_a_bad_or_unreachable_file_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
     path.write_text(content)
     with pytest.raises(ResultsError, match=message):
@@ -91,7 +89,7 @@ def test_a_file_that_is_bad_or_cannot_be_read_or_written_is_named(
         write_results(tmp_path / "no" / "a.json", [])
 
 
-def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path):
+def test_the_last_run_of_scenario_and_plant_counts(tmp_path):
     first = [make_row(), make_row(plant="clean"), make_row(scenario="liver-constant")]
     more = [
         make_row(plant="clean", value=0.02),
@@ -99,15 +97,15 @@ def test_of_several_runs_the_last_one_of_a_scenario_and_a_plant_counts(tmp_path)
     ]
     write_results(tmp_path / "first.json", first)
     write_results(tmp_path / "more.json", more)
-    found = read_merged([tmp_path / "first.json", tmp_path / "more.json"])
-    assert found == [first[0], *more, first[2]]
+    merged = read_merged([tmp_path / "first.json", tmp_path / "more.json"])
+    assert merged == [first[0], *more, first[2]]
 
 
 def table_of(name, rows):
     return build_table(TABLES[name], frame_of(rows))
 
 
-def test_every_metric_is_shown_in_its_own_table_or_stands_in_the_results_only():
+def test_every_metric_is_shown_in_its_table_only():
     rows = {
         k: make_row(metric=k.name, unit=k.unit, plant="needle")
         for k in METRICS.values()
@@ -120,7 +118,7 @@ def test_every_metric_is_shown_in_its_own_table_or_stands_in_the_results_only():
         assert all(table_of(name, [row]).lines for row in mine)
 
 
-def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
+def test_fractions_show_mean_and_least_or_a_dash():
     def cell(column, name, *values):
         rows = [
             make_row(metric=name, unit="1", seed=k, value=v)
@@ -134,7 +132,7 @@ def test_fractions_show_mean_and_least_and_a_dash_where_nothing_was_detected():
     assert result_tables([]) == []
 
 
-def test_the_force_table_shows_ratio_published_figure_and_targets_the_missed_first():
+def test_the_force_table_shows_missed_targets_first():
     rows = [
         make_row(scenario="gel-70-constant", plant="clean", value=0.02),
         make_row(
@@ -166,7 +164,7 @@ def clean_rows():
     ]
 
 
-def test_the_summary_has_at_most_eight_lines_the_bad_ones_first():
+def test_the_summary_has_eight_lines_bad_ones_first():
     assert len(HEADLINES) <= 8
     table = summary_table(clean_rows())
     degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
@@ -217,7 +215,7 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
 @pytest.mark.parametrize(
     "text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN]
 )
-def test_a_page_without_its_marks_is_refused_and_stays(text, tmp_path, capsys):
+def test_a_page_without_its_marks_stays_unchanged(text, tmp_path, capsys):
     write_results(tmp_path / "a.json", [make_row()])
     page = tmp_path / "page.md"
     page.write_text(text, encoding="utf-8")
@@ -237,26 +235,26 @@ VALUES = st.floats(-1e3, 1e3)
 
 
 def only(rows, target):
-    (found,) = evaluate(rows, [target])
-    return found
+    (evaluation,) = evaluate(rows, [target])
+    return evaluation
 
 
 def seeds(values, **changes):
     return [make_row(seed=k, value=value, **changes) for k, value in enumerate(values)]
 
 
-def test_the_worst_run_or_a_statistic_of_all_decides_and_a_limit_may_be_touched():
-    found = only(seeds((0.1, 0.2, 0.11)), LIMIT)
-    assert (found.value, found.worst.seed, found.runs) == (0.2, 1, 3)
-    assert not found.is_met
+def test_the_statistic_decides_and_limits_may_be_touched():
+    evaluation = only(seeds((0.1, 0.2, 0.11)), LIMIT)
+    assert (evaluation.value, evaluation.worst.seed, evaluation.runs) == (0.2, 1, 3)
+    assert not evaluation.is_met
     assert only([make_row(value=0.12)], LIMIT).is_met
     name = "wrench_coverage_2sigma"
     for statistic, expected in (("mean", 0.95), ("median", 0.98)):
         target = goal(name, at_least=0.9, at_most=0.99, statistic=statistic)
-        found = only(seeds((0.87, 0.98, 1.0), metric=name), target)
-        assert found.value == pytest.approx(expected)
-        assert found.is_met
-        assert found.worst.seed == 0
+        evaluation = only(seeds((0.87, 0.98, 1.0), metric=name), target)
+        assert evaluation.value == pytest.approx(expected)
+        assert evaluation.is_met
+        assert evaluation.worst.seed == 0
 
 
 def test_the_worst_tenth_of_the_runs_may_miss():
@@ -280,12 +278,12 @@ def test_a_pattern_names_scenarios():
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("statistic", ["worst", "mean", "median", "p90"])
-def test_one_value_that_is_not_finite_misses_the_target(bad, statistic):
+def test_a_value_not_finite_misses_the_target(bad, statistic):
     target = goal(at_most=0.12, statistic=statistic)
     assert not only(seeds((0.1, bad, 0.1)), target).is_met
 
 
-def test_undefined_precision_does_not_count_unless_nothing_was_ever_detected():
+def test_undefined_precision_counts_only_without_any_alarm():
     target = goal("rupture_precision", at_least=1.0)
     some = only(seeds((1.0, math.nan), metric="rupture_precision"), target)
     assert (some.runs, some.is_met) == (1, True)
@@ -294,18 +292,18 @@ def test_undefined_precision_does_not_count_unless_nothing_was_ever_detected():
     ).is_met
 
 
-def test_a_ratio_is_to_the_published_value_of_the_same_run():
+def test_ratios_are_to_the_same_runs_published_value():
     rows = [*seeds((0.1, 0.1)), *seeds((0.4, 0.125), method="published")]
-    found = only(rows, RATIO)
-    assert found.value == pytest.approx(0.8)
-    assert found.worst.seed == 1
+    evaluation = only(rows, RATIO)
+    assert evaluation.value == pytest.approx(0.8)
+    assert evaluation.worst.seed == 1
     # One to nothing is missed, or left out where the published method reports nothing.
     for published in ([], [make_row(value=0.0, method="published")]):
         assert not only([make_row(), *published], RATIO).is_met
     rows = seeds((20.0, 30.0), metric="rupture_delay_ms")
     rows += seeds((50.0,), metric="rupture_delay_ms", method="published")
-    found = only(rows, DELAY)
-    assert (found.runs, found.value) == (1, pytest.approx(0.4))
+    evaluation = only(rows, DELAY)
+    assert (evaluation.runs, evaluation.value) == (1, pytest.approx(0.4))
     assert evaluate(rows[:1], [DELAY]) == []
 
 
@@ -365,14 +363,14 @@ def test_the_limits_are_those_asked_for():
 
 
 def change(old, new, name="wrench_rmse_N"):
-    (found,) = compare_rows(
+    (comparison,) = compare_rows(
         [make_row(value=old, metric=name)], [make_row(value=new, metric=name)]
     )
-    return found.change
+    return comparison.change
 
 
 @given(old=VALUES, new=VALUES, name=st.sampled_from(sorted(METRICS)))
-def test_what_is_worse_one_way_is_not_worse_the_other(old, new, name):
+def test_worse_one_way_is_not_worse_the_other(old, new, name):
     assert not change(old, new, name) is change(new, old, name) is Change.WORSE
     assert change(old, old, name) is Change.SAME
 
@@ -398,7 +396,7 @@ def test_direction_and_tolerance_are_those_of_the_metric(name, old, new, expecte
     assert change(old, new, name) is expected
 
 
-def test_a_missing_row_fails_and_a_new_one_does_not_matched_by_everything_that_names_them():
+def test_a_missing_row_fails_a_new_passes():
     gone, come = compare_rows([make_row(seed=0)], [make_row(seed=1)])
     assert (gone.change, gone.is_failure) == (Change.MISSING, True)
     assert (come.change, come.is_failure) == (Change.NEW, False)
@@ -407,7 +405,7 @@ def test_a_missing_row_fails_and_a_new_one_does_not_matched_by_everything_that_n
         assert [item.change for item in found] == [Change.MISSING, Change.NEW]
 
 
-def test_a_metric_has_the_unit_that_its_name_ends_with_and_the_catalogues_tolerance():
+def test_a_metric_has_its_names_unit_and_tolerance():
     bare = [item.name for item in METRICS.values() if item.unit == "1"]
     assert [
         name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)

@@ -7,6 +7,7 @@ TBME 2004, doi 10.1109/TBME.2004.831542.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +15,9 @@ from benchmarks import DataError
 from benchmarks.insertion.matching import nearest_pairs
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
-from benchmarks.insertion.signals import Array
 from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement
+from foundation.arrays import Array
 from identification import PublishedConfig, replay
 
 FOLDER = "bovine_liver_okamura2004"
@@ -36,10 +37,22 @@ RUPTURES_mm = (19.2, 29.9, 32.7, 36.7)
 """The capsule as annotated by the authors; the others read off the curve."""
 
 
-def read_bovine(
-    data: Path, rng: np.random.Generator | None
-) -> tuple[Array, Array, Array]:
-    """Time, depth and axial force, shape (n,) each, from the points of the figure.
+class BovineInsertion(NamedTuple):
+    """The insertion as n samples.
+
+    Attributes:
+        t_s: Time, shape (n,).
+        depth_m: Depth, shape (n,).
+        force_N: Axial force, shape (n,).
+    """
+
+    t_s: Array
+    depth_m: Array
+    force_N: Array
+
+
+def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
+    """Return the insertion from the points of the figure.
 
     The curve was traced in one stroke of 232 points; those that follow it in the file
     go over parts of it again, less exactly, and would put a zigzag into it. The
@@ -69,7 +82,8 @@ def read_bovine(
     force_N = np.interp(depth_m, depth, force)
     if rng is not None:
         force_N += NOISE_N * rng.standard_normal(len(depth_m))
-    return np.arange(len(depth_m)) / RATE_hz, depth_m, force_N
+    t_s = np.arange(len(depth_m)) / RATE_hz
+    return BovineInsertion(t_s, depth_m, force_N)
 
 
 NEAR_mm = 1.5
@@ -77,7 +91,7 @@ NEAR_mm = 1.5
 
 
 def run_bovine_real(job: Job, progress: Progress) -> JobResult:
-    """``bovine-real``: the four ruptures of the insertion, by both methods.
+    """Run ``bovine-real``: the four ruptures of the insertion, by both methods.
 
     The curve falls in more places than the annotated ones (docs/limits.md). An alarm
     that belongs to none of the four counts as false, whatever the force does there;
@@ -86,14 +100,15 @@ def run_bovine_real(job: Job, progress: Progress) -> JobResult:
     contact, ours finds it.
     """
     data = job.recordings
-    t_s, depth_m, force_N = read_bovine(data, np.random.default_rng(job.seed))
-    drops = force_drops(*read_bovine(data, None)[1:], VISIBLE_SIGMAS * NOISE_N)
-    found: list[Measurement] = []
+    insertion = read_bovine(data, np.random.default_rng(job.seed))
+    drawn = read_bovine(data, None)
+    drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
+    measurements: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
         if isinstance(config, PublishedConfig):
             config = replace(config, contact_depth_m=CONTACT_m)
-        result = replay(t_s, depth_m, force_N, config=config)
+        result = replay(*insertion, config=config)
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
         estimated_mm = [1e3 * event.depth_m for event in events]
@@ -103,16 +118,16 @@ def run_bovine_real(job: Job, progress: Progress) -> JobResult:
         values["ruptures_without_drop"] = float(
             len(events) - at_drops(alarms_m, drops)[0]
         )
-        found += [
+        measurements += [
             Measurement("ft", method, name, value) for name, value in values.items()
         ]
-    return JobResult(found)
+    return JobResult(measurements)
 
 
 def depth_metrics(
     alarms_mm: Sequence[float], estimated_mm: Sequence[float], true_mm: Sequence[float]
 ) -> dict[str, float]:
-    """Missed and false ruptures, and how far the others are out, if any.
+    """Count missed and false ruptures; return how far the others are out, if any.
 
     Each annotated rupture takes the nearest alarm within `NEAR_mm` that no nearer one
     has taken.

@@ -15,9 +15,9 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
-from benchmarks.insertion.signals import Array
 from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement, Method
+from foundation.arrays import Array
 from identification import replay
 
 WINDOW_m = 0.5e-3
@@ -29,7 +29,7 @@ SETTLED_m = 2e-3
 
 
 def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
-    """Insertion and withdrawal in a recording that holds the needle in between.
+    """Return insertion and withdrawal in a recording that holds in between.
 
     The insertion ends where the needle is within `HAIR_m` of its deepest; the
     withdrawal begins when friction has turned round.
@@ -42,13 +42,13 @@ def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
 
 
 def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
-    """Mean of values near a depth, nan when the needle was never there."""
+    """Return the mean of values near a depth, nan when the needle was never there."""
     near = np.abs(depth_m - at_m) <= WINDOW_m
     return float(np.mean(values[near])) if near.any() else float("nan")
 
 
 def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
-    """The named arrays of an npz file.
+    """Read the named arrays of an npz file.
 
     Raises:
         DataError: The file cannot be read, an array is missing, empty or not finite.
@@ -56,25 +56,25 @@ def read_arrays(path: Path, names: Sequence[str]) -> list[Array]:
     try:
         with np.load(path, allow_pickle=False) as content:
             has = ", ".join(content)
-            found = {
+            arrays = {
                 n: np.asarray(content[n], dtype=np.float64)
                 for n in names
                 if n in content
             }
     except (OSError, EOFError, BadZipFile, ValueError) as error:
         raise DataError(f"cannot read {path}: {error}") from error
-    if missing := [name for name in names if name not in found]:
+    if missing := [name for name in names if name not in arrays]:
         raise DataError(f"{path} lacks {', '.join(missing)}; it has {has}")
-    for name, array in found.items():
+    for name, array in arrays.items():
         if array.size == 0 or not np.isfinite(array).all():
             raise DataError(
                 f"{name} of {path} is empty or has values that are not finite"
             )
-    return [found[name] for name in names]
+    return [arrays[name] for name in names]
 
 
 def read_table(path: Path) -> dict[str, Any]:
-    """The table of numbers in a JSON file.
+    """Read the table of numbers in a JSON file.
 
     Raises:
         DataError: The file cannot be read or is no JSON object.
@@ -107,7 +107,8 @@ class LiverInsertion(NamedTuple):
         t_s: Time since its first sample, shape (n,).
         depth_m: Shape (n,).
         force_N: Axial force as recorded, shape (n,).
-        insertion: Its parts, see `insertion_parts`.
+        insertion: Samples of the insertion, see `insertion_parts`.
+        withdrawal: Samples of the withdrawal.
     """
 
     t_s: Array
@@ -129,17 +130,18 @@ class LiverInsertion(NamedTuple):
         return tuple(-self.force_at_N(self.withdrawal, mm) for mm in DEPTHS_mm)
 
     def force_at_N(self, part: slice, depth_mm: float) -> float:
-        """Mean force near a depth [mm] in a part of the recording; nan if the needle
-        was not there.
+        """Return the mean force near a depth [mm] in a part of the recording.
 
-        Negative during withdrawal, where friction holds the needle back.
+        It is nan if the needle was not there. Negative during withdrawal, where
+        friction holds the needle back.
         """
         return mean_at_depth(self.depth_m[part], self.force_N[part], 1e-3 * depth_mm)
 
 
 def read_liver(data: Path, index: int) -> LiverInsertion:
-    """Read one insertion from the folder of recordings; the index is one into
-    `NUMBERS`.
+    """Read one insertion from the folder of recordings.
+
+    The index is one into `NUMBERS`.
 
     Raises:
         DataError: There is no such insertion, or the file is missing or broken.
@@ -153,18 +155,22 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
     return LiverInsertion(t_s, depth, force, *insertion_parts(depth))
 
 
-LEAST_N = 0.15
+MIN_DROP_N = 0.15
 """The smallest internal rupture described for the liver recordings; twenty times
 their noise."""
-LONGEST_m = 2e-3
+MAX_RELEASE_m = 2e-3
 """A rupture of liver releases over 0.5 to 2 mm; what takes longer is no rupture."""
 SMOOTHING = 21
 """Samples of the centred mean that comes first."""
 
 
 class ForceDrop(NamedTuple):
-    """One sudden drop of the force, found offline: depths at its top and foot, and
-    its height.
+    """One sudden drop of the force, found offline.
+
+    Attributes:
+        from_m: Depth at its top.
+        to_m: Depth at its foot.
+        drop_N: Its height.
     """
 
     from_m: float
@@ -178,18 +184,18 @@ to either."""
 
 
 def force_drops(
-    depth_m: Array, force_N: Array, least_N: float = LEAST_N
+    depth_m: Array, force_N: Array, least_N: float = MIN_DROP_N
 ) -> list[ForceDrop]:
-    """Every drop by at least `least_N` within `LONGEST_m` of travel.
+    """Find every drop by at least `least_N` within `MAX_RELEASE_m` of travel.
 
-    Overlapping drops are one. The last `LONGEST_m` do not count: there the needle slows
-    down. The needle advances, shapes (n,).
+    Overlapping drops are one. The last `MAX_RELEASE_m` do not count: there the needle
+    slows down. The needle advances, shapes (n,).
     """
     depth = np.maximum.accumulate(depth_m)
     force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
-    begin = np.searchsorted(depth, depth - LONGEST_m)
-    inside = np.flatnonzero(depth < depth[-1] - LONGEST_m)
-    found: list[ForceDrop] = []
+    begin = np.searchsorted(depth, depth - MAX_RELEASE_m)
+    inside = np.flatnonzero(depth < depth[-1] - MAX_RELEASE_m)
+    drops: list[ForceDrop] = []
     for k in inside.tolist():
         top = int(begin[k]) + int(np.argmax(force[begin[k] : k + 1]))
         drop = ForceDrop(
@@ -197,16 +203,17 @@ def force_drops(
         )
         if drop.drop_N < least_N:
             continue
-        if not found or drop.from_m > found[-1].to_m:
-            found.append(drop)
-        elif drop.drop_N > found[-1].drop_N:
-            found[-1] = drop
-    return found
+        if not drops or drop.from_m > drops[-1].to_m:
+            drops.append(drop)
+        elif drop.drop_N > drops[-1].drop_N:
+            drops[-1] = drop
+    return drops
 
 
 def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int, int]:
-    """How many alarms, given by their depths, lie at a drop, and how many drops have
-    an alarm.
+    """Return how many alarms lie at a drop, and how many drops have an alarm.
+
+    Alarms are given by their depths.
     """
     is_at = [
         [drop.from_m - NEAR_m <= alarm <= drop.to_m + NEAR_m for drop in drops]
@@ -216,8 +223,7 @@ def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int
 
 
 class LiverReference(NamedTuple):
-    """What the estimates of an insertion are compared with: pull-out force, drops of
-    the force.
+    """What the estimates of an insertion are compared with.
 
     Attributes:
         pullout_N: At each of `DEPTHS_mm`.
@@ -234,6 +240,7 @@ class LiverEstimates(NamedTuple):
     """What a method made of an insertion; a rule of thumb reports friction only.
 
     Attributes:
+        reference: What they are compared with.
         friction_N: At each depth.
         alarms_m: Depths of the ruptures reported.
         enhanced_N: Enhanced force, shape (n,).
@@ -254,8 +261,9 @@ class LiverEstimates(NamedTuple):
 def liver_reference(
     insertion: LiverInsertion, depth_m: Array, force_N: Array
 ) -> LiverReference:
-    """Find the drops of a force over depth, as recorded or as put on an arm, shape
-    (n,) each.
+    """Find the drops of a force over depth, shape (n,) each.
+
+    The force is as recorded or as put on an arm.
     """
     small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
     return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
@@ -268,9 +276,7 @@ def liver_estimates(
     method: Method,
     reference: LiverReference,
 ) -> LiverEstimates:
-    """Shaft friction at each depth as estimated when the needle was there, ruptures,
-    and rest.
-    """
+    """Return friction at each depth when the needle was there, ruptures, and rest."""
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
     names = (
         "shaft_friction_N",
@@ -298,44 +304,47 @@ def liver_estimates(
     )
 
 
-def friction_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
-    """Median and 90th percentile of the errors over insertions, and how well they
-    are stated.
+def friction_values(
+    insertions: Sequence[LiverEstimates],
+) -> Iterator[tuple[str, float]]:
+    """Yield the errors of the friction over insertions, and how well they are stated.
+
+    Median and 90th percentile.
     """
-    true = np.array([each.reference.pullout_N for each in found])
-    off = np.abs(np.array([each.friction_N for each in found]) - true)
+    true_N = np.array([item.reference.pullout_N for item in insertions])
+    error_N = np.abs(np.array([item.friction_N for item in insertions]) - true_N)
     for name, percent in (("median", 50.0), ("p90", 90.0)):
-        yield (
-            f"pullout_error_{name}_pct",
-            float(np.percentile(100.0 * off / true, percent)),
-        )
-    stds = np.array([each.friction_std_N for each in found])
-    if stds.size and np.isfinite(stds).all():
-        for mm, covers in zip(DEPTHS_mm, (off <= 2.0 * stds).T, strict=True):
+        error_pct = float(np.percentile(100.0 * error_N / true_N, percent))
+        yield f"pullout_error_{name}_pct", error_pct
+    std_N = np.array([item.friction_std_N for item in insertions])
+    if std_N.size and np.isfinite(std_N).all():
+        is_covered = error_N <= 2.0 * std_N
+        for mm, covers in zip(DEPTHS_mm, is_covered.T, strict=True):
             yield f"pullout_coverage_{mm}mm", float(np.mean(covers))
-        yield (
-            "friction_above_force_at_rest",
-            float(np.mean([e.above_at_rest for e in found])),
-        )
-        yield "tip_force_below_zero", float(np.mean([e.below_zero for e in found]))
+        above = np.mean([item.above_at_rest for item in insertions])
+        below = np.mean([item.below_zero for item in insertions])
+        yield "friction_above_force_at_rest", float(above)
+        yield "tip_force_below_zero", float(below)
 
 
-def rupture_values(found: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
-    """Ruptures reported over all insertions against the drops of the force in them."""
-    ruptures = sum(len(each.alarms_m) for each in found)
-    drops = sum(len(each.reference.drops) for each in found)
-    yield "ruptures_per_insertion", ruptures / len(found)
-    yield "drops_per_insertion", drops / len(found)
+def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
+    """Yield the ruptures of all insertions against the drops of the force."""
+    count = len(insertions)
+    ruptures = sum(len(item.alarms_m) for item in insertions)
+    drops = sum(len(item.reference.drops) for item in insertions)
+    yield "ruptures_per_insertion", ruptures / count
+    yield "drops_per_insertion", drops / count
     if drops:
-        yield (
-            "drop_recall",
-            sum(at_drops(e.alarms_m, e.reference.drops)[1] for e in found) / drops,
+        alarmed = sum(
+            at_drops(item.alarms_m, item.reference.drops)[1] for item in insertions
         )
+        yield "drop_recall", alarmed / drops
     if ruptures:
-        at = sum(
-            at_drops(each.alarms_m, each.reference.small_drops)[0] for each in found
+        at_a_drop = sum(
+            at_drops(item.alarms_m, item.reference.small_drops)[0]
+            for item in insertions
         )
-        yield "ruptures_at_drops", at / ruptures
+        yield "ruptures_at_drops", at_a_drop / ruptures
 
 
 GUESSED_FRICTION = 0.7
@@ -343,7 +352,7 @@ GUESSED_FRICTION = 0.7
 
 
 def run_liver_real(job: Job, progress: Progress) -> JobResult:
-    """``liver-real``: friction estimated during insertion against the pull-out force.
+    """Run ``liver-real``: friction during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
     what the shaft friction was there during insertion. Methods see the insertion and
@@ -359,10 +368,10 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
         progress(index / len(NUMBERS))
         whole = read_liver(data, index)
         inside = whole.insertion
-        before = whole.before_withdrawal
+        forward = whole.before_withdrawal
         depth = whole.depth_m[inside]
         force = whole.force_N[inside]
-        course = whole.t_s[before], whole.depth_m[before], whole.force_N[before]
+        course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
         reference = liver_reference(whole, depth, force)
         guess = tuple(
             GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm
@@ -370,11 +379,13 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
         by_method["guess"].append(LiverEstimates(reference, guess))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
-    found: list[Measurement] = []
-    for method, each in by_method.items():
+    measurements: list[Measurement] = []
+    for method, estimates in by_method.items():
         values = [
-            *friction_values(each),
-            *(rupture_values(each) if method != "guess" else ()),
+            *friction_values(estimates),
+            *(rupture_values(estimates) if method != "guess" else ()),
         ]
-        found += [Measurement("ft", method, name, value) for name, value in values]
-    return JobResult(found)
+        measurements += [
+            Measurement("ft", method, name, value) for name, value in values
+        ]
+    return JobResult(measurements)

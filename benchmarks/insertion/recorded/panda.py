@@ -33,10 +33,11 @@ from benchmarks.insertion.recorded.liver import (
     read_table,
     rupture_values,
 )
-from benchmarks.insertion.signals import Array, ForceTruth, JointSignals, tool_jacobians
+from benchmarks.insertion.signals import ForceTruth, JointSignals, tool_jacobians
 from benchmarks.jobs import Job, JobResult, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.results import Measurement, Method, Source
+from foundation.arrays import Array
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
 
@@ -89,6 +90,7 @@ def read_panda(data: Path) -> Panda:
 
 
 def _robot(table: dict[str, Any]) -> Robot:
+    """Return the arm of the recording's model."""
     joints = []
     for k, (alpha, a, d) in enumerate(
         zip(table["alpha_rad"], table["a_m"], table["d_m"], strict=True)
@@ -123,7 +125,7 @@ SETTLING_LAGS = 5.0
 
 
 def run_panda_real(job: Job, progress: Progress) -> JobResult:
-    """``panda-real``: noise floor of the residual without contact, per joint."""
+    """Run ``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
     residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
@@ -143,18 +145,18 @@ OF_MANY = "_p90_pct"
 def identification_values(
     insertion: LiverInsertion, truth: ForceTruth, forces_N: Mapping[Method, Array]
 ) -> list[Measurement]:
-    """Friction and ruptures by both methods, from the force itself and from each one's
-    own sensor.
+    """Return friction and ruptures by both methods.
 
-    A real enhanced force has no ground truth; that of the virtual force is compared
-    with that of the same method on the force itself, which an F/T sensor would read.
+    They come from the force itself and from each method's own sensor. A real enhanced
+    force has no ground truth; that of the virtual force is compared with that of the
+    same method on the force itself, which an F/T sensor would read.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s = truth.t_s[felt]
     depth = truth.depth_m[felt]
     force = truth.axial_N[felt]
     reference = liver_reference(insertion, depth, force)
-    found: list[Measurement] = []
+    measurements: list[Measurement] = []
     for method in IDENTIFIERS:
         ft = liver_estimates(t_s, depth, force, method, reference)
         virtual = liver_estimates(t_s, depth, forces_N[method][felt], method, reference)
@@ -162,10 +164,14 @@ def identification_values(
         for source, item in by_source.items():
             for name, value in (*friction_values([item]), *rupture_values([item])):
                 if not name.endswith(OF_MANY):
-                    found.append(Measurement(source, method, name, value))
-        off = float(np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2)))
-        found.append(Measurement("virtual", method, "enhanced_against_ft_rmse_N", off))
-    return found
+                    measurements.append(Measurement(source, method, name, value))
+        difference_N = float(
+            np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2))
+        )
+        measurements.append(
+            Measurement("virtual", method, "enhanced_against_ft_rmse_N", difference_N)
+        )
+    return measurements
 
 
 TARE_s = 4.0
@@ -179,7 +185,7 @@ NOT_JUDGED = "wrench_lag_ms"
 
 
 def run_panda_liver(job: Job, progress: Progress) -> JobResult:
-    """``panda-liver``: a real tissue force on a real arm, by both methods.
+    """Run ``panda-liver``: a real tissue force on a real arm, by both methods.
 
     The recorded Panda has touched nothing, the recorded needle had no robot. Both are
     combined: a force F on the flange acts on the joints as ``J' F``, and reduces the
@@ -199,23 +205,33 @@ def run_panda_liver(job: Job, progress: Progress) -> JobResult:
     readings = []
     forces_N = {}
     for k, (method, config) in enumerate(METHODS.items()):
-        part = progress_part(progress, k / len(METHODS), (k + 1) / len(METHODS))
+        session_progress = progress_part(
+            progress, k / len(METHODS), (k + 1) / len(METHODS)
+        )
         real = replace(config, friction=panda.friction)
-        made = run_session(panda.robot, signals, method, TARE_s, part, sensor=real)
-        readings.append(made.reading)
-        forces_N[method] = made.unsmoothed_N
-    drawings = force_figures(job, job.drawings, truth, readings) if job.drawings else ()
-    found: list[Measurement] = []
-    for reading in readings:
-        found += [
-            item for item in wrench_metrics(reading, truth) if item.metric != NOT_JUDGED
-        ]
-    found += identification_values(insertion, truth, forces_N)
-    return JobResult(found, drawings)
+        session = run_session(
+            panda.robot, signals, method, TARE_s, session_progress, sensor=real
+        )
+        readings.append(session.reading)
+        forces_N[method] = session.unsmoothed_N
+    measurements = [
+        item
+        for reading in readings
+        for item in wrench_metrics(reading, truth)
+        if item.metric != NOT_JUDGED
+    ]
+    measurements += identification_values(insertion, truth, forces_N)
+    drawings = ()
+    if job.drawings is not None:
+        drawings = force_figures(job, job.drawings, truth, readings)
+    return JobResult(measurements, drawings)
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:
-    """The liver's force at the Panda's time stamps: none before the insertion."""
+    """Return the liver's force at the Panda's time stamps.
+
+    There is none before the insertion.
+    """
     t_s = panda.signals.t_s
     since = t_s - TARE_s
     force_N = insertion.force_N - np.mean(insertion.force_N[insertion.t_s < REST_s])

@@ -1,8 +1,7 @@
-"""A real UR10e: motor currents without and with a known payload, and its identified
-model.
+"""A real UR10e: motor currents with and without a known payload.
 
-Mamedov, Mikhel, "Practical aspects of model-based collision detection", Front. Robot.
-AI 7:571574, 2020.
+Its model is identified. Mamedov, Mikhel, "Practical aspects of model-based collision
+detection", Front. Robot. AI 7:571574, 2020.
 """
 
 from pathlib import Path
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
 from benchmarks.insertion.recorded.liver import read_arrays, read_table
-from benchmarks.insertion.signals import Array, JointSignals, tool_jacobians
+from benchmarks.insertion.signals import JointSignals, tool_jacobians
 from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement
+from foundation.arrays import Array
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
 
@@ -34,14 +34,13 @@ class Ur10e(NamedTuple):
         robot: The arm with its rotors, tool frame at the end link.
         friction: Friction of its joints: torque comes from currents, so all of it is in
             there.
+        unloaded: Signals without payload; torque is torque constant times current.
         loaded: Signals of the same motion with the payload.
     """
 
     robot: Robot
     friction: JointFriction
-    unloaded: (
-        JointSignals  # signals without payload; torque is torque constant times current
-    )
+    unloaded: JointSignals
     loaded: JointSignals
 
 
@@ -67,12 +66,14 @@ def read_ur10e(data: Path) -> Ur10e:
 
 
 def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
+    """Read signals; torque is torque constant times current."""
     names = ("t_s", "q_rad", "dq_rad_s", "current_A")
     t_s, q, dq, current = read_arrays(path, names)
     return JointSignals(t_s=t_s, q_rad=q, dq_rad_s=dq, tau_Nm=current * torque_constant)
 
 
 def _robot(table: dict[str, Any]) -> Robot:
+    """Return the arm of the recording's model, with its rotors."""
     inertias = np.array(table["inertial_parameters"]["rows"])[:, PINOCCHIO_ORDER]
     joints = [
         SerialJoint(
@@ -92,6 +93,7 @@ def _robot(table: dict[str, Any]) -> Robot:
 
 
 def _placement(row: dict[str, Any]) -> pin.SE3:
+    """Return the placement of a joint from a row of the model."""
     return pin.SE3(pin.rpy.rpyToMatrix(*row["rpy_rad"]), np.array(row["xyz_m"]))
 
 
@@ -99,13 +101,13 @@ GAIN_per_s = 20.0
 """That of the known-good figures."""
 SETTLING_s = 5.0 / GAIN_per_s
 PAYLOAD_kg = 2.805
-LEAST_SINGULAR_VALUE = 0.1
+MIN_SINGULAR_VALUE = 0.1
 """Of the Jacobian: nearer to a singular pose an undamped inverse only amplifies
 noise."""
 
 
 def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
-    """``ur10e-payload``: the weight of a known payload from motor currents.
+    """Run ``ur10e-payload``: the weight of a known payload from motor currents.
 
     Torque is torque constant times current, and the constants read 12 to 16 % low. The
     arm's own model was identified with the same constants, so model and measurement
@@ -123,10 +125,10 @@ def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
     # What the model misses at each joint without payload: the weights of the fit.
     noise = residual_unloaded[_settled(arm.unloaded)].std(axis=0)
     middle = len(residual_loaded) // 2
-    kept = np.flatnonzero(_settled(arm.loaded))
+    settled = np.flatnonzero(_settled(arm.loaded))
     first, second = (
         _payload_kg(arm.robot, arm.loaded.q_rad[half], residual_loaded[half], noise)
-        for half in (kept[kept < middle], kept[kept >= middle])
+        for half in (settled[settled < middle], settled[settled >= middle])
     )
     scale = PAYLOAD_kg / first
     values["torque_scale"] = scale
@@ -136,39 +138,43 @@ def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
 
 
 def _residual(arm: Ur10e, signals: JointSignals) -> Array:
+    """Return the residual after every sample [Nm], shape (n, j)."""
     return joint_residual(arm.robot, signals, GAIN_per_s, friction=arm.friction)
 
 
 def _settled(signals: JointSignals) -> NDArray[np.bool_]:
+    """Return which samples the observer has settled at, shape (n,)."""
     return signals.t_s - signals.t_s[0] >= SETTLING_s
 
 
 def _force_up(
     robot: Robot, signals: JointSignals, residual: Array, name: str
 ) -> dict[str, float]:
-    """Mean and scatter of the vertical force in base axes, by equation (13), torque
-    scale 1.
+    """Return mean and scatter of the vertical force in base axes.
+
+    By equation (13), with a torque scale of 1.
     """
     wrench = WrenchEstimator(robot, PUBLISHED)
     jacobians = tool_jacobians(robot, signals.q_rad)
-    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > LEAST_SINGULAR_VALUE
-    seen = _settled(signals) & regular
-    samples = zip(signals.q_rad[seen], residual[seen], strict=True)
+    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
+    used = _settled(signals) & regular
+    samples = zip(signals.q_rad[used], residual[used], strict=True)
     force = np.array([wrench.estimate(q, r).force[2] for q, r in samples])
     return {f"{name}_N": float(force.mean()), f"{name}_std_N": float(force.std())}
 
 
 def _payload_kg(robot: Robot, q_rad: Array, residual: Array, noise_Nm: Array) -> float:
-    """Mass whose weight explains the residuals of many poses together, singular ones
-    included.
+    """Return the mass whose weight explains the residuals of many poses together.
 
-    The residual is what an arm at rest would feel more than its own gravity, with
-    opposite sign.
+    Singular poses are included. The residual is what an arm at rest would feel more
+    than its own gravity, with opposite sign.
     """
     data = robot.create_data()
     gravity = np.array(
         [pin.computeGeneralizedGravity(robot.model, data, q) for q in q_rad]
     )
     torque = gravity - residual
-    found = identify_payload_static(robot, q_rad, torque, torque_noise_std_Nm=noise_Nm)
-    return float(found.parameters[0])
+    payload = identify_payload_static(
+        robot, q_rad, torque, torque_noise_std_Nm=noise_Nm
+    )
+    return float(payload.parameters[0])

@@ -23,12 +23,12 @@ from tests.benchmarks.campaign.campaign_jobs import ANSWERS, fatal, quick_job, s
 
 
 def answered(tmp_path, workers):
-    found = list(answers(fatal, squares(tmp_path), workers))
-    assert len(found) == len(ANSWERS)
-    return dict(found)
+    answer_list = list(answers(fatal, squares(tmp_path), workers))
+    assert len(answer_list) == len(ANSWERS)
+    return dict(answer_list)
 
 
-def test_a_killed_process_takes_no_other_job_with_it(tmp_path):
+def test_a_killed_process_takes_no_other_job(tmp_path):
     """The job it died of is done once more."""
     assert answered(tmp_path, Workers(workers=2)) == ANSWERS
     assert Workers(workers=3).processes == 3
@@ -59,9 +59,9 @@ def cluster():
         yield local.scheduler_address, kill
 
 
-def test_on_a_cluster_a_killed_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
+def test_a_killed_cluster_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runs, "run_job", quick_job)
-    monkeypatch.setattr(runs, "LEAST_PAUSE_S", 0.0)
+    monkeypatch.setattr(runs, "MIN_PAUSE_S", 0.0)
     monkeypatch.setattr(runs, "PAUSE_RATIO", 0.0)  # every answer is on disk at once
     serial, other = (tmp_path / name for name in ("serial.json", "cluster.json"))
     asked = ["run", "liver-constant", "--seeds", "30", "--json"]
@@ -154,14 +154,14 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
         ({}, []),
     ],
 )
-def test_a_run_with_some_of_its_rows_is_done_again(
+def test_a_run_with_missing_rows_is_repeated(
     changed, again, tmp_path, monkeypatch, capsys
 ):
-    done = []
+    seeds_done = []
     names = ("wrench_rmse_N", "rupture_recall")
 
     def pretend(job, progress):
-        done.append(job.seed)
+        seeds_done.append(job.seed)
         return JobResult(
             [Measurement("virtual", "ours", name, job.seed) for name in names]
         )
@@ -172,29 +172,29 @@ def test_a_run_with_some_of_its_rows_is_done_again(
     asked = ["run", "--seeds", "3", "--workers", "1", "--json", str(path)]
     assert main(asked) == 0
     whole = path.read_bytes()
-    found = json.loads(path.read_bytes())
+    content = json.loads(path.read_bytes())
     for key, value in changed.items():
-        found[key] = found[key][value] if isinstance(value, slice) else value
-    path.write_text(json.dumps(found))
-    del done[:]
+        content[key] = content[key][value] if isinstance(value, slice) else value
+    path.write_text(json.dumps(content))
+    del seeds_done[:]
     assert main([*asked, "--resume"]) == 0
-    assert done == again
+    assert seeds_done == again
     assert json.loads(path.read_bytes()) == json.loads(whole)
     if again:
         assert path.read_bytes() == whole
-    path.write_text(json.dumps(found | {"runs": 3}))
+    path.write_text(json.dumps(content | {"runs": 3}))
     assert main([*asked, "--resume"]) == 2
     assert "is not a file of results" in capsys.readouterr().err
 
 
-def test_a_cluster_that_is_not_there_is_one_line(jobs_done, monkeypatch, capsys):
+def test_an_absent_cluster_is_one_line(jobs_done, monkeypatch, capsys):
     pytest.importorskip("distributed")
     monkeypatch.setattr(workers, "CONNECT_S", 0.5)
     assert main(["run", "--cluster", "tcp://127.0.0.1:9"]) == 2
     assert "error: no Dask scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
 
 
-def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
+def test_an_interval_covers_the_middle_and_draws_seeds():
     rng = np.random.default_rng(1)
     inside = 0
     for _ in range(200):
@@ -208,8 +208,8 @@ def test_an_interval_covers_the_middle_and_draws_seeds_where_there_are_enough():
     seeds = np.repeat(np.arange(8), 12)
     by_seed = np.repeat(rng.normal(size=8), 12)
     widths = [
-        np.ptp(interval(by_seed, each, np.random.default_rng(0), is_mean=True))
-        for each in (seeds, np.arange(96), seeds % 2)
+        np.ptp(interval(by_seed, seed, np.random.default_rng(0), is_mean=True))
+        for seed in (seeds, np.arange(96), seeds % 2)
     ]
     assert widths[0] > 2.0 * widths[1]
     assert widths[1] == widths[2]

@@ -109,14 +109,14 @@ def identified(enhanced_N, tip_N, compensated_at=None):
         ([7.0, 7.4], [7.05, 7.5], [(7.0, 7.05), (7.4, 7.5)]),
     ],
 )
-def test_an_alarm_belongs_to_one_rupture_in_its_window(ruptures, alarms, pairs):
-    found = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
-    assert [(true.onset_s, seen.alarm_s) for true, seen in found.found] == pairs
-    assert len(found.missed) == len(ruptures) - len(pairs)
-    assert len(found.false) == len(alarms) - len(pairs)
+def test_an_alarm_belongs_to_one_rupture_in_window(ruptures, alarms, pairs):
+    matching = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+    assert [(true.onset_s, report.alarm_s) for true, report in matching.found] == pairs
+    assert len(matching.missed) == len(ruptures) - len(pairs)
+    assert len(matching.false) == len(alarms) - len(pairs)
 
 
-def test_the_window_of_an_alarm_is_the_documented_one():
+def test_the_window_of_an_alarm_is_as_documented():
     assert (EARLY_s, LATE_s) == (0.2, 1.5)
     values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth())
     assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)
@@ -126,7 +126,7 @@ def test_the_window_of_an_alarm_is_the_documented_one():
     assert layer.estimated_N == 0.0
 
 
-def test_delay_soft_transitions_silence_and_false_alarms_are_counted():
+def test_delay_silence_and_false_alarms_are_counted():
     values = rupture_metrics(
         match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth()
     )
@@ -134,11 +134,14 @@ def test_delay_soft_transitions_silence_and_false_alarms_are_counted():
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
     assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
-    both = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
-    missed = rupture_metrics(match(both, [alarm(7.0)]), truth())
+    ruptures = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
+    missed = rupture_metrics(match(ruptures, [alarm(7.0)]), truth())
     assert (missed["rupture_recall"], missed["soft_transition_recall"]) == (1.0, 0.0)
-    found = rupture_metrics(match(both, [alarm(7.0), alarm(11.0)]), truth())
-    assert (found["rupture_precision"], found["soft_transition_recall"]) == (1.0, 1.0)
+    matched = rupture_metrics(match(ruptures, [alarm(7.0), alarm(11.0)]), truth())
+    assert (matched["rupture_precision"], matched["soft_transition_recall"]) == (
+        1.0,
+        1.0,
+    )
     values = rupture_metrics(match([rupture(7.0)], []), truth())
     assert values["rupture_recall"] == 0.0
     assert math.isnan(values["rupture_precision"])
@@ -150,38 +153,40 @@ def test_delay_soft_transitions_silence_and_false_alarms_are_counted():
     assert visible == [False, True], "whatever the noise"
 
 
-def test_the_friction_of_each_layer_is_judged_at_its_own_rupture():
-    both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
-    found = layer_frictions(both, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)])
-    assert [layer.error for layer in found] == pytest.approx([0.1, 0.05])
-    values = friction_metrics(found)
+def test_layer_friction_is_judged_at_its_own_rupture():
+    ruptures = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
+    frictions = layer_frictions(
+        ruptures, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)]
+    )
+    assert [layer.error for layer in frictions] == pytest.approx([0.1, 0.05])
+    values = friction_metrics(frictions)
     assert values["friction_error_worst_pct"] == pytest.approx(10.0)
     assert values["friction_error_mean_pct"] == pytest.approx(7.5)
     assert values["friction_coverage_2sigma"] == 0.5
     # What was known online is judged apart from what is known at the end.
-    one = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
+    alarms = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
     values = friction_metrics(
-        layer_frictions([rupture(7.0)], one, online=True), "_online"
+        layer_frictions([rupture(7.0)], alarms, online=True), "_online"
     )
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
 
-def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_below():
-    both = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
-    found = layer_frictions(both, [alarm(11.1, 0.6)])
-    assert [layer.error for layer in found] == pytest.approx([1.0, 2.0])
-    both = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
-    (layer,) = layer_frictions(both, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)])
+def test_a_missed_layer_counts_as_zero_friction():
+    ruptures = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
+    frictions = layer_frictions(ruptures, [alarm(11.1, 0.6)])
+    assert [layer.error for layer in frictions] == pytest.approx([1.0, 2.0])
+    ruptures = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
+    (layer,) = layer_frictions(ruptures, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)])
     assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
     assert layer.std_N == pytest.approx(0.05)
     # A layer with a soft end counts together with the next one, found or not.
-    both = [
+    ruptures = [
         rupture(7.0, drop_N=0.01, friction_N=0.4),
         rupture(11.0, layer=2, friction_N=0.2),
     ]
     for alarms in ([alarm(11.0, 0.6)], [alarm(7.0, 0.4), alarm(11.0, 0.2)]):
-        (layer,) = layer_frictions(both, alarms)
+        (layer,) = layer_frictions(ruptures, alarms)
         assert layer.error == pytest.approx(0.0)
     # Without stated deviations there is no coverage.
     values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
@@ -189,7 +194,7 @@ def test_a_missed_layer_counts_as_zero_and_a_membranes_friction_for_the_layer_be
     assert friction_metrics([]) == {}
 
 
-def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_plateau():
+def test_a_perfect_enhanced_force_leaves_no_remaining_force():
     true = truth()
     values = enhanced_metrics(
         identified(true.enhanced_N, true.tip_N, compensated_at=750), true
@@ -203,8 +208,10 @@ def test_a_perfect_enhanced_force_leaves_nothing_and_no_compensation_the_whole_p
     assert values["enhanced_rmse_N"] == pytest.approx(0.4)
     # Errors before the first compensation and after the insertion do not count.
     wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
-    found = identified(true.enhanced_N + wild, true.tip_N + wild, compensated_at=755)
-    assert enhanced_metrics(found, true)["enhanced_rmse_N"] == pytest.approx(
+    wild_force = identified(
+        true.enhanced_N + wild, true.tip_N + wild, compensated_at=755
+    )
+    assert enhanced_metrics(wild_force, true)["enhanced_rmse_N"] == pytest.approx(
         0.0, abs=1e-12
     )
 
@@ -219,7 +226,7 @@ def signal(true, error_N=0.0, zero_m=0.0):
     )
 
 
-def test_the_multi_layer_model_fits_its_own_force_and_kelvin_voigt_does_not():
+def test_the_multilayer_model_fits_its_own_force_only():
     # The tip is free at 7 s already. Friction without speed, at rest, is in neither
     # model.
     true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
@@ -242,14 +249,14 @@ def stack_truth():
     return insertion_truth(insert_needle(chosen, noise=ForceNoise()))
 
 
-def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_it(
+def test_the_friction_bound_grows_with_what_hides_it(
     stack_truth,
 ):
     # Small noise: what is drawn adds nothing then.
-    one, two = (
+    small, large = (
         friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02)
     )
-    assert two == pytest.approx([2.0 * value for value in one], rel=0.02)
+    assert large == pytest.approx([2.0 * value for value in small], rel=0.02)
     plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
     assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
     assert (
@@ -258,16 +265,16 @@ def test_the_bound_of_friction_is_that_of_a_mean_and_grows_with_all_that_hides_i
     )
 
 
-def test_a_run_has_bounds_beside_what_was_reached_and_one_without_ruptures_has_none(
+def test_bounds_exist_only_for_runs_with_ruptures(
     stack_truth,
 ):
     values = bound_metrics(signal(stack_truth, WHITE), stack_truth)
-    wanted = {
+    names = {
         "friction_bound_pct",
         "friction_bound_white_pct",
         "rupture_delay_bound_ms",
     }
-    assert set(values) == wanted
+    assert set(values) == names
     assert all(0.0 < value < 20.0 for value in values.values())
     assert (
         bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=()))

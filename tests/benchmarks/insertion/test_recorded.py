@@ -37,47 +37,47 @@ def values(run, benchmark, data, **more):
 
 
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
-    found = values(run_panda_real, "panda-real", recordings_dir)
+    numbers = values(run_panda_real, "panda-real", recordings_dir)
     known = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
-    reached = [found["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
+    reached = [numbers["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
     assert [math.floor(100.0 * value) / 100.0 for value in reached] == pytest.approx(
         known
     )
 
 
-def test_the_whole_chain_runs_on_real_torques_with_real_tissue(
-    recordings_dir, tmp_path
-):
+def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
     options = {"data": recordings_dir, "drawings": tmp_path}
     job = Job(benchmark="panda-liver", plant="recording", seed=1, **options)
     measured = run_panda_liver(job, silent).measurements
-    found = {(item.source, item.method, item.metric): item.value for item in measured}
+    numbers = {(item.source, item.method, item.metric): item.value for item in measured}
     rmse = "wrench_rmse_N"
-    assert found["virtual", "ours", rmse] < 0.1 * found["virtual", "published", rmse]
+    assert (
+        numbers["virtual", "ours", rmse] < 0.1 * numbers["virtual", "published", rmse]
+    )
     # Turned round, the force would be off by twice its mean of 1.4 N.
-    assert abs(found["virtual", "ours", "wrench_bias_N"]) < 1.0
+    assert abs(numbers["virtual", "ours", "wrench_bias_N"]) < 1.0
     assert list(tmp_path.glob("panda-liver-recording-1-*.svg"))
     # The force itself at the arm's uneven clock: as in liver-real.
-    assert found["ft", "ours", "drop_recall"] == 1.0
-    assert found["ft", "ours", "ruptures_at_drops"] > 0.8
+    assert numbers["ft", "ours", "drop_recall"] == 1.0
+    assert numbers["ft", "ours", "ruptures_at_drops"] > 0.8
     # Its drops are smaller than this arm's noise: what matters is that noise raises few
     # alarms.
-    assert found["virtual", "ours", "ruptures_per_insertion"] <= 3.0
+    assert numbers["virtual", "ours", "ruptures_per_insertion"] <= 3.0
     off = "enhanced_against_ft_rmse_N"
-    assert found["virtual", "ours", off] < 0.3 * found["virtual", "published", off]
-    assert np.isfinite(list(found.values())).all()
+    assert numbers["virtual", "ours", off] < 0.3 * numbers["virtual", "published", off]
+    assert np.isfinite(list(numbers.values())).all()
 
 
 def test_the_weight_on_the_ur10e_is_found(recordings_dir):
-    found = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
-    assert found["ours", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
-    assert found["ours", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
-    assert 1.05 < found["ours", "torque_scale"] < 1.2
-    assert abs(found["ours", "weight_error_pct"]) < 10.0
+    numbers = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
+    assert numbers["ours", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
+    assert numbers["ours", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
+    assert 1.05 < numbers["ours", "torque_scale"] < 1.2
+    assert abs(numbers["ours", "weight_error_pct"]) < 10.0
 
 
 @pytest.mark.parametrize("name", ["panda-real", "panda-liver", "ur10e-payload"])
-def test_an_empty_folder_fails_the_job_in_one_line(tmp_path, name):
+def test_an_empty_folder_fails_in_one_line(tmp_path, name):
     outcome = run_job(Job(benchmark=name, plant="recording", data=tmp_path), silent)
     assert outcome.rows == ()
     assert outcome.failure is not None
@@ -127,7 +127,7 @@ def test_annotated_ruptures_are_found_missed_or_invented():
     }
 
 
-def test_sudden_drops_are_found_and_slow_ones_and_the_end_are_not():
+def test_only_sudden_drops_before_the_end_are_found():
     depth = np.linspace(0.0, 0.08, 16_001)
     force = 20.0 * depth
     force -= 0.4 * np.clip((depth - 0.02) / 1e-3, 0.0, 1.0)

@@ -25,7 +25,7 @@ BRIEF = gel_slice(25, thickness_m=10e-3, speed_m_s=10e-3)
 
 
 @pytest.mark.parametrize("name", [*PERTURBATIONS, MIXED])
-def test_a_perturbation_is_drawn_from_the_seed_and_changes_something(name):
+def test_a_perturbation_depends_on_seed_and_changes_something(name):
     chosen = scenario("stack-constant")
     world, names = perturbed(name, chosen, 1)
     assert (world, names) == perturbed(name, chosen, 1)
@@ -42,7 +42,7 @@ def test_a_perturbation_is_drawn_from_the_seed_and_changes_something(name):
         assert world.scenario.layers == chosen.layers
 
 
-def test_every_size_has_a_source_and_a_mixture_is_of_three_groups():
+def test_every_size_has_a_source_mixtures_three_groups():
     assert all(
         item.what and item.source
         for name, item in PERTURBATIONS.items()
@@ -54,7 +54,7 @@ def test_every_size_has_a_source_and_a_mixture_is_of_three_groups():
     assert len({name for names in drawn for name in names}) > 25
 
 
-def test_a_needle_sees_the_tissue_move_and_its_truth_is_that_of_the_tissue():
+def test_truth_is_relative_to_the_moving_tissue():
     (still, before), (moved, after) = (
         perturbed_needle(name, BRIEF, 3) for name in ("none", "breathing")
     )
@@ -65,7 +65,7 @@ def test_a_needle_sees_the_tissue_move_and_its_truth_is_that_of_the_tissue():
     assert at == pytest.approx(rupture.onset_m, abs=5e-5)
 
 
-def test_the_robustness_of_a_sensor_is_measured_without_an_arm_where_that_is_enough():
+def test_force_sensor_robustness_needs_no_arm():
     assert FT_ONLY.isdisjoint(ARM_ONLY)
     job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
     found = run_robustness(job, silent).measurements
@@ -74,7 +74,7 @@ def test_the_robustness_of_a_sensor_is_measured_without_an_arm_where_that_is_eno
     assert {"rupture_recall", "false_alarms"} <= {item.metric for item in found}
 
 
-def test_robustness_runs_every_perturbation_and_seeds_begin_where_asked():
+def test_robustness_runs_every_perturbation_from_the_first_seed():
     plan = make_plan(Request(ids=("robustness",), seeds=2, first_seed=1000))
     assert len(plan.jobs) == 2 * len(SCENARIOS) * len(PERTURBATIONS)
     assert {job.seed for job in plan.jobs} == {1000, 1001}
@@ -85,7 +85,7 @@ def test_robustness_runs_every_perturbation_and_seeds_begin_where_asked():
     } == {MIXED}
 
 
-def test_the_worst_comes_first_and_other_tables_leave_these_runs_out():
+def test_the_worst_row_is_first_in_its_table():
     rows = [
         make_row(
             scenario=f"robustness-{at}",

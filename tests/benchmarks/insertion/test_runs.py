@@ -26,12 +26,12 @@ BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(BRIEF, layers=())
 
 
-def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp_path):
+def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
-    found = run_needle(job, SHORT, silent, is_drawn=False)
+    result = run_needle(job, SHORT, silent, is_drawn=False)
     by_key = {
         (item.source, item.method, item.metric): item.value
-        for item in found.measurements
+        for item in result.measurements
     }
     methods = {"ours", "published", "published-as-run"}
     assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
@@ -43,12 +43,14 @@ def test_a_needle_alone_gives_both_methods_on_the_ft_sensor_charts_and_lines(tmp
     assert ("ft", "published", "offline_rmse_ml_N") not in by_key
     ml, kv = (by_key["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
     assert 0.0 < ml < kv
-    assert [drawing.shown.path.name for drawing in found.drawings] == [
+    assert [drawing.shown.path.name for drawing in result.drawings] == [
         "short-needle-0-ft-published.svg",
         "short-needle-0-ft-ours.svg",
     ]
-    assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in found.drawings)
-    rows = [item.row("gel-70-constant", "needle", 0) for item in found.measurements]
+    assert all(
+        drawing.shown.path.stat().st_size > 10_000 for drawing in result.drawings
+    )
+    rows = [item.row("gel-70-constant", "needle", 0) for item in result.measurements]
     for name in ("friction", "ruptures", "table I"):
         assert len(build_table(TABLES[name], frame_of(rows)).lines) == 3
         assert build_table(TABLES[name], frame_of([])).lines == ()
@@ -64,41 +66,43 @@ def case_of(plant, chosen=BRIEF):
 
 
 def values(case):
-    found = simulated_metrics(case)
-    return {(item.source, item.method, item.metric): item.value for item in found}
+    measurements = simulated_metrics(case)
+    return {
+        (item.source, item.method, item.metric): item.value for item in measurements
+    }
 
 
-def test_the_ideal_arm_has_the_ideal_filter_the_true_force_and_known_lags():
+def test_the_ideal_arm_gives_true_force_and_lags():
     case = case_of("ideal")
-    found = values(case)
-    assert found["virtual", "ours", "residual_rms_Nm"] < 1e-6
+    numbers = values(case)
+    assert numbers["virtual", "ours", "residual_rms_Nm"] < 1e-6
     # 68 g of needle are started and stopped: that much inertia is in the reading.
-    assert found["ft", "ours", "wrench_rmse_N"] < 2e-3
-    assert abs(found["ft", "ours", "wrench_lag_ms"]) < 5.0
-    assert found["virtual", "published", "wrench_lag_ms"] > 100.0
-    assert 0.0 < found["virtual", "ours", "wrench_lag_ms"] < 50.0
+    assert numbers["ft", "ours", "wrench_rmse_N"] < 2e-3
+    assert abs(numbers["ft", "ours", "wrench_lag_ms"]) < 5.0
+    assert numbers["virtual", "published", "wrench_lag_ms"] > 100.0
+    assert 0.0 < numbers["virtual", "ours", "wrench_lag_ms"] < 50.0
     # A wrong sign would be seen: the error of the force turned round is twice the
     # force.
     force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
     assert force > 0.05
-    assert found["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
+    assert numbers["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
 
 
-def test_equal_runs_give_equal_numbers_four_for_every_source_and_method():
+def test_equal_runs_give_equal_numbers_of_every_source():
     case = case_of("degraded")
-    found = values(case)
-    assert found == values(case)
+    numbers = values(case)
+    assert numbers == values(case)
     for source, method in (
         ("ft", "ours"),
         ("virtual", "ours"),
         ("virtual", "published"),
     ):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
-            assert np.isfinite(found[source, method, f"wrench_{name}"])
-    assert len(found) == 18
+            assert np.isfinite(numbers[source, method, f"wrench_{name}"])
+    assert len(numbers) == 18
 
 
-def test_without_tissue_only_the_virtual_sensor_is_judged_and_from_the_tare_on():
+def test_without_tissue_only_the_virtual_sensor_is_judged():
     case = case_of("clean", TOUCHLESS)
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
@@ -128,7 +132,7 @@ def names(found):
     return list(dict.fromkeys(job.benchmark for job in found.jobs))
 
 
-def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
+def test_without_recordings_the_skipped_are_named(data):
     quick = [item for item in BENCHMARKS.values() if item.is_default]
     assert set(plan().skipped) == {item.id for item in quick if item.is_recorded}
     assert names(plan()) == [item.id for item in quick if not item.is_recorded]
@@ -137,7 +141,7 @@ def test_without_recordings_the_rest_runs_and_the_skipped_are_named(data):
     assert "panda-real" in names(plan(data=data))
 
 
-def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
+def test_all_and_tissue_name_what_they_say(data):
     assert names(plan("all", data=data)) == [
         n for n, b in BENCHMARKS.items() if not b.group
     ]
@@ -148,14 +152,14 @@ def test_all_means_all_and_tissue_every_scenario_with_tissue(data):
     assert names(plan("free-motion", "tissue")) == [*tissue, "free-motion"]
 
 
-def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path):
-    found = plan(
+def test_named_benchmarks_run_once_per_plant_and_seed(data, tmp_path):
+    made_plan = plan(
         "liver-constant",
         "liver-constant",
         plants=["degraded", "degraded", "ideal"],
         seeds=3,
     )
-    jobs = [(job.plant, job.seed) for job in found.jobs]
+    jobs = [(job.plant, job.seed) for job in made_plan.jobs]
     assert jobs == [
         (plant, seed) for plant in ("degraded", "ideal") for seed in range(3)
     ]
@@ -174,7 +178,7 @@ def test_every_named_benchmark_runs_once_for_every_plant_and_seed(data, tmp_path
     assert names(plan("liver-constant", drawings=tmp_path)) == ["liver-constant"]
 
 
-def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path):
+def test_a_missing_arm_or_recording_is_refused(tmp_path):
     with pytest.raises(
         DataError, match="free-motion needs a plant, one of ideal, clean"
     ):
@@ -186,8 +190,8 @@ def test_what_lacks_an_arm_or_its_recording_is_refused_with_the_reason(tmp_path)
     assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {
         "clean"
     }
-    found = names(plan("all", plants=["needle"]))
-    assert set(found) == set(SCENARIOS) - {"free-motion"} | {
+    ids = names(plan("all", plants=["needle"]))
+    assert set(ids) == set(SCENARIOS) - {"free-motion"} | {
         "random-stack",
         "random-tissue",
     }
@@ -222,27 +226,29 @@ def measured(axial, true, **kw):
 
 @given(delay=st.floats(-0.05, 0.5), offset=st.floats(-1.0, 1.0))
 def test_a_delay_is_found_whatever_the_offset(delay, offset):
-    found = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))
-    assert found == pytest.approx(delay, abs=1e-4)
+    lag_s = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))
+    assert lag_s == pytest.approx(delay, abs=1e-4)
 
 
-def test_a_constant_error_is_a_bias_and_coverage_counts_two_stated_deviations():
-    found = measured(saw(T) + 0.05, saw(T))
-    assert found["wrench_rmse_N"] == pytest.approx(0.05)
-    assert found["wrench_bias_N"] == pytest.approx(0.05)
-    assert found["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
+def test_constant_error_is_bias_and_coverage_two_deviations():
+    numbers = measured(saw(T) + 0.05, saw(T))
+    assert numbers["wrench_rmse_N"] == pytest.approx(0.05)
+    assert numbers["wrench_bias_N"] == pytest.approx(0.05)
+    assert numbers["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
     noise = np.random.default_rng(0).normal(scale=0.2, size=len(T))
     for std, fraction in ((0.1, 0.6827), (0.2, 0.9545)):
-        found = measured(saw(T) + noise, saw(T), std=std)
-        assert found["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
+        numbers = measured(saw(T) + noise, saw(T), std=std)
+        assert numbers["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.01)
 
 
-def test_only_the_judged_part_counts_and_without_any_nothing_is_a_number():
+def test_only_the_judged_part_of_a_force_counts():
     wild = saw(T) + np.where((T < 2.0) | (T > 18.0), 100.0, 0.0)
     assert measured(wild, saw(T))["wrench_rmse_N"] == 0.0
     wild[10_000] = np.nan  # in the judged part it does not hide
     assert math.isnan(measured(wild, saw(T))["wrench_rmse_N"])
     never = truth(saw(T), start=30.0, end=40.0)
-    found = {item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)}
-    assert "wrench_rmse_N" in found
-    assert all(math.isnan(value) for value in found.values())
+    numbers = {
+        item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)
+    }
+    assert "wrench_rmse_N" in numbers
+    assert all(math.isnan(value) for value in numbers.values())

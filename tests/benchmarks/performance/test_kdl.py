@@ -59,7 +59,7 @@ def test_both_libraries_see_the_same_robot():
     assert late[:, 0] == pytest.approx(force_N[300:], abs=0.1)
 
 
-def test_without_it_the_comparison_is_skipped_and_says_so(monkeypatch, capsys):
+def test_without_kdl_the_comparison_is_skipped_aloud(monkeypatch, capsys):
     monkeypatch.setenv("PATH", "")
     assert main(["speed", "--kdl", "--strict"]) == 0
     assert (

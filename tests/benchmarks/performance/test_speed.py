@@ -24,7 +24,7 @@ def report(**changed):
     return speed.SpeedReport(**(known | changed))
 
 
-def test_ratios_compare_neighbours_and_ticks_with_an_event_are_shown_apart():
+def test_ratios_compare_neighbours_and_events_stand_apart():
     # A slow machine cancels.
     assert speed.cost_ratio(
         timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
@@ -78,14 +78,12 @@ def test_speed_and_memory_of_a_long_recording_count():
         (4.9, (), False),
     ):
         use = long_runs.ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB)
-        found = long_runs.StreamSpeed("residual", ".csv", 100.0, 200_000, use)
-        assert found.is_met == is_met
-        assert found.times_real == pytest.approx(100.0 / cpu_s)
+        stream = long_runs.StreamSpeed("residual", ".csv", 100.0, 200_000, use)
+        assert stream.is_met == is_met
+        assert stream.times_real == pytest.approx(100.0 / cpu_s)
 
 
-def test_the_command_prints_both_commands_and_refuses_too_short_a_recording(
-    capsys, tmp_path
-):
+def test_stream_times_both_commands_and_refuses_short_recordings(capsys, tmp_path):
     assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
     printed = capsys.readouterr().out
     assert "│ residual" in printed

@@ -45,7 +45,7 @@ READINGS = [
 ]
 
 
-def test_figure_5_has_two_panels_and_the_papers_numbers_and_other_runs_one_wide_panel(
+def test_figure_5_has_its_panels_and_published_numbers(
     tmp_path,
 ):
     over_time, over_depth = force_figures(GEL, tmp_path, TRUTH, READINGS)
@@ -88,7 +88,7 @@ def run():
     )
 
 
-def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run):
+def test_the_published_method_as_run_is_near_truth(run):
     noise = np.random.default_rng(0).normal(scale=0.2e-3, size=len(run.truth.t_s))
     noisy = replace(run.signal, speed_m_s=run.signal.speed_m_s + noise)
     tuned = identify_as_run(noisy, run.truth, run.commanded_m_s)
@@ -108,7 +108,7 @@ def test_the_published_method_with_its_authors_settings_comes_near_the_truth(run
     assert (min(SIGMA1_N), max(SIGMA1_N)) == (0.03, 0.15), "what its authors used"
 
 
-def test_a_run_of_a_figure_draws_panels_of_their_own_letters_and_numbers(run, tmp_path):
+def test_a_run_draws_the_panels_of_its_figures(run, tmp_path):
     job = Job(benchmark="gel-70-constant", plant="needle")
     identified = IdentifiedRun(
         truth=run.truth, commanded_m_s=run.commanded_m_s, sources=[run.identified]

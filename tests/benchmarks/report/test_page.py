@@ -51,7 +51,7 @@ def rows(plant="clean", scenarios=GELS, seeds=(0,)):
     return found
 
 
-def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
+def test_all_runs_give_all_figures(dot, tmp_path):
     figures = [item for item in PUBLISHED_FIGURES if item.number not in ("10", "I")]
     drawn = [
         drawing(dot, item.number, name) for item in figures for name in item.scenarios
@@ -65,7 +65,7 @@ def test_all_runs_give_all_figures_and_nothing_is_missing(dot, tmp_path):
     assert "534 ± 56" in page
 
 
-def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
+def test_missing_panels_are_named_with_their_command(dot):
     sections = published_sections([drawing(dot, "11"), drawing(dot, "5")], [])
     half, whole = sections
     assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
@@ -76,7 +76,7 @@ def test_what_is_missing_stands_there_with_the_command_that_draws_it(dot):
     assert (half.command, whole.command) == (command, "")
 
 
-def test_table_one_and_its_chart_have_the_published_numbers_beside_ours(dot):
+def test_table_one_has_published_numbers_beside_ours(dot):
     gels = gel_friction(rows(seeds=(0, 2)))
     assert gels is not None
     table = gel_table(gels)
