@@ -90,6 +90,7 @@ class DatagramLink(Link):
             raise DeviceSettingError(
                 f"port {port}: expected 0 to {MAX_PORT} (0: any free one)"
             )
+
         super().__init__()
         self._peer_host = peer and resolve_host(peer)
         self.sender: Endpoint | None = None
@@ -105,6 +106,7 @@ class DatagramLink(Link):
                 "another program using the port, and is the address one of this "
                 "machine?"
             ) from error
+
         self.address = Endpoint(*self._socket.getsockname())
         self._empty_s = monotonic()
         """When nothing waited to be read for the last time: what came, came later."""
@@ -130,13 +132,16 @@ class DatagramLink(Link):
                 is_empty = True
                 if asked_s >= deadline_s:
                     return None
+
                 continue
             except ConnectionError:  # what was sent before found nobody listening
                 continue
+
             sender = Endpoint(*address)
             if self._is_peer(sender):
                 self.sender = sender
                 return data
+
             self.report.foreign += 1
 
     def _is_peer(self, sender: Endpoint) -> bool:

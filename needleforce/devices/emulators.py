@@ -85,6 +85,7 @@ def take_real_time(priority: int = PRIORITY) -> bool:
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
         return True
+
     return False
 
 
@@ -149,10 +150,12 @@ class FaultyWire(DatagramLink):
         if faults.is_truncated:
             self._send(data[: int(self._rng.integers(0, len(data)))])
             return False
+
         self._send(data)
         self.sent += 1
         if faults.is_repeated:
             self._send(data)
+
         return True
 
     def _draw_faults(self) -> _PacketFaults:
@@ -198,6 +201,7 @@ class Emulator(AbstractContextManager["Emulator"]):
         with suppress(EOFError, ConnectionError):
             if self._pipe.poll(wait_s):
                 return self._pipe.recv()
+
         self._process.kill()
         raise LinkError(
             "the emulator has ended without an answer; its message stands above"
@@ -217,6 +221,7 @@ class Emulator(AbstractContextManager["Emulator"]):
         """End the emulator, unless it has ended; return what it has counted."""
         with suppress(ConnectionError):
             self._pipe.send("stop")
+
         return self.counts(START_S)
 
     def __exit__(self, *error: object) -> None:

@@ -140,6 +140,7 @@ def read_measurement(data: bytes) -> np.void | None:
     """
     if len(data) != MEASUREMENT.itemsize:
         return None
+
     measurement = np.frombuffer(data, MEASUREMENT)[0]
     is_kind = measurement["kind"] == MEASUREMENT_KIND
     is_size = measurement["size"] == MEASUREMENT.itemsize
@@ -148,6 +149,7 @@ def read_measurement(data: bytes) -> np.void | None:
     is_period = MIN_PERIOD_S < measurement["period_s"] <= MAX_PERIOD_S
     if not (is_kind and is_size and is_state and is_quality and is_period):
         return None
+
     signals = (
         measurement["stamp_s"],
         measurement["position_rad"],
@@ -204,6 +206,7 @@ class FriArm(DatagramLink):
                 f"{wait_s=}, {give_up_s=}: expected 0 < wait_s <= give_up_s, and "
                 f"wait_s of at most {MAX_WAIT_S:g} s"
             )
+
         super().__init__(host, port, peer=peer)
         self.robot = robot
         self.joints = JOINTS
@@ -237,6 +240,7 @@ class FriArm(DatagramLink):
                 self.state = FriState.OFF
                 self.peer = None  # after an outage it may come back on another port
                 continue
+
             reading = self._process(data)
             if reading is not None:
                 yield reading
@@ -259,6 +263,7 @@ class FriArm(DatagramLink):
         is_usable = is_shaped and bool(np.isfinite(velocity_rad_s).all())
         if not (is_usable and self._takes_commands()):
             return False
+
         self._velocity_rad_s = velocity_rad_s
         self._silent_cycles = 0
         return True
@@ -271,18 +276,20 @@ class FriArm(DatagramLink):
         return is_commanded and self.quality >= FriQuality.GOOD and is_well
 
     def _process(self, data: bytes) -> ArmReading | None:
-        """Answer a measurement that is newer than the latest, and return its reading."""
+        """Answer a measurement newer than the latest, and return its reading."""
         measurement = read_measurement(data)
         now_s = monotonic()
         if measurement is None:
             self.report.malformed += 1
             return None
+
         # The period as it was meant: 1 ms is not a number of 32 bits.
         period_s = round(float(measurement["period_s"]), 6)
         cycles = self._count_cycles(int(measurement["count"]), period_s, now_s)
         if cycles is None:
             self.report.stale += 1
             return None
+
         self.peer = self.sender
         self._read_s = now_s
         self._sent_after_s = self._empty_s
@@ -316,6 +323,7 @@ class FriArm(DatagramLink):
         """
         if self._measurement is None:
             return 1
+
         cycles = (count - int(self._measurement["count"])) % COUNTS
         max_gap_s = now_s - self._sent_after_s + MAX_DELAY_S
         is_short = self._empty_s - self._read_s < MAX_COUNTED_GAP_S
@@ -324,6 +332,7 @@ class FriArm(DatagramLink):
             return None
         if not is_counted or cycles * period_s > max_gap_s:
             return max(round((now_s - self._read_s) / period_s), 1)
+
         return cycles
 
     def _answer_measurement(self, measurement: np.void) -> None:
@@ -339,6 +348,7 @@ class FriArm(DatagramLink):
             self._silent_cycles += 1
             step_rad = measurement["period_s"] * self._velocity_rad_s
             self._target_rad = self._target_rad + step_rad
+
         answer = self._answer
         answer["count"] = (int(answer["count"]) + 1) % COUNTS
         answer["reflected"] = measurement["count"]

@@ -61,12 +61,15 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
     """
     if settings.in_real_time:
         take_real_time()
+
     controller = _Controller(settings)
     pipe.send({"port": controller.wire.address.port})
     while controller.cycles != settings.cycles:
         if controller.cycles % STOP_CHECK_CYCLES == 0 and pipe.poll():
             break
+
         controller.run_cycle()
+
     return {
         "cycles": controller.cycles,
         "same_cycle": controller.answered_in_cycle,
@@ -118,15 +121,18 @@ class _Controller:
                 break
             if len(datagram.data) != fri.COMMAND.itemsize:
                 continue
+
             answer = np.frombuffer(datagram.data, fri.COMMAND)[0]
             if answer["reflected"] != self._packet["count"]:
                 continue
+
             self.answered_in_cycle += 1
             if extra_wait_s:  # the cycles after a long one are not hurried
                 self._due_s = max(self._due_s, time.monotonic())
                 extra_wait_s = 0.0
             if is_commanded:
                 self._packet["commanded_rad"] = answer["position_rad"]
+
         self.cycles += 1
 
     def _fill_packet(self, t_s: float, *, is_bad: bool, is_commanded: bool) -> None:

@@ -52,6 +52,7 @@ class HaplyMaster(Link):
             raise DeviceSettingError(
                 f"max_force_N={max_force_N!r}: expected a positive number"
             )
+
         super().__init__()
         errors = import_client("websockets.exceptions", "websockets")
         client = import_client("websockets.sync.client", "websockets")
@@ -65,6 +66,7 @@ class HaplyMaster(Link):
                 f"no haptic service at {address}: {error}; is it running, is a device "
                 "plugged in?"
             ) from error
+
         self._force_N = np.zeros(3)
         self._max_force_N = max_force_N
         self._device_id = ""
@@ -88,9 +90,11 @@ class HaplyMaster(Link):
             self.report.outages += self._asked_s == self._latest_s  # one a silence
         else:
             return None
+
         self._asked_s = now_s
         with suppress(self._socket_error):
             self._send_force()
+
         return reading
 
     def render(self, force_N: ArrayLike) -> None:
@@ -102,9 +106,11 @@ class HaplyMaster(Link):
         force = np.array(force_N, dtype=float)
         if force.shape != (3,) or not np.isfinite(force).all():
             force = np.zeros(3)
+
         size_N = float(np.linalg.norm(force))
         if size_N > 0.0:
             force = force * min(1.0, self._max_force_N / size_N)
+
         self._force_N = force
 
     def close(self) -> None:
@@ -122,6 +128,7 @@ class HaplyMaster(Link):
             while True:
                 text = self._socket.recv(timeout=0)
                 newest = self._decode(text, t_s) or newest
+
         return newest
 
     def _send_force(self) -> None:
@@ -141,6 +148,7 @@ class HaplyMaster(Link):
             velocity_m_s = _vector(device["state"]["cursor_velocity"])
             if not (np.isfinite(position_m).all() and np.isfinite(velocity_m_s).all()):
                 raise ValueError
+
             self._device_id = str(device["device_id"])
             return MasterReading(t_s, position_m, velocity_m_s, _is_clutched(state))
         except (ValueError, TypeError, LookupError, AttributeError):

@@ -44,6 +44,7 @@ def emulate_haply(
         pipe.send({"address": f"ws://{LOOPBACK}:{port}"})
         threading.Thread(target=server.serve_forever, daemon=True).start()
         pipe.poll(None)
+
     return {"cycles": device.cycles, "port_energy_J": device.master.port_energy_J}
 
 
@@ -80,6 +81,7 @@ class _Device:
         self.cycles += 1
         if sample is None:
             return
+
         position = dict(zip(AXES, sample.position_m.tolist(), strict=True))
         velocity = dict(zip(AXES, sample.velocity_m_s.tolist(), strict=True))
         state = {"cursor_position": position, "cursor_velocity": velocity}

@@ -164,6 +164,7 @@ class ReplayArm(ReadOnlyArm):
         for dt_s, q_rad, dq_rad_s, tau_Nm in self._rows:
             if not self._is_open:
                 return
+
             self.report.used += 1
             yield ArmReading(
                 dt_s=dt_s,
@@ -177,7 +178,7 @@ class ReplayArm(ReadOnlyArm):
 
 
 def pace(arm: Iterable[ArmReading]) -> Iterator[ArmReading]:
-    """Yield the readings of a recorded arm in real time, each when its time has come."""
+    """Yield the readings of a recorded arm in real time, as they were recorded."""
     due_s = monotonic()
     for reading in arm:
         due_s += reading.dt_s

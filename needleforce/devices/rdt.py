@@ -102,6 +102,7 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
         raise LinkError(
             f"no counts per newton from {url}: {error}; is it the sensor?"
         ) from error
+
     return Scale(
         per_N=_read_counts(tree, url, "calcpf", "scalfu", "N"),
         per_Nm=_read_counts(tree, url, "calcpt", "scaltu", "Nm"),
@@ -126,11 +127,13 @@ def _read_counts(
         counts = float(text or "")
     except ValueError:
         raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
+
     if unit is not None and unit.strip().replace("-", "") != si_unit:
         raise LinkError(
             f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected "
             f"{si_unit}: set the sensor to it, or give scale=Scale(per_N, per_Nm)"
         )
+
     return counts
 
 
@@ -173,10 +176,12 @@ class NetFT(DatagramLink):
             raise DeviceSettingError(
                 f"{self.scale}: expected positive counts per N and per Nm"
             )
+
         if not 0 < port <= MAX_PORT:
             raise DeviceSettingError(
                 f"port {port} of the sensor: expected 1 to {MAX_PORT}"
             )
+
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
         super().__init__(local, 0, peer=host, buffer_bytes=RECEIVE_BUFFER_BYTES)
         self.status = 0
@@ -204,8 +209,10 @@ class NetFT(DatagramLink):
         while self._is_open and (data := self._receive(0.0)) is not None:
             for wrench in self._wrenches(data):
                 newest = wrench
+
         if monotonic() - self._read_s > MAX_COUNTED_GAP_S:
             self._ask_again()
+
         return newest
 
     def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
@@ -261,10 +268,12 @@ class NetFT(DatagramLink):
         if not data or len(data) % RECORD.itemsize:
             report.malformed += 1
             return
+
         gap_s = now_s - self._read_s
         if gap_s > MAX_COUNTED_GAP_S:
             self._latest_count = None  # it may have begun to count anew
             report.longest_gap_s = max(report.longest_gap_s, gap_s)
+
         self._read_s = now_s
         for record in np.frombuffer(data, RECORD):
             wrench = self._process(record)
@@ -280,10 +289,12 @@ class NetFT(DatagramLink):
         ahead = 1
         if self._latest_count is not None:
             ahead = (count - self._latest_count) % COUNTS
+
         if not 0 < ahead <= MAX_RECORDS_AHEAD:
             report.stale += 1
             self._count_stray(count)
             return None
+
         is_faulty = bool(status & FAULT_BITS)
         report.malformed += is_faulty
         self.status = status
@@ -291,8 +302,10 @@ class NetFT(DatagramLink):
             self._latest_count = count
             self._stray_in_row = 0
             report.missed += ahead - 1
+
         if is_faulty:
             return None
+
         report.used += 1
         self._newest = record["counts"] / self._counts_per_unit
         return self._newest - self._zero

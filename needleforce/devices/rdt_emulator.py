@@ -53,6 +53,7 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
         box.send_due_records()
         for datagram in box.wire.received(time.monotonic() + REQUEST_WAIT_S):
             box.take_request(datagram)
+
     return {"records": box.record_count, "sent": box.wire.sent}
 
 
@@ -92,9 +93,11 @@ class _Box:
         """Do what a request asks for; other datagrams are none."""
         if len(datagram.data) != rdt.REQUEST.size:
             return
+
         mark, command, _ = rdt.REQUEST.unpack(datagram.data)
         if mark != rdt.REQUEST_MARK:
             return
+
         if command == rdt.RdtCommand.SOFTWARE_BIAS:
             self._zero = self._rows[self.record_count % len(self._rows)].copy()
         elif command == rdt.RdtCommand.STOP:

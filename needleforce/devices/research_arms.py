@@ -57,6 +57,7 @@ class _VendorArm(ReadOnlyArm):
         if gap_s <= 0.0:
             self.report.stale += 1
             return
+
         dt_s = gap_s if np.isfinite(gap_s) else self._period_s
         missed = max(round(dt_s / self._period_s) - 1, 0)
         self._latest_s = time_s
@@ -108,6 +109,7 @@ class FrankaArm(_VendorArm):
             except RuntimeError:
                 self.report.outages += 1
                 return
+
             yield from self._checked(
                 time_s=1e-3 * state.time.to_msec(),
                 q_rad=np.asarray(state.q),
@@ -163,6 +165,7 @@ class UrArm(_VendorArm):
     ) -> None:
         if not 0.0 < rate_hz < np.inf:
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
+
         super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
@@ -172,7 +175,9 @@ class UrArm(_VendorArm):
                 raise DeviceSettingError(
                     f"{torque_constant_Nm_A=}: expected six positive numbers"
                 )
+
             self._constant_Nm_A = constant_Nm_A
+
         library = import_client("rtde_receive", "ur_rtde")
         try:
             self._arm = library.RTDEReceiveInterface(host, rate_hz, list(UR_SIGNALS))
@@ -192,6 +197,7 @@ class UrArm(_VendorArm):
                     yield from self._readings(signals)
             else:  # the client holds the newest only: look oftener than it comes
                 sleep(POLL_RATIO * self._period_s)
+
         if self._is_open:
             self.report.outages += 1
 

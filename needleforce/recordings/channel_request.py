@@ -56,9 +56,12 @@ class ChannelRequest:
                 columns = channel_columns(table, CHANNELS[name], spec)
             else:
                 columns = self._detect(table, name, needed)
+
             if not columns and name in self.required:
                 return None
+
             needed |= {_name_in_table(table, column.name) for column in columns}
+
         return frozenset(needed)
 
     def _detect(self, table: Table, name: str, chosen: set[str]) -> list[NamedValues]:
@@ -75,6 +78,7 @@ class ChannelRequest:
                 columns = detect_columns(Table(columns=nearby), CHANNELS[name])
                 if columns:
                     return columns
+
             raise
 
     def _columns_nearby(self, table: Table, chosen: set[str]) -> dict[str, np.ndarray]:
@@ -88,6 +92,7 @@ class ChannelRequest:
         joints = {*(self.mapping.joints or self.joints)}
         if beside or not joints:
             return beside
+
         return {
             name: table.columns[name]
             for name, joint_names in table.joint_names.items()
@@ -110,6 +115,7 @@ def channel_columns(
     """
     if spec is None:
         return detect_columns(table, channel)
+
     return [
         column for pattern in spec.patterns for column in find_columns(table, pattern)
     ]

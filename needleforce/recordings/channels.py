@@ -32,7 +32,7 @@ WORTHLESS = {
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
 UNSMOOTHED = "axial_unsmoothed"
-"""The column of the force that `needleforce force` has not smoothed, and not delayed."""
+"""The column of the force that `needleforce force` has not smoothed or delayed."""
 
 
 class UnitSpelling(NamedTuple):
@@ -89,6 +89,7 @@ class Channel:
         entry = f"under {self.name} in the mapping"
         if self.name.startswith("force_"):
             return entry
+
         return f"with --{self.name.replace('_', '-')}, or {entry}"
 
     @property
@@ -193,4 +194,5 @@ def find_unit(text: str, units: Units) -> str | None:
     unit = text.strip()
     for spelling in _UNIT_SPELLINGS:
         unit = unit.replace(spelling.written, spelling.meant)
+
     return unit if unit in units else None

@@ -78,6 +78,7 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         stem = match["stem"]
         if unit is None:
             stem, unit = split_unit(stem, units)
+
     return ColumnName(stem.rsplit("/", 1)[-1].strip().lower(), family, number, unit)
 
 
@@ -90,11 +91,13 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     match = _BRACKETED_UNIT.match(name)
     if match and (unit := find_unit(match["unit"], units)):
         return match["stem"], unit
+
     for part_count in range(MAX_UNIT_PARTS, 0, -1):
         head, *tail = name.rsplit("_", part_count)
         is_split = len(tail) == part_count
         if is_split and (unit := find_unit("_".join(tail), units)):
             return head, unit
+
     return name, None
 
 
@@ -113,11 +116,13 @@ def find_columns(table: Table, pattern: str) -> list[NamedValues]:
         return [NamedValues(pattern, table.columns[pattern])]
     if match := _RANGE.search(pattern):
         return _find_range(table, pattern, match)
+
     escaped = re.escape(pattern)
     if "*" in pattern:
         return _find_numbered(table, pattern, escaped.replace(r"\*", r"(\d{1,9})", 1))
     if match := _ELEMENT.match(pattern):
         return [_find_element(table, pattern, match)]
+
     return _find_numbered(table, pattern, rf"{escaped}[_. ]?\[?(\d{{1,9}})\]?")
 
 
@@ -135,6 +140,7 @@ def _find_range(table: Table, pattern: str, match: re.Match[str]) -> list[NamedV
     # is.
     for number in range(int(first), int(end) + step, step):
         columns += find_columns(table, f"{head}{number:0{width}d}{tail}")
+
     return columns
 
 
@@ -145,11 +151,13 @@ def _find_element(table: Table, pattern: str, match: re.Match[str]) -> NamedValu
     values = table.columns.get(name)
     if values is None or values.ndim != 2:
         raise _not_found(table, pattern)
+
     if index >= values.shape[1]:
         raise ColumnError(
             f"{pattern!r}: column {name!r} has the elements [0] to "
             f"[{values.shape[1] - 1}]"
         )
+
     return NamedValues(pattern, values[:, index])
 
 
@@ -164,8 +172,10 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> list[NamedVal
         match = re.fullmatch(expression, name)
         if match and (other := numbered.setdefault(int(match[1]), name)) != name:
             raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}; name one")
+
     if not numbered:
         raise _not_found(table, pattern)
+
     return _in_order(table, numbered, pattern)
 
 
@@ -184,6 +194,7 @@ def _in_order(
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
             f"{', '.join(map(str, listed))}; list the columns to use"
         )
+
     names = [numbered[number] for number in ordered]
     return [NamedValues(name, table.columns[name]) for name in names]
 
@@ -205,9 +216,11 @@ def _hint(names: list[str], pattern: str) -> str:
             " The * stands for one number; all the rest of the name must be written "
             "out."
         )
+
     head, colon, unit = pattern.rpartition(":")
     if colon and any(name.startswith(head) for name in names):
         return f" The unit {unit!r} is none of this channel's; --help lists them."
+
     bracketed = rf"{re.escape(pattern)}\s*[\[(]\D"
     with_unit = [name for name in names if re.match(bracketed, name)]
     close = with_unit or get_close_matches(pattern, names[:MAX_COMPARED_NAMES], n=1)
@@ -231,11 +244,13 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
         candidates = _joint_candidates(table, parsed)
     else:
         candidates = _single_candidates(table, parsed)
+
     if len(candidates) > 1:
         raise ColumnError(
             f"{channel.name}: several columns would fit ({', '.join(candidates)}); "
             f"say which one {channel.where}"
         )
+
     return next(iter(candidates.values()), [])
 
 
@@ -251,8 +266,10 @@ def _joint_candidates(
             families.setdefault(parts.family, {})[parts.number] = name
         else:
             candidates[name] = [NamedValues(name, values)]
+
     for family, numbered in families.items():
         candidates[family] = _in_order(table, numbered, family)
+
     return candidates
 
 

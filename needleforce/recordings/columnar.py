@@ -55,6 +55,7 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
         try:
             with archive.open(member) as stream:
                 size += _npy_size(stream)
+
             require_size(size, max_bytes, f"{path}: what its arrays hold")
             with archive.open(member) as stream:
                 arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
@@ -72,6 +73,7 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
     if not columns:
         reasons = f": {'; '.join(warnings)}" if warnings else ""
         raise FormatError(f"{path} holds no array of numbers{reasons}")
+
     return Table(columns=columns, warnings=tuple(warnings), start_ns=start_ns)
 
 
@@ -85,10 +87,12 @@ def _npy_size(stream: IO[bytes]) -> int:
         shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     else:
         shape, _, dtype = np.lib.format.read_array_header_2_0(stream)
+
     if dtype.kind not in "fiub":
         raise ValueError(f"it holds {dtype}, no numbers")
     if len(shape) > 2 or any(n < 1 for n in shape):
         raise ValueError(f"its shape is {shape}, not (n,) or (n, k)")
+
     return prod(shape) * max(dtype.itemsize, BYTES_PER_NUMBER)
 
 
@@ -112,12 +116,14 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
                 raise FormatError(
                     f"{path} has more than one column {twice[0]!r}; rename the others"
                 )
+
             return _parquet_table(path, file, arrow)
     except (arrow.ArrowException, UnicodeDecodeError, OSError) as error:
         # Arrow's own failures come as OSError too, but have no number.
         if getattr(error, "errno", None) is not None:
             with file_errors(path):
                 raise
+
         raise FormatError(
             f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet "
             "file ends with its table of contents, so that nothing can be read without "
@@ -166,6 +172,7 @@ def _read_numbers(cells: Any, arrow: Any) -> np.ndarray:
     if not types.is_integer(cells.type) or cells.null_count:
         # Without the check of `safe`, which refuses integers that a double rounds.
         cells = cells.cast(arrow.float64(), safe=False)
+
     return cells.to_numpy(zero_copy_only=False)
 
 
@@ -182,20 +189,24 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
             stamps_ns, is_known = _read_stamps(cells, arrow)
             if is_known.any():
                 start_ns = start_ns or start_of_clock(int(stamps_ns[is_known][0]))
+
             columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
             seconds.add(name)
             continue
+
         try:
             columns[name] = _read_numbers(cells, arrow)
         except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
             warnings.append(
                 f"column {name!r} holds {cells.type}, no numbers, and was left out"
             )
+
     if not columns:
         left_out = "".join(f" ({warning})" for warning in warnings)
         raise FormatError(
             f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}"
         )
+
     return Table(
         columns=columns,
         warnings=tuple(warnings),

@@ -94,9 +94,11 @@ class _CsvRows:
                 self._latest_comment = line
                 if match := _START_COMMENT.match(line):
                     self._start_ns = int(match[1])
+
         self._line_count += len(lines)
         if self.waiting:
             self._latest_row_line = self.waiting[-1].line_number
+
         if self._line_count - self._latest_row_line > MAX_LINES_WITHOUT_ROW:
             raise FormatError(
                 f"{MAX_LINES_WITHOUT_ROW} lines after line {self._latest_row_line} are "
@@ -121,11 +123,13 @@ class _CsvRows:
                     "",
                 )
                 tail = ""
+
         self.add([tail])
         if not self.names:
             raise FormatError(
                 "only comments; expected a header row and rows of numbers"
             )
+
         if not self._latest_row_line:
             header = self._header.strip()[:200]
             raise FormatError(f"a header but no rows; the header is: {header}")
@@ -162,6 +166,7 @@ class _CsvRows:
                     f"the header names {name!r} twice, in columns {places[name]} and "
                     f"{place}"
                 )
+
         self.names = tuple(places)
         return is_row
 
@@ -172,6 +177,7 @@ class _CsvRows:
                 return next(
                     csv.reader([line], delimiter=self._delimiter, skipinitialspace=True)
                 )
+
         return line.split(self._delimiter)
 
     def _split_row(self, line: str) -> list[str]:
@@ -179,6 +185,7 @@ class _CsvRows:
         cells = self._split(line)
         while len(cells) > len(self.names) and not cells[-1].strip():
             cells.pop()
+
         return cells
 
     def read_waiting(self) -> Table:
@@ -192,6 +199,7 @@ class _CsvRows:
             values = self._read_by_cell(rows)
             if not self._is_chosen:
                 self._choose_columns(len(values))
+
         warnings = () if self._is_chosen else tuple(self.omitted.values())
         self._is_chosen = True
 
@@ -213,10 +221,11 @@ class _CsvRows:
             )
         except ValueError:
             return None
+
         return values if values.shape[1] == len(self.names) else None
 
     def _read_by_cell(self, rows: list[NumberedRow]) -> np.ndarray:
-        """Return the numbers in rows, shape (n, k), and note what is wrong with them."""
+        """Return the numbers in rows, shape (n, k), and note what is wrong."""
         width = len(self.names)
         numbers = []
         for line_number, line in rows:
@@ -228,6 +237,7 @@ class _CsvRows:
                     f"rows without the header's {width} cells, left out",
                     f"line {line_number} with {len(cells)}",
                 )
+
         return np.array(numbers, dtype=np.float64).reshape(-1, width)
 
     def _restore_large_integers(
@@ -237,6 +247,7 @@ class _CsvRows:
         for name, values in list(columns.items()):
             if not exceed_float64(values):
                 continue
+
             place = self.names.index(name)
             all_cells = (self._split_row(row.text) for row in rows)
             texts = [
@@ -259,12 +270,15 @@ class _CsvRows:
                 if value is not None:
                     place = f"line {line_number}"
                     self.faults.note("decimal commas read as points", place)
+
             if value is not None:
                 self._has_number.add(i)
             elif cell and i not in self.omitted:
                 place = f"line {line_number}, {cell[:40]!r}"
                 self.faults.note(self._not_numbers(i), place)
+
             values.append(nan if value is None else value)
+
         return values
 
     def _not_numbers(self, column: int) -> str:
@@ -280,10 +294,12 @@ class _CsvRows:
                 f"no row has the header's {width} cells (first: {first}); "
                 f"check the delimiter and the header: {_EXPECTED}"
             )
+
         for i in sorted(set(range(width)) - self._has_number):
             text = self.faults.pop(self._not_numbers(i), FaultCount(0, "")).first
             reason = f"holds text ({text})" if text else "is empty"
             self.omitted[i] = f"column {self.names[i]!r} {reason} and was left out"
+
         if len(self.omitted) == width:
             reasons = "; ".join(self.omitted.values())
             raise FormatError(f"no column holds a number: {reasons[:500]}; {_EXPECTED}")
@@ -342,10 +358,13 @@ def csv_tables(
                 yield rows.read_waiting()
                 is_first = False
                 read_bytes = lines.size
+
             waiting_bytes = lines.size - read_bytes + ROW_BYTES * len(rows.waiting)
             require_size(waiting_bytes, max_bytes, "its text")
+
         if options.should_stop():
             lines.forgive_end()
+
         rows.end(lines.tail, is_growing=options.follow)
         if rows.waiting:
             yield rows.read_waiting()

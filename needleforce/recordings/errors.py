@@ -119,6 +119,7 @@ def file_errors(name: str | Path, verb: str = "read") -> Iterator[None]:
     except ValueError as error:
         if "null" not in str(error):
             raise
+
         # The name has a NUL in it, which no file can have.
         raise FileAccessError(f"cannot {verb} {str(name)!r}: {error}") from error
 
@@ -135,4 +136,5 @@ def readable_path(path: str | Path) -> Path:
             raise FileAccessError(
                 f"cannot read {path}: it is neither a file, a folder nor a pipe"
             )
+
     return path

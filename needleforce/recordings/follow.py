@@ -86,6 +86,7 @@ def byte_blocks(path: Path | None, options: FollowOptions) -> Iterator[bytes]:
             raise FileAccessError("cannot read standard input: it is closed")
         else:
             handle = sys.stdin.fileno()
+
         try:
             yield from _blocks_of_handle(handle, options, path)
         finally:
@@ -112,15 +113,20 @@ def _blocks_of_handle(
                 tail = (tail + block)[-CHECKED_TAIL_BYTES:]
                 if is_file and not is_followed:
                     options.progress(read_bytes / max(os.fstat(handle).st_size, 1))
+
                 yield block
                 latest_s = time.monotonic()
                 if len(block) < MIN_FULL_BLOCK_BYTES:
                     time.sleep(PAUSE_S)
+
                 continue
+
             # The writer of a pipe that has closed it will not come back.
             if not is_followed:
                 return
+
             time.sleep(POLL_S)
+
         idle_s = time.monotonic() - latest_s
         if options.idle_s is not None and idle_s >= options.idle_s:
             return
@@ -139,14 +145,17 @@ def _require_unchanged(
     """
     if path is None:
         return
+
     status = os.fstat(handle)
     is_at_end = status.st_size == read_bytes
     if is_at_end and not (path.exists() and os.path.samestat(path.stat(), status)):
         raise FileAccessError(
             f"{path} was renamed or removed while it was followed; start again"
         )
+
     if status.st_size < read_bytes:
         raise FileAccessError(f"{path} has become shorter while it was followed")
+
     if os.pread(handle, len(tail), read_bytes - len(tail)) != tail:
         raise FileAccessError(
             f"{path} was written anew while it was followed; start again"
@@ -161,4 +170,5 @@ def head_of(
     head = b""
     while len(head) < size and (block := next(blocks, b"")):
         head += block
+
     return head[:size], chain([head] if head else [], blocks)

@@ -47,18 +47,21 @@ class Log:
             raise LogError("a log needs at least one channel beside time")
         if t_s.ndim != 1 or not t_s.size:
             raise LogError(f"t_s has shape {t_s.shape}; expected (n,) with n > 0")
+
         invalid_rows = np.flatnonzero(~np.isfinite(t_s))
         if invalid_rows.size:
             raise LogError(
                 f"t_s: rows that are not finite: {invalid_rows.size} "
                 f"(first: row {invalid_rows[0] + 1})"
             )
+
         for name, values in channels.items():
             if values.ndim not in (1, 2) or values.shape[0] != t_s.size:
                 raise LogError(
                     f"{name} has shape {values.shape}; expected ({t_s.size},) or "
                     f"({t_s.size}, k), as t_s has {t_s.size} stamps"
                 )
+
         object.__setattr__(self, "t_s", t_s)
         object.__setattr__(self, "channels", MappingProxyType(channels))
 
@@ -74,6 +77,7 @@ class Log:
         """Return a channel's values; `ColumnError` if the log has no such channel."""
         if name in self.channels:
             return self.channels[name]
+
         raise ColumnError(
             f"the log has no channel {name!r}; it has: {', '.join(self.channels)}"
         )

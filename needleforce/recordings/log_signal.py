@@ -86,7 +86,7 @@ class Signal:
     faults: FaultCounts = field(default_factory=FaultCounts)
 
     def read(self, table: Table) -> Array:
-        """Return the values of a table's rows in SI units, shape (n,) or (n, joints)."""
+        """Return the values of a table in SI units, shape (n,) or (n, joints)."""
         columns = [
             column.values
             for name in self.columns
@@ -106,9 +106,11 @@ class Signal:
                 f"row {self.row_count + int(invalid_rows[0]) + 1}",
                 invalid_rows.size,
             )
+
         self.any_finite = self.any_finite or bool(is_finite.any())
         if not self.is_sure:
             self._update_size(values[is_finite])
+
         self.row_count += len(values)
 
     def _update_size(self, values: Array) -> None:
@@ -128,6 +130,7 @@ class Signal:
             raise LogError(
                 f"{self.channel.key} has no finite value in {self.row_count} rows"
             )
+
         return self.faults.lines()
 
     def report_implausible(self) -> tuple[str, ...]:
@@ -135,11 +138,13 @@ class Signal:
         name, limit, unit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE)
         if self.is_sure or self.size <= limit:
             return ()
+
         self.is_sure = True
         quantity = "it"
         if self.channel.key == "t_s":
             quantity = "its median step"
             unit = _unit_of_step(self.size, unit)
+
         return (
             f"{name}: {quantity} reaches {self.size:.4g} in SI; if the file is in "
             f"{unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
@@ -150,6 +155,7 @@ def _unit_of_step(step: float, default: str) -> str:
     """Return the unit of time in which a log's median step is likely to be."""
     if step >= MIN_STEP_NS:
         return "ns"
+
     return "us" if step >= MIN_STEP_US else default
 
 
@@ -176,6 +182,7 @@ def find_signal(
     columns = channel_columns(table, channel, spec)
     if not columns:
         return None
+
     spec = spec or ColumnSpec(columns=channel.name)
     widths = _widths(channel, columns)
     width = sum(widths)
@@ -191,6 +198,7 @@ def find_signal(
     for name in names:
         unit = spec.unit or parse_column_name(name, channel.units).unit
         units.append("s" if name in table.seconds else unit)
+
     si_factors = np.array([channel.units[unit or channel.si_unit] for unit in units])
     factors = np.repeat(si_factors, widths) * scales
     return Signal(channel, names, factors, all(units))
@@ -209,8 +217,10 @@ def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
         raise ColumnError(
             f"{channel.name} is one column, but {names} gives {sum(widths)}; choose one"
         )
+
     if len({len(column.values) for column in columns}) > 1:
         raise LogError(f"{channel.name}: the columns {names} differ in length")
+
     return widths
 
 
@@ -234,6 +244,7 @@ def require_equal_sizes(
         raise LogError(
             f"channels differ in length, in rows: {lengths}{''.join(transposed)}"
         )
+
     joint_counts = {key: shape[1] for key, shape in shapes.items() if len(shape) == 2}
     if len(set(joint_counts.values())) > 1:
         listed = "; ".join(

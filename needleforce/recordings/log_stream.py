@@ -90,10 +90,12 @@ class LogStream:
         self._find_channels(head)
         if self._request.mapping.rate_hz is None:
             self._signals = {"t_s": self._find_time(head), **self._signals}
+
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
                 yield from self._read_chunk(table)
+
         self._report_end()
 
     def joined(self, max_bytes: int = MAX_BYTES) -> Log:
@@ -109,6 +111,7 @@ class LogStream:
             chunks.append(values)
             size += sum(array.nbytes for array in values.values())
             require_size(size, max_bytes, "what is read of it")
+
         channels = {
             key: np.concatenate([values[key] for values in chunks]) for key in chunks[0]
         }
@@ -134,6 +137,7 @@ class LogStream:
         self._report(self._faults.lines())
         if not self._kept_count:
             raise LogError(f"of {self._row_count} rows none has a time stamp")
+
         self._report_implausible()
         self._report(self._row_clock.warnings())
         for key, signal in self._signals.items():
@@ -150,6 +154,7 @@ class LogStream:
                 "with --rate (rate_hz in the mapping). "
                 f"Columns are: {table.describe()}{table.left_out()}"
             )
+
         return time
 
     def _find_channels(self, table: Table) -> None:
@@ -163,7 +168,9 @@ class LogStream:
             if signal is None:
                 if is_required:
                     missing.append(channel)
+
                 continue
+
             is_named = is_required or spec is not None
             if is_named or np.isfinite(signal.read(table)[:HEAD_ROWS]).any():
                 self._signals[channel.key] = signal
@@ -174,8 +181,10 @@ class LogStream:
                         "and were left out",
                     )
                 )
+
         if missing:
             raise _not_found(missing, table)
+
         if not self._signals:
             raise ColumnError(
                 f"no channel was recognised. Columns are: {table.describe()}"
@@ -194,6 +203,7 @@ class LogStream:
                 raise MappingError(
                     f"unknown channel {name!r}; channels are: {', '.join(known)}"
                 )
+
         return requested or known
 
     def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
@@ -213,8 +223,10 @@ class LogStream:
                 int(np.count_nonzero(~has_stamp)),
             )
             values = {key: array[has_stamp] for key, array in values.items()}
+
         for key, signal in self._signals.items():
             signal.watch(values[key])
+
         if is_first:
             self._report_implausible()
 
@@ -237,11 +249,13 @@ class LogStream:
         if rate_hz is not None:
             rows = np.arange(self._row_count, self._row_count + row_count)
             return rows / rate_hz
+
         column_s = values["t_s"]
         signal = self._signals["t_s"]
         is_in_ns = signal.factors[0] * NS_PER_S == 1.0
         if table.start_ns or not is_in_ns:
             return column_s
+
         stamps = table.columns.get(signal.columns[0], column_s)
         is_whole = stamps.dtype.kind == "i"
         if is_whole and not self._row_count:
@@ -249,6 +263,7 @@ class LogStream:
             self.start_ns = self._clock_start_ns
         if is_whole and self._clock_start_ns:
             return to_seconds(stamps, self._clock_start_ns)
+
         return column_s - self._clock_start_ns / NS_PER_S
 
 

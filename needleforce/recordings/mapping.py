@@ -53,6 +53,7 @@ class ColumnSpec:
         """
         if not self.columns or not all(self.patterns):
             raise MappingError(f"columns = {self.columns!r} names no column")
+
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
         are_valid = (_is_finite(factor) and factor != 0.0 for factor in scales)
         if not scales or not all(are_valid):
@@ -128,10 +129,12 @@ class ColumnMapping:
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
         if self.rate_hz is None:
             return
+
         if not (_is_finite(self.rate_hz) and self.rate_hz > 0.0):
             raise MappingError(
                 f"rate_hz = {self.rate_hz!r:.60} must be a positive number of samples/s"
             )
+
         if "time" in channels:
             raise MappingError(
                 "both rate_hz and a time column are given; keep one of them"
@@ -148,8 +151,10 @@ def _with_known_unit(name: str, spec: ColumnSpec) -> ColumnSpec:
         raise MappingError(
             f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}"
         )
+
     if spec.unit is None:
         return spec
+
     units = CHANNELS[name].units
     unit = find_unit(spec.unit, units)
     if unit is None:
@@ -157,6 +162,7 @@ def _with_known_unit(name: str, spec: ColumnSpec) -> ColumnSpec:
             f"unit {spec.unit!r} of channel {name!r} is not known; use one of: "
             f"{', '.join(units)}"
         )
+
     return replace(spec, unit=unit)
 
 
@@ -186,6 +192,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         for name, entry in content.items():
             entry_path = f"$.{name}"
             channels[name] = _convert_channel(name, entry)
+
         return replace(mapping, channels=channels)
     except FormatError as error:
         raise MappingError(str(error)) from error
@@ -193,6 +200,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         message = str(error).replace("`$", f"`{entry_path}")
         if f"`{entry_path}" not in message:
             message += f" - at `{entry_path}`"
+
         raise MappingError(
             f"{path}: {message}; a channel has columns, unit and scale"
         ) from error
@@ -208,6 +216,7 @@ def _convert_channel(name: str, entry: Any) -> ColumnSpec:
         raise MappingError(
             f"[{name}] has {keys}; a channel has columns, unit and scale"
         )
+
     return msgspec.convert(spec, ColumnSpec)
 
 
@@ -228,12 +237,16 @@ def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
     except FileAccessError as error:
         message = str(error).replace("cannot read", f"cannot read the {subject}")
         raise FileAccessError(message) from error
+
     if len(data) > MAX_TOML_BYTES:
         raise FormatError(f"the {subject} {path} is longer than {MAX_TOML_BYTES} bytes")
+
     try:
         content = tomllib.loads(data.decode())
     except (ValueError, RecursionError) as error:
         raise FormatError(f"the {subject} {path} is not valid TOML: {error}") from error
+
     if not content:
         raise FormatError(f"the {subject} {path} is empty")
+
     return content

@@ -1,4 +1,4 @@
-"""A mapping of a recording as TOML to be edited: what was found, and what else there is."""
+"""A mapping of a recording as TOML to be edited, with what else there is."""
 
 import json
 from collections.abc import Iterable, Sequence
@@ -61,6 +61,7 @@ def suggest_mapping(
         lines += [*payload, ""]
     if is_time_needed:
         names = ["time", *names]
+
     return "\n".join([*lines, *mapping_text(table, names, known)])
 
 
@@ -91,9 +92,11 @@ def _reference_lines(
         with suppress(ColumnError):  # several would fit, which the mapping will say
             request = ChannelRequest(known, optional=(name,))
             columns |= request.columns(table) or set()
+
     topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
     if not topics:
         return []
+
     most_frequent = max(topics, key=lambda topic: topic.count)
     reference = known.reference_topic or most_frequent.name
     joint_names = dict.fromkeys(
@@ -114,11 +117,13 @@ def _joint_lines(
     """Return lines on the order of joints, if the bag names any."""
     if not bag_joints:
         return []
+
     has_all = bool(joints) and set(joints) <= set(bag_joints)
     order = list(known.joints or (joints if has_all else bag_joints))
     lines = ["# Joints in the order of the robot; they are found by these names."]
     if joints and order != list(joints):
         lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))
+
     return [*lines, f"joints = {json.dumps(order)}"]
 
 
@@ -137,6 +142,7 @@ def mapping_text(
     for name in channels:
         spec = known.channels.get(name)
         lines += [*_channel_lines(table, CHANNELS[name], spec, used), ""]
+
     unused = [name for name in table.columns if name not in used]
     if unused:
         lines.append("# Columns that are not used:")
@@ -144,7 +150,9 @@ def mapping_text(
             values = table.columns[name]
             span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
             lines.append(comment_line(f"  {name}{span}"))
+
         lines.append("")
+
     return lines
 
 
@@ -161,8 +169,10 @@ def _channel_lines(
     except ColumnError as error:
         if spec is not None:
             raise
+
         columns = []
         reason = " ".join(str(error).split(";")[0].split())
+
     if not columns:
         return [
             comment_line(reason),
@@ -170,6 +180,7 @@ def _channel_lines(
             '# columns = ""',
             f'# unit = "{channel.si_unit}"',
         ]
+
     names = [column.name for column in columns]
     used |= set(names)
     joint_note = ", or one for each joint" if channel.per_joint else ""
@@ -188,6 +199,7 @@ def _unit_line(channel: Channel, spec: ColumnSpec | None, names: list[str]) -> s
     units = {stated or parse_column_name(name, channel.units).unit for name in names}
     if len(units) > 1:
         return "# No unit for all: they are those of the names."
+
     (unit,) = units
     known_units = f"of {', '.join(channel.units)}"
     note = known_units if unit else f"assumed; {known_units}"

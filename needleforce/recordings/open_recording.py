@@ -55,9 +55,11 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
         tables.append(table)
         size += sum(values.nbytes for values in table.columns.values())
         require_size(size, max_bytes, "the recording")
+
     first = tables[0]
     if len(tables) == 1:
         return first
+
     with_rows = [table for table in tables if len(table)] or tables[:1]
     warnings = dict.fromkeys(note for table in tables for note in table.warnings)
     columns = {
@@ -144,6 +146,7 @@ def stream_tables(
             yield table
             if options.should_stop() and not options.follow:
                 return
+
         return
 
     name = "standard input" if path is None else str(path)
@@ -158,7 +161,9 @@ def stream_tables(
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:
                 raise type(error)(str(error).replace(str(copy), name)) from error
+
         return
+
     yield from csv_tables(blocks, name, options, max_bytes)
 
 
@@ -186,8 +191,10 @@ def _binary_tables(
     name = path.name.lower()
     if options.follow:
         _require_followable(path)
+
     with file_errors(path):
         holds_messages = is_bag(path)
+
     if holds_messages:
         yield from bag_tables(path, request, options, max_bytes)
     elif name.endswith(".npz"):
@@ -207,6 +214,7 @@ def _require_followable(path: Path) -> None:
             f"{path} is a folder, which cannot be followed while it grows; name the "
             ".mcap file in it, or read it when it is complete"
         )
+
     if not path.name.lower().endswith(".mcap"):
         raise FileAccessError(
             f"{path} cannot be followed while it grows; only CSV and MCAP can. Record "

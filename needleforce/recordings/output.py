@@ -31,19 +31,23 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
             raise LogError(
                 f"column {name!r} is not an array of numbers: {error}"
             ) from error
+
     if not arrays:
         raise LogError("no columns to write")
+
     first = next(iter(arrays.values()))
     row_count = len(first) if first.ndim else 0
     for name, values in arrays.items():
         if not name.strip() or name.startswith("#"):
             raise LogError(f"column name {name!r} is empty or starts with '#'")
+
         is_numeric = values.dtype.kind in "fiub"
         if not is_numeric or values.ndim not in (1, 2) or len(values) != row_count:
             raise LogError(
                 f"column {name!r} has shape {values.shape} and type {values.dtype}; "
                 f"expected numbers of shape ({row_count},) or ({row_count}, k)"
             )
+
     return arrays
 
 
@@ -76,11 +80,13 @@ class OpenTable:
                 empty = {name: values[:0] for name, values in arrays.items()}
                 self._write = self._begin(empty)
                 self._kinds = kinds
+
             if kinds != self._kinds:
                 raise LogError(
                     f"rows with the columns {kinds} do not fit those before: "
                     f"{self._kinds}"
                 )
+
             self._write(arrays)
 
 
@@ -107,6 +113,7 @@ def open_table(
     if str(path) == STANDARD_STREAM:
         if sys.stdout is None:
             raise FileAccessError("cannot write standard output: it is closed")
+
         name = "standard output"
         writer = csv_writer
         file = nullcontext(sys.stdout.buffer)
@@ -132,10 +139,12 @@ def _find_writer(path: Path) -> Writer:
     for suffix, writer in WRITERS.items():
         if path.name.lower().endswith(suffix):
             return writer
+
     if path.name.lower().endswith(".db3"):
         raise FileAccessError(
             f"cannot write {path}: bags are written as MCAP; name it .mcap"
         )
+
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(WRITERS)}"
     )
@@ -192,6 +201,7 @@ def require_place(path: Path) -> None:
             raise FileAccessError(
                 f"cannot write {path}: there is no folder {path.parent}"
             )
+
         if path.is_dir():
             raise FileAccessError(f"cannot write {path}: it is a folder")
 
@@ -213,6 +223,7 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
                     f"{option} and {other_option} both write to {path}; give each a "
                     "place of its own"
                 )
+
     if source is not None and source.exists():
         for path in outputs.values():
             with file_errors(path, "write"):
@@ -225,6 +236,7 @@ def _require_apart(path: Path, source: Path) -> None:
         raise FileAccessError(
             f"cannot write {path}: it is the log itself; give another name"
         )
+
     folder = source.resolve().parent
     is_in_bag = source.is_file() and is_bag(source) and (folder / METADATA).exists()
     if _overlap(path, folder if is_in_bag else source):
@@ -238,6 +250,7 @@ def _overlap(path: Path, other: Path) -> bool:
     """Return whether two paths are the same place, or one lies inside the other."""
     if path.exists() and other.exists() and path.samefile(other):
         return True
+
     path = path.resolve()
     other = other.resolve()
     return path == other or path in other.parents or other in path.parents

@@ -59,6 +59,7 @@ class Table:
         """
         if not self.columns:
             raise FormatError("no column of numbers: a table needs at least one")
+
         columns = {
             name: read_only(name, values, is_exact=True)
             for name, values in self.columns.items()
@@ -67,6 +68,7 @@ class Table:
             if values.ndim not in (1, 2):
                 shape = f"has shape {values.shape}; expected (n,) or (n, k)"
                 raise FormatError(f"column {name!r} {shape}")
+
         object.__setattr__(self, "columns", MappingProxyType(columns))
 
     def __len__(self) -> int:
@@ -127,6 +129,7 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
         copy = np.array(array, dtype=np.int64 if is_int64 else np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
+
     copy.setflags(write=False)
     return copy
 
@@ -145,5 +148,7 @@ def flat_columns(columns: TableColumns) -> dict[str, np.ndarray]:
                 raise LogError(
                     f"column name {flat_name!r} would stand twice in the header"
                 )
+
             flat[flat_name] = column
+
     return flat

@@ -58,6 +58,7 @@ class TextLines:
             if nul:
                 self._fault = _NUL_BYTES
                 break
+
         yield from self._split(self._decoder.decode(b"", final=True))
         is_nul = self._fault == _NUL_BYTES
         if self._fault:
@@ -75,12 +76,13 @@ class TextLines:
                 ", and lines before it may be wrong: gzip shows that there is damage, "
                 "not where"
             )
+
         self.warnings.append(self._fault)
         # What follows the last line end is a piece of a line.
         self.tail = ""
 
     def forgive_end(self) -> None:
-        """Leave out a piece of a line at the end, and do not blame the source for it."""
+        """Leave out a piece of a line at the end, without a warning."""
         self.tail = ""
         if self._fault.startswith(_CUT_SHORT):
             self.warnings.remove(self._fault)
@@ -93,10 +95,12 @@ class TextLines:
             raise FormatError(
                 f"it is {kind}, not text; give it as a file, under its own suffix"
             )
+
         if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
             raise FormatError(
                 "it is UTF-16 text; save it as UTF-8 (in Excel: CSV UTF-8)"
             )
+
         yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
 
     def _gunzip(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
@@ -126,9 +130,11 @@ class TextLines:
         text = escaped
         if not escaped.isascii():
             text = escaped.translate(_WINDOWS_CHARACTERS)
+
         note = "the file is not UTF-8; it was read as Windows text (cp1252)"
         if text != escaped and note not in self.warnings:
             self.warnings.append(note)
+
         self._is_blank = self._is_blank and not text.strip()
 
         *lines, self.tail = (self.tail + text).split("\n")
@@ -136,6 +142,7 @@ class TextLines:
             raise FormatError(
                 f"it is not text; line {self._line_count + 1} does not end"
             )
+
         if lines:
             self._line_count += len(lines)
             yield lines

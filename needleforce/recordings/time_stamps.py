@@ -1,8 +1,8 @@
 """Time stamps: nanoseconds and seconds, interpolation, and the time between rows.
 
 A recorder stamps with whole nanoseconds since its clock began, often since 1970. As
-seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are counted from
-the first stamp instead, see `start_of_clock`.
+seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are counted
+from the first stamp instead, see `start_of_clock`.
 """
 
 import math
@@ -84,6 +84,7 @@ def interpolate(
     """
     if not stamps_ns.size:
         return np.full((at_ns.size, values.shape[1]), np.nan)
+
     order = np.argsort(stamps_ns, kind="stable")
     stamps_ns = stamps_ns[order]
     values = values[order]
@@ -141,11 +142,13 @@ class RowClock:
         dt_s = np.diff(t_s, prepend=self._latest_s)
         if not (dt_s > 0.0).all():
             return np.array([self._update_one(stamp_s) for stamp_s in t_s.tolist()])
+
         if t_s.size:
             self._latest_s = float(t_s[-1])
             self._behind_s.clear()
             self._row_count += t_s.size
             self._advance_count += t_s.size
+
         return dt_s
 
     def _update_one(self, stamp_s: float) -> float:
@@ -164,9 +167,11 @@ class RowClock:
             self._latest_s = stamp_s
             self._advance_count += 1
             self._behind_s.clear()
+
         if stamp_s <= latest_s:
             place = f"row {self._row_count}, {stamp_s:.9g} s after {latest_s:.9g} s"
             self._faults.note(fault, place)
+
         return dt_s
 
     def _run_behind_latest(self, stamp_s: float) -> float | None:
@@ -175,6 +180,7 @@ class RowClock:
             self._behind_s.clear()
         if not self._behind_s or stamp_s > self._behind_s[-1]:
             self._behind_s.append(stamp_s)
+
         run_s = stamp_s - self._behind_s[0]
         is_set = len(self._behind_s) >= MIN_ROWS_SET_BACK
         return run_s if is_set and run_s >= MIN_RUN_SET_BACK_S else None
@@ -190,4 +196,5 @@ class RowClock:
                 f"no usable time: of {self._row_count} samples none is later than the "
                 "first; at least two time stamps must advance"
             )
+
         return self._faults.lines()

@@ -5,12 +5,12 @@ import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
 from needleforce.recordings.bags.message_types import CDR, standard_types
-from needleforce.recordings.bags.written_topics import bag_topics
+from needleforce.recordings.bags.written_topics import WrittenTopic, bag_topics
 from needleforce.recordings.errors import LogError, optional_library
 from needleforce.recordings.table import (
     START_KEY,
@@ -42,6 +42,7 @@ def csv_writer(
     header = io.StringIO()
     if labels.start_ns:
         header.write(f"# {START_KEY} = {labels.start_ns}\n")
+
     csv.writer(header, lineterminator="\n").writerow(flat_columns(empty))
     stream.write(header.getvalue().encode())
 
@@ -49,6 +50,7 @@ def csv_writer(
         columns_as_text = map(_csv_texts, flat_columns(columns).values())
         if lines := [",".join(row) for row in zip(*columns_as_text, strict=True)]:
             stream.write(("\n".join(lines) + "\n").encode())
+
         stream.flush()  # for readers of a file that grows
 
     yield append
@@ -78,6 +80,7 @@ def npz_writer(
     arrays = {name: np.concatenate(values) for name, values in chunks.items()}
     if labels.start_ns:
         arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
+
     # numpy.savez could not write a column called "file".
     with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in arrays.items():
@@ -105,7 +108,8 @@ def parquet_writer(
             writer.write_table(table)
 
     yield append
-    writer.close()  # writes the table of contents, without which the file cannot be read
+    # Writes the table of contents, without which the file cannot be read.
+    writer.close()
 
 
 class _McapChannel(NamedTuple):
@@ -132,15 +136,10 @@ def mcap_writer(
         LogError: There is no time stamp `t_s`, or one that no message can carry.
     """
     types = standard_types()
-    channels: list[_McapChannel] = []
     library = optional_library("mcap.writer", "MCAP files")
     bag = library.Writer(stream, chunk_size=MCAP_CHUNK_BYTES, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
-    for topic in bag_topics(empty, labels, ()):
-        definition, _ = types.generate_msgdef(topic.kind, ros_version=2)
-        schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
-        number = bag.register_channel(topic.name, CDR, schema)
-        channels.append(_McapChannel(number, topic.kind))
+    channels = [_register(bag, topic) for topic in bag_topics(empty, labels, ())]
 
     def append(columns: TableColumns) -> None:
         stamps_ns = _message_stamps_ns(columns, labels)
@@ -150,10 +149,19 @@ def mcap_writer(
             for channel, message in zip(channels, messages, strict=True):
                 data = types.serialize_cdr(message, channel.kind)
                 bag.add_message(channel.number, stamp_ns, data, stamp_ns)
+
         stream.flush()  # for readers of a file that grows
 
     yield append
     bag.finish()  # writes the index
+
+
+def _register(bag: Any, topic: WrittenTopic) -> _McapChannel:
+    """Announce a topic, with the definition of its type, in a bag that is written."""
+    definition, _ = standard_types().generate_msgdef(topic.kind, ros_version=2)
+    schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
+    number = bag.register_channel(topic.name, CDR, schema)
+    return _McapChannel(number, topic.kind)
 
 
 def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
@@ -167,13 +175,16 @@ def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
         raise LogError(
             f"a bag needs time stamps: a column t_s; there is {list(columns)}"
         )
+
     if not np.isfinite(t_s).all():
         raise LogError("a bag needs a time stamp in every row; one is not finite")
+
     stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
     if min(stamps_ns, default=0) < 0:
         raise LogError(
             f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s"
         )
+
     return stamps_ns
 
 

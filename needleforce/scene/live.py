@@ -56,6 +56,7 @@ class LiveView(Closing):
         """End the page and its process."""
         with suppress(OSError):
             self._pipe.send("stop")
+
         self._process.join(END_S)
         self._process.kill()
         self._ring.close()
@@ -86,10 +87,12 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
     with suppress(EOFError, OSError):
         if pipe.poll(START_S):
             answer = pipe.recv()
+
     if not answer.startswith("http"):
         process.kill()
         ring.close()
         raise SceneError(f"no page: {answer}")
+
     return LiveView(ring, process, pipe, answer)
 
 
@@ -108,11 +111,13 @@ def _serve(
     with suppress(OSError, AttributeError):
         # A child inherits real-time priority, and would take it from the loop.
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
     try:
         viewer = Viewer(robot, plan, **settings)
     except (SceneError, OSError) as error:
         pipe.send(str(error))
         return
+
     ring = StateRing(robot.nv, ring_name)
     period_s = 1.0 / UPDATE_RATE_HZ
     count = 0

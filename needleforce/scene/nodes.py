@@ -18,7 +18,13 @@ from urdf import Robot
 
 
 class Color(NamedTuple):
-    """A colour, each part from 0 to 255."""
+    """A colour.
+
+    Attributes:
+        red: From 0 to 255.
+        green: From 0 to 255.
+        blue: From 0 to 255.
+    """
 
     red: int
     green: int
@@ -168,6 +174,7 @@ class ArmNodes:
             self._shown_joints = [shown_names.index(name) for name in robot.joint_names]
             # What the robot lacks, it holds at zero.
             self._shown_rad = np.zeros(len(shown_names))
+
         self._needle = server.scene.add_cylinder(
             "/needle",
             radius=NEEDLE_RADIUS_M,
@@ -191,6 +198,7 @@ class ArmNodes:
             points_m = [data.oMi[joint].translation for joint in joints]
             bones = np.array([*points_m, tip_m])
             _add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
+
         self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
         self._needle.wxyz = quaternion_of_axis(axis)
         return NeedlePose(tip_m, axis)
@@ -230,6 +238,7 @@ def add_anatomy(server: Any, plan: PlanScene) -> None:
             opacity=SURFACE_OPACITY,
             side="double",
         )
+
     if plan.entry_m is not None and plan.target_m is not None:
         _add_path(server, plan, plan.entry_m, plan.target_m)
 
@@ -245,6 +254,7 @@ def _add_path(
         raise SceneError(
             f"a plan from {plan.entry_m} to {plan.target_m}: expected two points"
         )
+
     axis = (target_m - entry_m) / length_m
     line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
     _add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)

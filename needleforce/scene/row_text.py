@@ -29,6 +29,7 @@ def rupture_text(row: ViewRow, names: Mapping[float, str]) -> str:
     text = f"rupture {row.rupture:.0f} at {depth_mm:.1f} mm"
     if math.isnan(row.plan_matched):
         return text
+
     is_boundary = row.plan_matched >= 0.0
     next_name = names.get(row.plan_matched, "")
     meaning = f"into {next_name}" if is_boundary else "a false alarm"
@@ -68,6 +69,7 @@ def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
         next_mm = M_TO_MM * row.plan_next_m
         next_band_mm = 2.0 * M_TO_MM * row.plan_next_std_m
         place += f", {next_name} at {next_mm:.1f} ± {next_band_mm:.1f} mm"
+
     yield place
     offset_mm = M_TO_MM * row.plan_offset_m
     offset_band_mm = 2.0 * M_TO_MM * row.plan_offset_std_m

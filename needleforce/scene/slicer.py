@@ -53,6 +53,7 @@ class SlicerOutput(Closing):
             raise SceneError(
                 f"port {port}: {error}; expected a free one, 0 to 65535"
             ) from error
+
         self._send = partial(self._server.send_message, wait=False)
         self._next_s = -np.inf
 
@@ -77,6 +78,7 @@ class SlicerOutput(Closing):
         # A time before that of the last tick is that of a session which has begun anew.
         if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
+
         self._next_s = estimate.time_s + 1.0 / MAX_RATE_HZ
         self._send_pose(pose_m)
         self._send_forces(estimate)

@@ -104,6 +104,7 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     plan_values: dict[str, float] = {}
     if plan is not None:
         plan_values = {_PLAN_PREFIX + name: getattr(plan, name) for name in PLAN_FIELDS}
+
     row = ViewRow(
         time_s=estimate.time_s,
         depth_m=estimate.depth_m,

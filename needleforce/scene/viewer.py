@@ -153,6 +153,7 @@ class Viewer:
             import viser
         except ImportError as error:
             raise SceneError("viser is not installed; pip install viser") from error
+
         check_address(host, port)
         self._server = viser.ViserServer(
             host=host, port=port, label="needleforce", verbose=False
@@ -191,6 +192,7 @@ class Viewer:
             self._slider = gui.add_slider(TIME_LABEL, 0.0, 1.0, TIME_STEP_S, 0.0)
             self._live = gui.add_checkbox("live", True)
             self._play = gui.add_button("Play")
+
         self._plots = {
             label: self._add_plot(label) for label in (TIME_LABEL, DEPTH_LABEL)
         }
@@ -218,6 +220,7 @@ class Viewer:
                 uplot.Series(label="+ 2 std", stroke=stroke, width=BAND_WIDTH),
                 uplot.Series(label="- 2 std", stroke=stroke, width=BAND_WIDTH),
             ]
+
         return self._server.gui.add_uplot(
             tuple(np.zeros(1) for _ in series),
             tuple(series),
@@ -235,11 +238,13 @@ class Viewer:
         rows = np.asarray(rows, dtype=float)
         if not len(rows):
             return
+
         with self._lock:
             events = rows[:, [COLUMN["rupture"], COLUMN["retracted"]]]
             has_event = (events > 0.0).any(axis=1)
             for row in rows[has_event]:
                 self._mark(row)
+
             # Of rows without an event the first of each slot of time is kept.
             slots = np.floor(rows[:, COLUMN["time_s"]] * KEPT_RATE_HZ)
             is_kept = has_event | (np.diff(slots, prepend=self._latest_slot()) > 0.0)
@@ -251,6 +256,7 @@ class Viewer:
         """Return the slot of time of the latest row kept."""
         if not len(self._rows):
             return -np.inf
+
         return float(np.floor(self._rows[-1, COLUMN["time_s"]] * KEPT_RATE_HZ))
 
     def _mark(self, row_values: Array) -> None:
@@ -260,6 +266,7 @@ class Viewer:
             self.marks[-1] = self.marks[-1]._replace(until_s=row.time_s)
         if not row.rupture:
             return
+
         needle = self._arm.update(_joints_of(row_values))
         rupture_m = needle.tip_m + (row.rupture_depth_m - row.depth_m) * needle.axis
         text = rupture_text(row, self._names)
@@ -278,12 +285,14 @@ class Viewer:
         with self._lock:
             if not len(self._rows):
                 return
+
             times_s = self._rows[:, COLUMN["time_s"]]
             shown_s = times_s[-1] if time_s is None else time_s
             index = int(np.searchsorted(times_s, shown_s, "right")) - 1
             index = max(index, 0)
             if times_s[index] == self._shown_s:
                 return
+
             self._draw(index)
             self._shown_s = float(times_s[index])
 
@@ -304,11 +313,13 @@ class Viewer:
             self._slider.max = max(latest_s, MIN_SPAN_S)
             if self._live.value:
                 self._slider.value = round(row.time_s, 2)
+
             lines = state_lines(row, self._names, FULL_BAR_N)
             self._text.content = "\n\n".join(lines)
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
             self._draw_curves(index)
+
         if self._shown_s is None:
             camera = self._server.initial_camera
             camera.look_at = tuple(needle.tip_m)
@@ -322,6 +333,7 @@ class Viewer:
             mark.ring.set_visible(is_known)
             if is_known:
                 texts.append(f"- {mark.text}")
+
         self._events.content = "\n".join(texts)
 
     def _draw_expected(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
@@ -344,6 +356,7 @@ class Viewer:
             force_N = rows[:, COLUMN[curve.field]]
             band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
             curves += [force_N, force_N + band_N, force_N - band_N]
+
         time_s = rows[:, COLUMN["time_s"]]
         self._plots[TIME_LABEL].data = (time_s, *curves)
 
@@ -368,11 +381,13 @@ class Viewer:
         end_s = self._slider.max
         if start_s >= end_s - FRAME_S:
             start_s = 0.0
+
         begin_s = time.monotonic() - start_s
         while (shown_s := time.monotonic() - begin_s) < end_s + FRAME_S:
             self._slider.value = round(min(shown_s, end_s), 2)
             self.show(shown_s)
             time.sleep(FRAME_S)
+
         self._play.disabled = False
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
@@ -387,6 +402,7 @@ class Viewer:
         """
         if not len(self._rows):
             raise SceneError("nothing to export: no rows have come")
+
         serializer = self._server.get_scene_serializer()
         times_s = self._rows[:, COLUMN["time_s"]]
         start_s = float(times_s[0])
@@ -395,11 +411,13 @@ class Viewer:
         for shown_s in frame_times_s.tolist():
             self.show(shown_s)
             serializer.insert_sleep(float(step_s))
+
         try:
             with whole_file(path) as file:
                 file.write(serializer.as_html().encode())
         except OSError as error:
             raise SceneError(f"cannot write {path}: {error.strerror}") from error
+
         return Path(path)
 
     def stop(self) -> None:

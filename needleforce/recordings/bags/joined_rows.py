@@ -78,6 +78,7 @@ class JoinedRows:
             order = _order_joints(topic, request)
             self._warnings += order.notes
             topic.choose(columns.get(name, ()), order.joints)
+
         self._warnings += self._rate_warnings()
         self._start_ns = 0
         self._is_new = True  # before the first table
@@ -91,6 +92,7 @@ class JoinedRows:
         rows = self.reference
         if all(abs(topic.count - rows.count) <= 1 for topic in self._others):
             return []
+
         rates = ", ".join(
             f"{topic.name} ({topic.rate_hz:.4g} Hz)" for topic in self._others
         )
@@ -108,12 +110,15 @@ class JoinedRows:
             topic = self.topics.get(message.topic.name)
             if topic is not None:
                 topic.add(message)
+
             is_waiting = message is NONE_YET
             if is_waiting or count % MAX_TABLE_ROWS == 0:
                 yield from self._ready_tables(is_waiting=is_waiting)
                 self._forget_old_rows()
+
         for topic in self.topics.values():
             self._warnings += topic.notes()
+
         while self.reference.rows or self._is_new or self._warnings:
             yield self._take_table(MAX_TABLE_ROWS)
 
@@ -143,6 +148,7 @@ class JoinedRows:
         """Return how many rows nothing that may still come can change."""
         if not self.reference.rows:
             return 0
+
         latest_ns = np.maximum.accumulate(self.reference.stamps_ns())
         complete_ns = min(
             max(
@@ -159,6 +165,7 @@ class JoinedRows:
         at_ns = reference.stamps_ns()[:row_count]
         if self._is_new and at_ns.size:
             self._start_ns = start_of_clock(int(at_ns[0]))
+
         columns: dict[str, Array] = {"t_s": to_seconds(at_ns, self._start_ns)}
         joint_names: dict[str, tuple[str, ...]] = {}
         for topic in self.topics.values():
@@ -171,8 +178,10 @@ class JoinedRows:
                     numbers = interpolate(
                         at_ns, topic.stamps_ns(), values, topic.limit_ns
                     )
+
                 is_single = topic.columns[name] is None
                 columns[name] = numbers[:, 0] if is_single else numbers
+
         del reference.rows[:row_count]
         warnings = tuple(self._warnings)
         self._warnings = []
@@ -205,11 +214,13 @@ def _choose_reference(
         max_count = max(bag.topics[name].count for name in columns)
         min_count = EQUAL_RATE_RATIO * max_count
         return next(name for name in columns if bag.topics[name].count >= min_count)
+
     if chosen not in bag.topics or bag.topics[chosen].fault:
         raise ColumnError(
             f"reference_topic = {chosen!r} is no topic that can be read; topics are: "
             f"{', '.join(bag.topics)}"
         )
+
     return chosen
 
 
@@ -222,15 +233,18 @@ def _order_joints(topic: Topic, request: ChannelRequest) -> JointOrder:
     bag_joints = tuple(topic.joint_names)
     if not bag_joints:
         return JointOrder(())
+
     missing = [joint for joint in request.mapping.joints if joint not in bag_joints]
     if missing:
         raise ColumnError(
             f"joints of the mapping that {topic.name} does not have: "
             f"{', '.join(missing)}; it has: {', '.join(bag_joints)}"
         )
+
     order = request.mapping.joints or request.joints
     if not order or set(order) <= set(bag_joints):
         return JointOrder(order or bag_joints)
+
     note = (
         f"{topic.name} has the joints {', '.join(bag_joints)}, the robot "
         f"{', '.join(order)}; the order of the bag was kept, name another one with "

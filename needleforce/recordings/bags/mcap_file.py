@@ -138,6 +138,7 @@ class McapReader:
         # stops.
         if not is_growing or (held and not options.should_stop()):
             self._faults.append("is cut short")
+
         for record in _records(held):
             # The data are the last part of a chunk.
             if record.opcode == _Opcode.CHUNK:
@@ -150,18 +151,21 @@ class McapReader:
         for record in _records(held, read_end):
             if self._is_damaged(record):
                 self._is_over = True
+                position = self._position + read_end
                 self._faults.append(
-                    f"is damaged at byte {self._position + read_end}; what follows cannot "
-                    "be read"
+                    f"is damaged at byte {position}; what follows cannot be read"
                 )
+
             if self._is_over or record.end > len(held):
                 break
+
             data = bytes(held[record.start : record.end])
             yield from self._read_record(record.opcode, data)
             read_end = record.end
             self._is_over = record.opcode == _Opcode.DATA_END
             if self._is_over:
                 break
+
         self._position += read_end
         del held[:read_end]
 
@@ -176,6 +180,7 @@ class McapReader:
         size = record.end - record.start
         if self._limit < size <= self._path.stat().st_size:
             require_size(size, self._limit, "holds a record that")
+
         opcode = record.opcode
         is_known = 0 < opcode <= _Opcode.DATA_END or opcode >= _Opcode.PRIVATE
         is_wrong_end = opcode == _Opcode.DATA_END and size != _DATA_END_BYTES
@@ -189,9 +194,12 @@ class McapReader:
             message = self._read_message(data)
             if message is not None:
                 yield message
+
             return
+
         if opcode not in _PARSERS:
             return
+
         parser = getattr(self._library, _PARSERS[_Opcode(opcode)])
         try:
             content = parser.read(self._stream(io.BytesIO(data)))
@@ -199,7 +207,9 @@ class McapReader:
             # Damaged bytes end in whatever the parser runs into.
             if is_whole:
                 self._faults.append("has a damaged record")
+
             return
+
         if opcode == _Opcode.CHUNK:
             yield from self._read_chunk(content, is_whole=is_whole)
         elif opcode == _Opcode.SCHEMA:
@@ -233,8 +243,10 @@ class McapReader:
             topic = self._channels.get(channel)
             if topic is not None and log_ns <= MAX_STAMP_NS:
                 return RawMessage(topic, log_ns, data[_MESSAGE_HEAD.size :])
+
         if "has damaged messages" not in self._faults:
             self._faults.append("has damaged messages")
+
         return None
 
     def _read_chunk(self, chunk: Any, *, is_whole: bool) -> Iterator[RawMessage]:
@@ -244,6 +256,7 @@ class McapReader:
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
             data = _unpack(data, chunk.compression, size)[:size]
+
         checksum = chunk.uncompressed_crc
         if is_whole and checksum and crc32(data) != checksum:
             self._faults.append(
@@ -255,9 +268,11 @@ class McapReader:
         for record in _records(data):
             if record.end > len(data) or record.opcode == _Opcode.CHUNK:
                 break
+
             content = data[record.start : record.end]
             yield from self._read_record(record.opcode, content)
             read_end = record.end
+
         if is_whole and read_end < size:
             self._faults.append(
                 f"has a damaged chunk, of which {read_end} of {size} bytes are right"
@@ -285,8 +300,10 @@ def _unpack(packed: bytes, compression: str, size: int) -> bytes:
         raise FormatError(
             f"has chunks compressed with {compression!r}; zstd and lz4 can be read"
         )
+
     unpacked = bytearray()
     with suppress(zstd.ZstdError, RuntimeError, EOFError):
         while len(unpacked) <= size and (block := stream.read(UNPACKED_BLOCK_BYTES)):
             unpacked += block
+
     return bytes(unpacked)

@@ -49,11 +49,13 @@ def read_messages(
             f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that "
             "end in .zstd must be unpacked: zstd -d"
         )
+
     limit = max_bytes // CHUNK_DIVISOR
     streams = [_messages_of_file(file, faults, limit, options) for file in files]
     # Files may have been recorded side by side.
     if len(files) > MAX_OPEN_FILES:
         return chain.from_iterable(streams)
+
     return heapq.merge(*streams, key=attrgetter("log_ns"))
 
 

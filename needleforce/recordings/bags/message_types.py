@@ -74,8 +74,10 @@ def _types_of(kind: str, definition: str) -> Any:
             store.register(types)
             store.get_msgdef(kind)
             return store
+
     if kind not in standard.fielddefs:
         raise FormatError(f"holds messages of the type {kind}, without its definition")
+
     return standard
 
 
@@ -90,7 +92,9 @@ def _require_plain(types: Mapping[str, Any]) -> None:
         names = [entry[0] for entry in (*constants, *fields)]
         if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
             raise ValueError(f"{kind!r} has names that ROS does not allow")
+
         unrolled_count += sum(_unrolled_elements(field) for _, field in fields)
+
     if unrolled_count > MAX_UNROLLED_ELEMENTS:
         raise ValueError(f"arrays of {unrolled_count} texts or messages")
 
@@ -100,6 +104,7 @@ def _unrolled_elements(field: Any) -> int:
     node, details = field
     if node != _ARRAY:
         return 0
+
     (element_node, element_details), length = details
     is_text = element_node != _NAME and element_details[0] == "string"
     return length if element_node == _NAME or is_text else 0
@@ -171,6 +176,7 @@ class TopicDecoder:
     def __init__(self, topic: BagTopic) -> None:
         if topic.encoding != CDR:
             raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
+
         self._kind = topic.kind
         self._types = _types_of(topic.kind, topic.definition)
         try:
@@ -180,6 +186,7 @@ class TopicDecoder:
             raise FormatError(
                 f"has the type {topic.kind}, whose definition is damaged"
             ) from error
+
         self._has_stamp = {column.path for column in columns} >= _STAMP_FIELDS
         self._name_field = next((name for name in _NAME_FIELDS if name in fields), None)
         self._columns = [
@@ -200,11 +207,13 @@ class TopicDecoder:
         if names in _VECTOR_FIELDS and {field for _, field in fields} <= _FLOATS:
             yield _vector_column(path, names)
             return
+
         for name, (node, details) in fields:
             field_path = (*path, name)
             if node == _NAME:
                 yield from self._find_columns(field_path, details)
                 continue
+
             is_array = node >= _ARRAY
             element = details[0] if is_array else (node, details)
             if element[0] == _BASE and element[1][0] != "string":
@@ -217,11 +226,13 @@ class TopicDecoder:
             raise FormatError(
                 "is compressed message by message; unpack it with: ros2 bag convert"
             )
+
         try:
             message = self._types.deserialize_cdr(data, self._kind)
         except Exception as error:
             # Damaged bytes end in whatever the generated code runs into.
             raise FormatError(f"does not fit its type {self._kind}") from error
+
         names = self._joint_names(message)
         values = {}
         named = set()
@@ -232,11 +243,14 @@ class TopicDecoder:
                     continue
                 if is_beside_names and len(value) == len(names):
                     named.add(column)
+
             values[column] = value
+
         stamp_ns = None
         if self._has_stamp:
             stamp = message.header.stamp
             stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec
+
         return MessageContent(stamp_ns, names, values, frozenset(named))
 
     def _joint_names(self, message: Any) -> tuple[str, ...]:
@@ -246,6 +260,7 @@ class TopicDecoder:
         """
         if self._name_field is None:
             return ()
+
         field = getattr(message, self._name_field)
         names = tuple(field) if isinstance(field, list) else ()
         is_unique = all(names) and len(set(names)) == len(names)
@@ -263,4 +278,5 @@ def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:
     """Return the name of a column by its topic and the fields that lead to it."""
     if topic.kind.endswith("Stamped"):
         path = path[1:] or path
+
     return topic.name if path == ("data",) else "/".join((topic.name, *path))

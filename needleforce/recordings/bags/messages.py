@@ -61,6 +61,7 @@ def bag_files(folder: Path) -> list[Path]:
             for path in folder.iterdir()
             if path.is_file() and path.name.endswith(BAG_SUFFIXES)
         ]
+
     return sorted(files, key=_numbers_in_name)
 
 

@@ -39,8 +39,10 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
             "and %, and the suffix .db3 in small letters; give another name, or use "
             ".mcap"
         )
+
     with path.open("rb") as stream:
         require_magic(stream.read(len(SQLITE_MAGIC)), SQLITE_MAGIC, "SQLite")
+
     faults += _journal_faults(path)
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
@@ -56,12 +58,14 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
                     raise TypeError(
                         f"{log_ns!r:.40} and {type(data)} for a time stamp and bytes"
                     )
+
                 yield RawMessage(topics[connection.id], log_ns, data)
     except (rosbag2.ReaderError, apsw.Error, *_DAMAGE_ERRORS) as error:
         if "missing tables" in str(error):
             raise FormatError(
                 "is not a bag: it has no tables messages and topics"
             ) from error
+
         raise FormatError(
             f"is cut short or damaged ({error}); its messages may be had with: "
             f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
@@ -73,6 +77,7 @@ def _journal_faults(path: Path) -> list[str]:
     journal = Path(f"{path}-wal")
     if not (journal.exists() and journal.stat().st_size):
         return []
+
     return [
         f"has messages in {journal.name} that are not read; add them with: "
         f"sqlite3 {path.name} 'PRAGMA wal_checkpoint'"
@@ -87,6 +92,7 @@ def _topic_of(connection: Any) -> BagTopic:
     """
     if not (isinstance(connection.topic, str) and isinstance(connection.msgtype, str)):
         raise TypeError(f"{connection.topic!r:.40} is no name of a topic")
+
     is_message = connection.msgdef.format.name == "MSG"
     return BagTopic(
         name=connection.topic,

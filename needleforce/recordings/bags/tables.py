@@ -46,6 +46,7 @@ def bag_tables(
         if joined is not None:
             yield from _growing_tables(bag, joined, options, max_bytes)
             return
+
     # It is whole, or has ended: all of it can be counted.
     bag = Bag(path)
     learn_topics(bag, max_bytes=max_bytes)
@@ -54,6 +55,7 @@ def bag_tables(
     if not needed:
         yield table
         return
+
     joined = JoinedRows(bag, request or ChannelRequest(), needed)
     row_count = 0
     for table in joined.tables(read_messages(path, [], max_bytes)):
@@ -71,6 +73,7 @@ def _growing_tables(
     messages = read_messages(bag.path, faults, max_bytes, options)
     for table in joined.tables(messages):
         yield table
+
     if faults and table is not None:
         columns = {name: values[:0] for name, values in table.columns.items()}
         yield replace(table, columns=columns, warnings=("; ".join(faults),))
@@ -98,19 +101,23 @@ def learn_topics(
     for message in read_messages(bag.path, bag.faults, max_bytes, growing):
         if message is NONE_YET:
             continue
+
         is_new = bag.learn(message)
         if growing is None or not (is_new or message.log_ns >= settled_ns):
             continue
+
         settled_ns = message.log_ns + SETTLED_NS
         if is_new:
             _count_from(bag, message)
             continue
+
         joined, missing = _join_if_clear(bag, request or ChannelRequest())
         if joined is not None:
             return joined
         if missing not in ("", reported):
             reported = missing
             growing.warn(f"{bag.path.name}: waiting for more topics; {missing}")
+
     return None
 
 
@@ -134,8 +141,10 @@ def _join_if_clear(bag: Bag, request: ChannelRequest) -> tuple[JoinedRows | None
                 f"needed are {', '.join(request.required)}, and until now there are "
                 f"{', '.join(bag.topics)}"
             )
+
         joined = JoinedRows(bag, request, needed)
     except (ColumnError, FormatError) as error:
         return None, str(error)
+
     has_rates = all(topic.rate_hz > 0.0 for topic in joined.topics.values())
     return (joined if has_rates else None), ""

@@ -107,17 +107,20 @@ class Topic:
         self.latest_log_ns = max(self.latest_log_ns, message.log_ns)
         if self.count > LEARNED_MESSAGES:
             return
+
         try:
             content = self._decoder.decode(message.data)
         except FormatError as error:
             # One damaged message, the first even, is no reason to lose the topic.
             self.fault = "" if self.columns else str(error)
             return
+
         self.fault = ""
         self.has_stamp = content.stamp_ns is not None
         if content.named:
             known = self.joint_names
             self.joint_names += [name for name in content.names if name not in known]
+
         self.named |= content.named
         for name, value in content.values.items():
             self.columns.setdefault(name, size_of(value))
@@ -147,6 +150,7 @@ class Topic:
         except FormatError:
             self._faults["messages that do not fit their type, left out"] += 1
             return
+
         if content.names and content.names != self.joints:
             missing = set(self.joints) - set(content.names)
             if self.joints and len(missing) == len(self.joints):
@@ -154,10 +158,12 @@ class Topic:
                 return
             if missing:
                 self._faults["messages that lack joints"] += 1
+
         if content.stamp_ns == 0 and message.log_ns:
             self._faults[
                 "messages without a source time stamp; the recorder's was taken"
             ] += 1
+
         stamp_ns = content.stamp_ns or message.log_ns
         values = tuple(self._numbers(name, content) for name in self.widths)
         self.rows.append(TopicRow(stamp_ns, values))
@@ -174,12 +180,14 @@ class Topic:
         elif name in self.named:
             if self.joints == content.names:
                 return value
+
             by_joint = dict(zip(content.names, value, strict=True))
             return [by_joint.get(joint, np.nan) for joint in self.joints]
         elif (size_of(value) or 1) == width:
             return value if isinstance(value, tuple | np.ndarray) else (value,)
         else:
             self._faults[f"messages with another number of values of {name}"] += 1
+
         return np.full(width, np.nan)
 
     def stamps_ns(self) -> NDArray[np.int64]:
@@ -192,6 +200,7 @@ class Topic:
         for i, (name, width) in enumerate(self.widths.items()):
             numbers = [row.values[i] for row in self.rows]
             arrays[name] = np.array(numbers, dtype=np.float64).reshape(-1, width)
+
         return arrays
 
     def notes(self) -> list[str]:
@@ -221,6 +230,7 @@ class Bag:
         is_new = name not in self.topics
         if is_new:
             self.topics[name] = Topic(message.topic, message.log_ns)
+
         self.topics[name].learn(message)
         return is_new
 
@@ -229,6 +239,7 @@ class Bag:
         """What was lost or is damaged, and how much there is."""
         if not self.faults:
             return []
+
         topics = self.topics.values()
         count = sum(topic.count for topic in topics)
         start_ns = min(topic.first_ns for topic in topics)
@@ -249,6 +260,7 @@ class Bag:
         if not topics:
             faults = "".join(f" ({fault})" for fault in self.faults)
             raise FormatError(f"{self.path} holds no messages{faults}")
+
         widths = {
             name: width for topic in topics for name, width in topic.columns.items()
         }
@@ -260,6 +272,7 @@ class Bag:
             raise FormatError(
                 f"{self.path} holds no topic with numbers: {'; '.join(reasons)}"
             )
+
         return Table(
             columns={
                 name: np.empty((0,) if width is None else (0, width))

@@ -96,6 +96,7 @@ def _pop_joint_signals(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     ]
     if not names:
         return {}
+
     width = columns[names[0]].shape[1]
     fitting = [name for name in names if columns[name].shape[1] == width]
     return {name: columns.pop(name) for name in fitting}
@@ -109,6 +110,7 @@ def _joint_states(
     joint_names = list(labels.joint_names)
     if len(joint_names) != width:
         joint_names = [f"joint_{i + 1}" for i in range(width)]
+
     nothing = np.empty((len(stamps_ns), 0))
     numbers = (signals.get(name, nothing) for name in JOINT_SIGNALS)
     rows = zip(_headers(stamps_ns, ""), *numbers, strict=True)
@@ -132,8 +134,10 @@ def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | N
         match = re.fullmatch(rf"{quantity}_([xyz])_in_\w+", name)
         if match and values.ndim == 1:
             names.setdefault(match[1], name)
+
     if len(names) < len("xyz"):
         return None
+
     return np.column_stack([columns.pop(names[axis]) for axis in "xyz"])
 
 

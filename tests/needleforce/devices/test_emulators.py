@@ -28,13 +28,13 @@ def controller(cycles):
     )
 
 
-def test_a_controller_may_take_longer_to_end_than_to_start(monkeypatch):
+def test_an_emulator_may_end_slower_than_it_starts(monkeypatch):
     with controller(1500) as emulator:
         monkeypatch.setattr(emulators, "START_S", 0.1)
         assert emulator.counts()["cycles"] == 1500
 
 
-def test_a_controller_that_has_ended_by_itself_is_stopped_with_its_counts():
+def test_stopping_an_ended_emulator_returns_its_counts():
     with controller(10) as emulator:
         for process in multiprocessing.active_children():
             process.join()
@@ -71,7 +71,7 @@ class Gone(Exception):
 
 
 @pytest.mark.parametrize("silence", [TimeoutError, Gone])
-def test_a_silence_of_a_haptic_device_is_one_outage(silence, monkeypatch):
+def test_haptic_silence_is_one_outage(silence, monkeypatch):
     place = {"x": 0, "y": 0, "z": 1}
     device = {
         "device_id": "a",

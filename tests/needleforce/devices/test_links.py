@@ -72,7 +72,7 @@ def measurement(**values):
     return packet.tobytes()
 
 
-def test_every_cycle_of_an_lwr_is_answered_and_handed_on():
+def test_every_lwr_cycle_is_answered_and_passed_on():
     found, arm, counts = fri_run(1000)
     assert len(found) == 1000 == arm.report.used
     assert counts["same_cycle"] == 1000
@@ -82,7 +82,7 @@ def test_every_cycle_of_an_lwr_is_answered_and_handed_on():
     assert found[42].dq_rad_s is None
 
 
-def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
+def test_invalid_packets_are_dropped_missed_ones_counted():
     faults = WireFaults(
         lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05
     )
@@ -98,7 +98,7 @@ def test_nothing_invalid_is_handed_on_and_all_that_is_missed_is_counted():
     assert sum(sample.missed for sample in found) == report.missed
 
 
-def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
+def test_readings_after_an_outage_include_its_duration():
     found, arm, _ = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
     gap = max(found, key=lambda sample: sample.dt_s)
     assert 1.99 < gap.dt_s < 3.9  # longer only on a busy machine
@@ -107,7 +107,7 @@ def test_after_an_outage_the_samples_go_on_with_the_time_that_passed():
     assert len(found) == pytest.approx(500, abs=10)
 
 
-def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
+def test_commands_need_command_mode_and_good_connection():
     faults = WireFaults(bad_quality=((0.6, 0.8),))
     found, _, counts = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
     accepted = np.array([sample.accepts_commands for sample in found])
@@ -119,9 +119,7 @@ def test_commands_move_the_arm_only_in_command_mode_on_a_good_connection():
 
 
 @pytest.mark.parametrize("command", ["record", "live"])
-def test_an_arm_from_which_nothing_comes_is_said_so(
-    command, tmp_path, monkeypatch, capsys
-):
+def test_a_silent_arm_is_reported(command, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "needleforce.cli.arms.arm_connection.FriArm", partial(FriArm, give_up_s=0.2)
     )
@@ -134,7 +132,7 @@ def test_an_arm_from_which_nothing_comes_is_said_so(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_datagrams_that_are_no_measurements_end_the_samples_as_silence_does():
+def test_invalid_datagrams_count_as_silence():
     arm = FriArm(port=0, wait_s=0.05, give_up_s=0.3)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
         box.sendto(measurement(count=5), arm.address)
@@ -281,7 +279,7 @@ def test_an_address_that_cannot_be_is_said_so():
             NetFT(port=port, scale=Scale(1.0, 1.0))
 
 
-def test_a_force_sensor_that_was_closed_has_nothing_to_read():
+def test_a_closed_force_sensor_reads_nothing():
     ft = NetFT(scale=Scale(1.0, 1.0))
     ft.close()
     assert ft.read() is None
@@ -290,7 +288,7 @@ def test_a_force_sensor_that_was_closed_has_nothing_to_read():
 
 
 @pytest.mark.parametrize("buffered", [False, True])
-def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
+def test_every_force_record_comes_in_newtons(buffered):
     settings = RdtSettings(wrench=WRENCH, scale=(500_000.0, 2e6))
     with Emulator(emulate_rdt, settings) as box:
         ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
@@ -316,7 +314,7 @@ def test_every_record_of_a_force_sensor_comes_in_newtons(buffered):
     assert np.allclose(found, WRENCH[np.arange(len(found)) % 5000], atol=2e-6)
 
 
-def test_a_force_sensor_that_loses_records_says_how_many():
+def test_lost_force_records_are_counted():
     faults = WireFaults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
     most_N = np.abs(WRENCH).max() + 1e-6
     found = []
@@ -369,7 +367,7 @@ def test_counts_per_other_units_are_refused(force, torque, why, monkeypatch):
         rdt.read_scale("http://127.0.0.1/")
 
 
-def test_a_sensor_that_reports_a_fault_gives_no_force():
+def test_a_faulty_force_sensor_gives_no_force():
     record = np.zeros(1, rdt.RECORD)
     with socket.socket(type=socket.SOCK_DGRAM) as box:
         box.bind((LOOPBACK, 0))
@@ -400,9 +398,7 @@ def received(*datagrams):
 
 
 @pytest.mark.parametrize(("first", "anew"), [(5, 10_000_000), (5_000_000, 0)])
-def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_record(
-    first, anew
-):
+def test_a_restarted_count_needs_many_records_in_sequence(first, anew):
     odd = [anew]
     again = range(anew, anew + 800)
     report = received(
@@ -412,7 +408,7 @@ def test_a_sensor_that_restarts_its_count_is_heard_again_but_not_at_one_odd_reco
     assert (report.used, report.stale, report.missed) == (853 - stale, stale, 0)
 
 
-def test_datagrams_of_many_records_that_come_twice_or_late_are_not_used_again():
+def test_repeated_and_late_buffered_datagrams_are_unused():
     one, two, three, four = (range(k, k + 40) for k in (0, 40, 80, 120))
     assert received(one, two, two, three).used == 120
     late = received(one, three, two, four)
@@ -444,7 +440,7 @@ def test_a_haptic_device_moves_and_is_felt():
     assert counts["port_energy_J"] > 0.0
 
 
-def test_what_a_haptic_service_should_not_send_is_counted():
+def test_malformed_haptic_states_are_counted():
     server = pytest.importorskip("websockets.sync.server")
     from needleforce.devices import HaplyMaster
 

@@ -20,7 +20,7 @@ from tests.needleforce.devices.test_links import PATIENCE_S, ROWS, measurement
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("sends", [False, True])
-def test_a_signal_ends_a_recording_whether_or_not_something_comes(
+def test_a_signal_ends_recording_also_in_silence(
     number, sends, tmp_path, monkeypatch, capsys
 ):
     path = tmp_path / "x.mcap"
@@ -70,7 +70,7 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
     assert recorder.rows == 50
 
 
-def test_a_recorder_refuses_what_comes_and_goes_and_keeps_the_rest(tmp_path):
+def test_a_recorder_refuses_signals_that_come_and_go(tmp_path):
     path = tmp_path / "x.csv"
     samples = [*[SAMPLE] * 70, SAMPLE._replace(tau_Nm=None)]
     recorder = Recorder(path, ("a",) * 7)

@@ -73,7 +73,7 @@ def test_a_franka_arm_is_read_bit_for_bit():
     assert not arm.send(np.zeros(7))
 
 
-def test_a_ur_arm_is_read_and_its_currents_become_torques():
+def test_currents_of_a_ur_arm_become_torques():
     pytest.importorskip("rtde_receive")
     settings = rows(6, 500.0)
     constants = np.arange(1.0, 7.0)
@@ -90,9 +90,7 @@ def test_a_ur_arm_is_read_and_its_currents_become_torques():
 
 
 @pytest.mark.parametrize("has_constants", [True, False])
-def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
-    has_constants, tmp_path, capsys
-):
+def test_a_ur_recording_has_currents_and_known_torques(has_constants, tmp_path, capsys):
     pytest.importorskip("rtde_receive")
     settings = rows(6, 500.0)
     constants = np.arange(1.0, 7.0)
@@ -118,7 +116,7 @@ def test_a_ur_arm_is_recorded_with_its_currents_and_torques_if_it_has_constants(
         (["fri", "--motor-constants", *"123456"], "describes a ur:ADDRESS, not fri"),
     ],
 )
-def test_options_that_an_arm_would_not_read_are_refused(options, why, capsys):
+def test_options_unknown_to_an_arm_are_refused(options, why, capsys):
     assert main(["live", *options]) == 2
     assert why in capsys.readouterr().err
 
@@ -148,7 +146,7 @@ class DoubtfulUr:
         pass
 
 
-def test_a_current_that_is_no_number_is_counted_and_not_handed_on(monkeypatch):
+def test_nan_currents_are_counted_and_dropped(monkeypatch):
     library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
     monkeypatch.setattr(research_arms, "import_client", lambda *_: library)
     with UrArm() as arm:
@@ -157,7 +155,7 @@ def test_a_current_that_is_no_number_is_counted_and_not_handed_on(monkeypatch):
         assert np.isfinite([sample.current_A for sample in found]).all()
 
 
-def test_an_arm_that_is_not_there_is_said_so():
+def test_an_absent_arm_is_reported():
     pytest.importorskip("panda_py")
     pytest.importorskip("rtde_receive")
     with pytest.raises(LinkError, match="no Franka arm"):

@@ -32,7 +32,7 @@ from tests.needleforce.recordings.bag_samples import (
 )
 
 
-def test_joints_are_put_in_the_robots_order_by_name(tmp_path):
+def test_joints_are_ordered_by_the_robots_names(tmp_path):
     folder = write_bag(
         tmp_path / "bag", insertion_rows(4, names=("elbow", "gripper", "base"))
     )
@@ -54,7 +54,7 @@ def test_a_bag_without_numbers_or_messages_is_refused(tmp_path):
         read_log(write_bag(tmp_path / "empty", []))
 
 
-def test_a_topic_is_read_by_the_definition_in_the_bag(tmp_path):
+def test_a_topic_is_read_by_its_own_definition(tmp_path):
     definition = (
         "std_msgs/Header header\nfloat64[3] tau_j\ngeometry_msgs/Point tip\nint8 mode\n"
     )
@@ -111,7 +111,7 @@ def test_what_is_no_bag_is_refused(tmp_path):
         read_log(tmp_path / "folder.db3")
 
 
-def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(tmp_path):
+def test_joints_follow_names_and_missing_ones_are_nan(tmp_path):
     orders = ["ab", "ba", "a"]
     places = {"a": 1.0, "b": 2.0}
     rows = [
@@ -123,7 +123,7 @@ def test_names_decide_when_their_order_changes_and_missing_joints_are_nan(tmp_pa
     assert "/j: messages that lack joints: 1" in log.warnings
 
 
-def test_messages_of_a_gripper_on_the_same_topic_are_left_out(tmp_path):
+def test_gripper_messages_on_the_same_topic_are_ignored(tmp_path):
     rows = []
     for k in range(1, 6):
         rows.append(("/j", k, joint_state(10 * k, "ab", [k, k])))
@@ -133,7 +133,7 @@ def test_messages_of_a_gripper_on_the_same_topic_are_left_out(tmp_path):
     assert "/j: messages without any of the joints, left out: 5" in log.warnings
 
 
-def test_slower_topics_are_interpolated_to_the_stamps_of_the_fastest(tmp_path):
+def test_slower_topics_are_interpolated_to_the_fastest(tmp_path):
     rows = [("/force", k, number(k)) for k in range(0, 1000, 10)]
     rows += [("/depth", k, number(2.0 * k)) for k in range(0, 1000, 100)]
     log = read_log(write_bag(tmp_path / "bag", sorted(rows, key=lambda row: row[1])))
@@ -157,7 +157,7 @@ def test_the_mapping_may_choose_the_clock(tmp_path):
         read_log(folder, ColumnMapping(reference_topic="/none"), required=["depth"])
 
 
-def test_of_several_topics_that_would_fit_the_robot_or_the_mapping_chooses(tmp_path):
+def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
     rows = [
         (topic, k, joint_state(k, names, [k, factor * k], [k, k], [factor * k, k]))
         for k in range(1, 4)

@@ -91,7 +91,7 @@ def test_a_name_is_taken_apart(name, channel, stem, number, unit):
         ("odd*name", ["odd*name"]),
     ],
 )
-def test_a_pattern_gives_columns_in_the_order_of_their_numbers(pattern, names):
+def test_a_pattern_orders_columns_by_number(pattern, names):
     # Written in an order that is neither the file's nor the alphabet's.
     table = table_of(
         *(
@@ -126,7 +126,7 @@ def test_a_pattern_gives_columns_in_the_order_of_their_numbers(pattern, names):
         ("q{1..1000000000000}", "no column"),
     ],
 )
-def test_a_pattern_that_fits_nothing_or_too_much_is_refused(pattern, message):
+def test_unfitting_or_ambiguous_patterns_are_refused(pattern, message):
     names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]", "h1", "h900000000")
     table = table_of(*names, wrench=np.zeros((3, 6)))
     with pytest.raises(ColumnError, match=message):
@@ -134,7 +134,7 @@ def test_a_pattern_that_fits_nothing_or_too_much_is_refused(pattern, message):
 
 
 @pytest.mark.parametrize("channel", CHANNELS.values(), ids=lambda channel: channel.name)
-def test_every_usual_name_is_recognised_in_any_case_and_with_any_unit(channel):
+def test_usual_names_match_any_case_and_unit(channel):
     for spelling in channel.spellings:
         for unit in ("", *(f"_{unit.replace('/', '_')}" for unit in channel.units)):
             for name in (f"{spelling}{unit}", f"/topic/{spelling.upper()}{unit}"):
@@ -198,7 +198,7 @@ def test_a_scale_is_finite_and_not_zero(scale):
         ColumnSpec(columns="z", scale=scale)
 
 
-def test_a_mapping_is_a_copy_and_spells_units_one_way():
+def test_a_mapping_copies_and_normalises_units():
     source = {"speed": ColumnSpec(columns="v", unit="mm_s")}
     mapping = ColumnMapping(channels=source)
     source.clear()
@@ -266,7 +266,7 @@ def test_toml_gives_columns_units_scales_and_rate(tmp_path):
         ("[depth]\ncolumns = 'z'\nscale = 0", "not zero"),
     ],
 )
-def test_a_wrong_toml_is_refused_with_the_file_named(tmp_path, text, message):
+def test_a_wrong_toml_error_names_the_file(tmp_path, text, message):
     with pytest.raises(MappingError, match=message) as caught:
         from_toml(tmp_path, text)
     assert "mapping.toml" in str(caught.value)
@@ -289,7 +289,7 @@ def test_the_short_form_means_the_same_specification(text, spec):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
-def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
+def test_a_suggested_mapping_reads_the_same_log(tmp_path, suffix):
     path = tmp_path / f"log{suffix}"
     rng = np.random.default_rng(0)
     columns = {
@@ -304,7 +304,7 @@ def test_a_suggested_mapping_reads_what_is_found_without_it(tmp_path, suffix):
         np.testing.assert_array_equal(plain[name], same[name])
 
 
-def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
+def test_a_suggested_mapping_lists_the_bags_topics(tmp_path):
     folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
     text = suggest_mapping(
         folder, JOINTS, joints=("a", "b"), payload=['payload = "none"']
@@ -330,7 +330,7 @@ def test_a_suggested_mapping_describes_a_bag_by_its_topics(tmp_path):
     assert "# The robot calls them: x, y, z" in text.splitlines()
 
 
-def test_a_suggested_mapping_takes_units_and_what_is_known(tmp_path):
+def test_a_suggested_mapping_keeps_units_and_known_columns(tmp_path):
     path = tmp_path / "log.csv"
     names = "time_ms,depth_mm,force,Kraft,a_deg,b_rad"
     path.write_text(f"{names}\n0,1,2,3,4,5\n1,2,3,4,5,6\n", encoding="utf-8")

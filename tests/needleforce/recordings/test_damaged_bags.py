@@ -64,7 +64,7 @@ def bags(tmp_path_factory):
 
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("fraction", [0.0002, 0.2, 0.5, 0.95])
-def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, fraction):
+def test_messages_before_the_cut_are_nearly_all_read(tmp_path, bags, kind, fraction):
     name, data, whole = bags[kind]
     (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
     found, faults = messages_in(tmp_path / name)
@@ -74,7 +74,7 @@ def test_nearly_all_that_lies_before_the_cut_is_read(tmp_path, bags, kind, fract
     assert faults == [f"{name} is cut short"]
 
 
-def test_messages_that_a_killed_recorder_left_beside_the_file_are_reported(tmp_path):
+def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
     folder = write_bag(tmp_path / "bag", insertion_rows(20), storage="sqlite3")
     writer = sqlite3.connect(data_file(folder))
     writer.execute("PRAGMA journal_mode=WAL")
@@ -97,7 +97,7 @@ def test_messages_that_a_killed_recorder_left_beside_the_file_are_reported(tmp_p
     mask=st.integers(1, 255),
     width=st.integers(1, 200),
 )
-def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
+def test_damaged_bytes_are_read_or_cleanly_refused(
     tmp_path_factory, bags, kind, where, mask, width
 ):
     name, data, _ = bags[kind]
@@ -148,9 +148,7 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
 
 
 @pytest.mark.parametrize(("storage", "compression"), KINDS.values())
-def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(
-    tmp_path, storage, compression
-):
+def test_every_storage_and_folder_name_gives_one_log(tmp_path, storage, compression):
     folder = tmp_path / "it's x"
     write_bag(folder, insertion_rows(50), storage=storage, compression=compression)
     for path in (folder, data_file(folder)):
@@ -162,7 +160,7 @@ def test_every_storage_gives_the_same_log_in_a_folder_of_any_name(
         assert stamps_ns == [START_NS + k * STEP_NS for k in range(50)]  # the source's
 
 
-def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path):
+def test_compressed_bags_are_refused_with_advice(tmp_path):
     rows = list(insertion_rows(5))
     write_bag(tmp_path / "m", rows, storage="sqlite3", compression="MESSAGE")
     with pytest.raises(
@@ -175,7 +173,7 @@ def test_bags_compressed_by_file_or_message_are_refused_with_what_to_do(tmp_path
 
 
 @pytest.mark.parametrize("is_set", [False, True])
-def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, is_set):
+def test_small_stamps_stay_and_unset_ones_are_replaced(tmp_path, is_set):
     rows = [
         ("/j", k * STEP_NS, joint_state(k * STEP_NS * is_set, "ab", [k, k]))
         for k in (1, 2, 3)
@@ -190,7 +188,7 @@ def test_small_stamps_are_kept_and_those_never_set_are_the_recorders(tmp_path, i
 @pytest.mark.parametrize(
     "names", [("", "", ""), ("a", "a", "a"), ("a", "", "b"), "abc"]
 )
-def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, names):
+def test_joints_without_identifying_names_keep_their_places(tmp_path, names):
     rows = [
         ("/j", k, joint_state(k + 1, names, [k, 2 * k, 3 * k])) for k in range(1, 5)
     ]
@@ -205,7 +203,7 @@ def test_joints_whose_names_identify_none_or_others_keep_their_places(tmp_path, 
 
 
 @pytest.mark.parametrize("fraction", [0.001, 0.3, 0.99])
-def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, fraction):
+def test_a_cut_sqlite_bag_error_advises_recovery(tmp_path, bags, fraction):
     name, data, _ = bags["sqlite3"]
     (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
     with pytest.raises(
@@ -225,7 +223,7 @@ def test_a_cut_sqlite_bag_is_refused_with_what_may_recover_it(tmp_path, bags, fr
         "SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
     ],
 )
-def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
+def test_an_sqlite_bag_of_other_content_is_refused(tmp_path, change):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(change)
@@ -235,7 +233,7 @@ def test_an_sqlite_bag_with_other_values_or_tables_is_refused(tmp_path, change):
         read_table(path)
 
 
-def test_a_chunk_whose_checksum_is_wrong_is_left_out(tmp_path):
+def test_a_chunk_with_wrong_checksum_is_omitted(tmp_path):
     path = tmp_path / "x.mcap"
     q_rad = np.random.default_rng(0).normal(size=(5000, 7))
     write_table(path, {"t_s": np.arange(5000) / 1000, "q_rad": q_rad})

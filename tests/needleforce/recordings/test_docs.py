@@ -42,7 +42,7 @@ def test_the_sessions_give_what_the_pages_show(page):
     assert "".join(differences) == ""
 
 
-def test_the_options_on_the_page_give_the_mapping_that_it_describes():
+def test_the_pages_options_equal_its_mapping():
     (line,) = re.findall(r"^needleforce identify robot.csv (.*)$", TEXT, re.MULTILINE)
     options = re.findall(r"--(\w+) (\S+)", line)
     specs = {name: parse_column_spec(text, CHANNELS[name]) for name, text in options}
@@ -54,7 +54,7 @@ def test_the_options_on_the_page_give_the_mapping_that_it_describes():
     assert log.t_s[0] == 0.001
 
 
-def test_the_table_of_names_and_units_is_the_codes():
+def test_the_pages_names_and_units_are_complete():
     rows = re.findall(
         r"^\| `(\w+)` \| `(\w+)` \| (.*?) \| (.*?) \|$", TEXT, re.MULTILINE
     )

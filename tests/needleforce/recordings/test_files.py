@@ -110,7 +110,7 @@ def test_what_is_odd_costs_little_and_is_reported(read, text):
     assert table.warnings == warnings
 
 
-def test_text_that_is_not_utf8_is_read_and_reported(read):
+def test_text_other_than_utf8_is_read_and_reported(read):
     table = read("t,q [°]\n0,1\n".encode("cp1252"))
     assert list(table.columns) == ["t", "q [°]"]
     assert "cp1252" in table.warnings[0]
@@ -141,20 +141,20 @@ def test_text_that_is_not_utf8_is_read_and_reported(read):
         ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),
     ],
 )
-def test_what_is_no_csv_is_refused_with_file_and_reason(read, text, message):
+def test_other_than_csv_is_refused_with_the_reason(read, text, message):
     with pytest.raises(FormatError, match=f"log.csv.*{message}"):
         read(text)
 
 
 @pytest.mark.parametrize("tail", ["", "2,3"])
-def test_nul_bytes_at_the_end_cost_the_line_before_them_only(read, tail):
+def test_nul_bytes_cost_only_the_line_before(read, tail):
     table = read(f"t,f\n0,1\n1,2\n{tail}".encode() + bytes(300_000))
     assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
     what = "the file goes on with NUL bytes, as power loss may leave them"
     assert table.warnings == (f"{what}; what follows line 3 is lost",)
 
 
-def test_a_compressed_file_reads_the_same_and_a_cut_one_up_to_the_cut(read):
+def test_compressed_files_read_alike_until_a_cut(read):
     noise = np.random.default_rng(0).normal(size=40_000).tolist()
     text = "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise))
     whole = values(read(text))
@@ -188,7 +188,7 @@ def test_the_fast_and_the_slow_reader_agree(rows):
 
 
 @given(st.text(alphabet='t,f;\t\n#"0123.e-x ', max_size=60))
-def test_any_text_is_read_or_refused_with_our_own_error(text):
+def test_any_text_is_read_or_cleanly_refused(text):
     try:
         *_, table = csv_tables([text.encode()], "text")
     except FormatError:
@@ -196,7 +196,7 @@ def test_any_text_is_read_or_refused_with_our_own_error(text):
     assert table.columns
 
 
-def test_a_stray_quote_costs_no_more_than_its_line(read):
+def test_a_stray_quote_costs_only_its_line(read):
     table = read('t,f\n0,"1\n1,2\n2,"3,\n3,4\n')
     np.testing.assert_array_equal(table.columns["t"], [0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(table.columns["f"], [1.0, 2.0, np.nan, 4.0])
@@ -221,7 +221,7 @@ def test_arrays_become_columns(read):
     assert table.warnings == ()
 
 
-def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(read):
+def test_arrays_without_numbers_are_omitted_pickles_never_loaded(read):
     class Trap:
         def __reduce__(self):
             return pytest.fail, ("the pickle was loaded",)
@@ -260,7 +260,7 @@ def test_what_is_no_column_of_numbers_is_left_out_and_a_pickle_never_loaded(read
         ),
     ],
 )
-def test_what_is_no_npz_is_refused_with_file_and_reason(read, content, message):
+def test_other_than_npz_is_refused_with_the_reason(read, content, message):
     with pytest.raises(FormatError, match=f"log.npz.*{message}"):
         read(content, "log.npz")
 
@@ -285,9 +285,7 @@ def test_types_of_other_writers_become_numbers(path):
 @pytest.mark.parametrize(
     ("unit", "name"), [("ns", "time"), ("us", "stamp_ns"), ("ms", "time_ms")]
 )
-def test_time_stamps_become_seconds_without_loss_and_a_missing_one_is_reported(
-    path, unit, name
-):
+def test_parquet_stamps_become_exact_seconds_missing_ones_reported(path, unit, name):
     stamps = np.array([1_700_000_000_123, 1_700_000_000_124, "NaT"], dtype="M8[ms]")
     stamps = stamps.astype(f"M8[{unit}]")
     pq.write_table(pa.table({name: pa.array(stamps), "f": [1.0, 2.0, 3.0]}), path)
@@ -307,7 +305,7 @@ def test_two_columns_of_one_name_are_refused(path):
         read_table(path)
 
 
-def test_a_file_cut_short_is_refused_with_the_reason(path):
+def test_a_cut_file_is_refused_with_the_reason(path):
     write_table(path, {"t_s": np.arange(1000.0), "f": np.ones(1000)})
     path.write_bytes(path.read_bytes()[:-10])
     with pytest.raises(FormatError, match="ends with its table of contents"):
@@ -317,7 +315,7 @@ def test_a_file_cut_short_is_refused_with_the_reason(path):
 @pytest.mark.parametrize(
     ("suffix", "library"), [("parquet", "pyarrow"), ("mcap", "rosbags mcap")]
 )
-def test_without_a_library_the_error_says_what_to_install(
+def test_a_missing_library_error_says_what_to_install(
     tmp_path, monkeypatch, suffix, library
 ):
     path = tmp_path / f"log.{suffix}"
@@ -331,9 +329,7 @@ def test_without_a_library_the_error_says_what_to_install(
 
 
 @given(where=st.floats(0.0, 1.0, exclude_max=True), byte=st.integers(0, 255))
-def test_damaged_bytes_end_in_a_table_or_in_one_of_our_errors(
-    tmp_path_factory, where, byte
-):
+def test_damaged_bytes_are_read_or_cleanly_refused(tmp_path_factory, where, byte):
     path = tmp_path_factory.mktemp("damaged") / "log.parquet"
     write_table(path, {"t_s": np.arange(50.0), "force_N": np.ones(50)})
     data = bytearray(path.read_bytes())

@@ -34,7 +34,7 @@ from tests.needleforce.recordings.bag_samples import (
 
 @pytest.mark.parametrize("kind", ["plain", "zstd", "without chunks"])
 @pytest.mark.parametrize("count", [3, 41])
-def test_a_growing_bag_gives_what_the_finished_one_gives(tmp_path, kind, count):
+def test_growing_and_finished_bags_give_the_same(tmp_path, kind, count):
     compression = "STORAGE" if kind == "zstd" else None
     bag = write_bag(tmp_path / "bag", insertion_rows(3000), compression=compression)
     data = (
@@ -73,7 +73,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     assert rows == 3000
 
 
-def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_it(
+def test_only_an_idle_end_reports_an_unfinished_file(
     tmp_path,
 ):
     data = without_chunks(write_bag(tmp_path / "bag", insertion_rows(3000)))
@@ -107,7 +107,7 @@ def test_who_stops_hears_nothing_of_what_was_not_finished_and_an_idle_end_shows_
         ("x.mcap", MAGIC + HEADER, FormatError, "holds no messages"),
     ],
 )
-def test_what_cannot_be_followed_is_reported_with_what_to_do(
+def test_unfollowable_sources_are_refused_with_advice(
     tmp_path, name, data, error, message
 ):
     if name == "bag":
@@ -130,7 +130,7 @@ def late_topic(first):
             yield "/depth_mm", t_ns, number(k)
 
 
-def test_a_topic_that_is_not_there_yet_is_waited_for_and_reported_once(tmp_path):
+def test_a_late_topic_is_awaited_and_reported_once(tmp_path):
     path = tmp_path / "growing.mcap"
     reported = []
     data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
@@ -170,7 +170,7 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
     assert_same(found, read_log(path, FORCE_MAPPING, **FORCE))
 
 
-def test_rows_do_not_wait_for_a_topic_that_has_gone(tmp_path):
+def test_rows_do_not_wait_for_ended_topics(tmp_path):
     data = without_chunks(
         write_bag(tmp_path / "bag", arm_and_force(800, force_ends=300))
     )

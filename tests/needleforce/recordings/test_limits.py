@@ -62,7 +62,7 @@ PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
 
 @pytest.mark.parametrize("compression", PACKERS)
 @pytest.mark.parametrize("declared", [BOMB, 100])
-def test_a_chunk_that_unpacks_to_any_size_is_refused(tmp_path, compression, declared):
+def test_a_chunk_unpacking_beyond_the_limit_is_refused(tmp_path, compression, declared):
     zeros = dict.fromkeys(
         ("message_start_time", "message_end_time", "uncompressed_crc"), 0
     )
@@ -107,7 +107,7 @@ def test_compressed_text_without_rows_is_left_soon(
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_an_npz_that_unpacks_to_any_size_is_refused(tmp_path, order):
+def test_an_npz_unpacking_beyond_the_limit_is_refused(tmp_path, order):
     path = tmp_path / "x.npz"
     unused = np.zeros((3000, BOMB // 3000 // 8), order=order)
     np.savez_compressed(path, t=np.arange(3000.0), f=np.ones(3000), unused=unused)
@@ -115,7 +115,7 @@ def test_an_npz_that_unpacks_to_any_size_is_refused(tmp_path, order):
         read_log(path, max_bytes=SMALL)
 
 
-def test_a_parquet_of_repeated_numbers_that_takes_any_memory_is_refused(tmp_path):
+def test_a_parquet_unpacking_beyond_the_limit_is_refused(tmp_path):
     path = tmp_path / "x.parquet"
     pq.write_table(pa.table({"t": np.zeros(BOMB // 8)}), path)
     assert path.stat().st_size < SMALL
@@ -136,7 +136,7 @@ def test_a_device_is_no_file(tmp_path, name):
 @pytest.mark.parametrize(
     "name", ["a\0b.csv", "a\0b.npz", "a\0b.mcap", f"{'x' * 300}.csv"]
 )
-def test_a_name_that_no_file_can_have_is_reported(tmp_path, name):
+def test_an_impossible_file_name_is_reported(tmp_path, name):
     for read in (
         read_table,
         load_mapping,
@@ -187,7 +187,7 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
     ],
     ids=["as long", "shorter"],
 )
-def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path, rows, message):
+def test_a_followed_file_written_anew_is_noticed(tmp_path, rows, message):
     path = tmp_path / "log.csv"
     path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))
     tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
@@ -198,9 +198,7 @@ def test_a_followed_file_that_was_written_anew_is_noticed(tmp_path, rows, messag
 
 
 @pytest.mark.parametrize("is_rotated", [True, False])
-def test_a_followed_file_that_was_renamed_or_removed_is_read_to_its_end_and_reported(
-    tmp_path, is_rotated
-):
+def test_followed_files_that_vanish_are_read_and_reported(tmp_path, is_rotated):
     path = tmp_path / "log.csv"
     path.write_text("t,f\n" + "".join(f"{k},1\n" for k in range(300)))
     tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
@@ -218,7 +216,7 @@ def test_a_followed_file_that_was_renamed_or_removed_is_read_to_its_end_and_repo
     assert last[-1] == 300.0
 
 
-def test_names_from_a_file_stay_comments_in_the_mapping_of_it(tmp_path):
+def test_file_names_stay_comments_in_suggested_mappings(tmp_path):
     evil = 'x\nrate_hz = 5\n[force]\ncolumns = "t"'
     path = tmp_path / "evil\nrate_hz = 6\n.npz"
     np.savez(path, t=np.arange(3.0), force=np.ones(3), **{evil: np.ones(3)})

@@ -55,7 +55,7 @@ def test_log_stores_read_only_copies():
         (T_S, {"force_N": ["a", "b", "c", "d"]}, "force_N is not an array of numbers"),
     ],
 )
-def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
+def test_invalid_logs_are_refused_with_the_reason(t_s, channels, message):
     with pytest.raises(LogError, match=message):
         Log(t_s=t_s, channels=channels)
 
@@ -65,7 +65,7 @@ def test_what_is_no_log_is_refused_with_the_reason(t_s, channels, message):
 @given(
     hnp.arrays(np.float64, st.integers(1, 30), elements=st.integers(-5, 5).map(float))
 )
-def test_every_stamp_advances_or_is_counted_and_where_none_does_the_log_is_refused(t_s):
+def test_stamps_that_do_not_advance_are_counted(t_s):
     advancing = int(np.count_nonzero(RowClock().update(t_s)[1:] > 0.0))
     if not advancing:
         with pytest.raises(
@@ -94,14 +94,14 @@ LATE_S[100::50] -= 0.02
 LATE_S[320] = LATE_S[319]
 
 
-def test_late_and_repeated_rows_do_not_advance_and_shift_nothing():
+def test_late_and_repeated_rows_do_not_advance():
     dt_s = RowClock().update(LATE_S)
     assert np.count_nonzero(dt_s <= 0.0) == 19
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(LATE_S.max() - LATE_S[0])
 
 
 @pytest.mark.parametrize("back_s", [0.5, 3600.0])
-def test_a_clock_that_stays_back_is_followed_after_a_few_rows(back_s):
+def test_a_clock_set_back_is_followed_after_rows(back_s):
     t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S + 0.001 - back_s))
     dt_s = RowClock().update(t_s)
     late = dt_s[1000:] <= 0.0
@@ -119,7 +119,7 @@ def test_pieces_give_what_the_whole_gives(cut, late):
     np.testing.assert_array_equal(found, RowClock().update(t_s))
 
 
-def test_a_log_shows_that_its_clock_was_set_back():
+def test_a_log_reports_a_clock_set_back():
     log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
     assert (
         "clock set back, from where it counts anew: 1 (first: row 1101"
@@ -260,7 +260,7 @@ def test_only_the_channels_asked_for_are_looked_at():
         log_of(None, ("force",), ("depth",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
 
 
-def test_a_missing_channel_is_reported_with_usual_names_and_columns():
+def test_a_missing_channel_error_lists_names_and_columns():
     message = "no column found for tau .* tau, tau_j, effort, torque.*Columns are: t, q, moment"
     with pytest.raises(ColumnError, match=message):
         log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
@@ -304,7 +304,7 @@ def test_what_forms_no_log_is_refused(mapping, required, error, message):
         log_of(mapping, required, t=T, **columns)
 
 
-def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
+def test_omitted_columns_are_reported_when_nothing_fits(tmp_path):
     log = tmp_path / "log.csv"
     log.write_text(
         "time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n"
@@ -325,14 +325,14 @@ def test_what_was_left_out_is_reported_when_nothing_fits(tmp_path):
     ],
     ids=["column", "rate of the mapping"],
 )  # fmt: skip
-def test_time_comes_from_the_mappings_rate_or_a_column(mapping, columns, t_s, warning):
+def test_time_comes_from_rate_or_column(mapping, columns, t_s, warning):
     log = log_of(mapping, **columns, f=np.arange(3.0))
     np.testing.assert_allclose(log.t_s, t_s)
     assert log["force_N"].tolist() == ([0.0, 2.0] if len(t_s) == 2 else [0.0, 1.0, 2.0])
     assert log.warnings == ((warning,) if warning else ())
 
 
-def test_an_optional_channel_without_values_is_left_out_and_reported():
+def test_an_empty_optional_channel_is_omitted_and_reported():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
     assert list(log.channels) == ["q_rad"]
     assert "dq: its columns hold no finite value in the first rows" in log.warnings[0]
@@ -345,7 +345,7 @@ def test_no_time_and_no_rate_is_refused():
         log_of(f=ONES)
 
 
-def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
+def test_implausible_si_values_of_assumed_units_are_reported():
     names = {
         "t": np.arange(3.0),
         "q": 90.0 * ONES,
@@ -368,7 +368,7 @@ def test_values_that_are_hardly_si_get_a_hint_if_no_unit_was_stated():
     assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
 
 
-def test_real_liver_log_holds_many_insertions_and_no_time(recordings_dir):
+def test_the_real_liver_log_lacks_time(recordings_dir):
     path = recordings_dir / "liver_dejong2017/insertions.npz"
     with pytest.raises(
         ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"

@@ -55,9 +55,7 @@ def assert_all_the_same(found, log):
     st.sampled_from([20, HEAD_ROWS, HEAD_ROWS + 7, 1000]),
     st.booleans(),
 )
-def test_text_in_pieces_of_any_size_is_the_whole_text(
-    tmp_path_factory, size, rows, packed
-):
+def test_text_in_any_pieces_reads_the_same(tmp_path_factory, size, rows, packed):
     text = text_of(rows).encode()
     path = tmp_path_factory.mktemp("log") / "log.csv"
     path.write_bytes(text)
@@ -67,7 +65,7 @@ def test_text_in_pieces_of_any_size_is_the_whole_text(
     assert_all_the_same(found, read_log(path, **ASKED))
 
 
-def test_a_unit_is_doubted_at_once_or_when_the_values_show_it():
+def test_an_assumed_unit_is_doubted_when_values_show():
     rows = 3 * HEAD_ROWS
     depth = np.where(np.arange(rows) < 2 * HEAD_ROWS, 0.0, 85.0)
     lines = [f"{k / 1000},{z},0.1\n" for k, z in enumerate(depth)]
@@ -86,7 +84,7 @@ def test_a_line_that_never_ends_is_refused():
         list(csv_tables([b"x" * (1 << 20)] * 20, "log"))
 
 
-def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path):
+def test_a_growing_file_is_followed_by_whole_lines(tmp_path):
     text = text_of(600).encode()
     path = tmp_path / "log.csv"
     whole = tmp_path / "whole.csv"
@@ -98,7 +96,7 @@ def test_a_growing_file_is_followed_and_half_lines_wait_for_their_rest(tmp_path)
     assert_all_the_same(found, read_log(whole, **ASKED))
 
 
-def test_following_ends_when_asked_and_leaves_out_the_line_being_written(tmp_path):
+def test_following_ends_when_asked_without_partial_lines(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,q1,tau1\n0,1,2\n1,1,2\n2,1,2.3")
     asked = []
@@ -133,7 +131,7 @@ COLUMNS |= {
 
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
 @pytest.mark.parametrize("size", [3000, 1 << 20])
-def test_what_comes_through_a_pipe_is_what_the_file_gives(tmp_path, suffix, size):
+def test_a_pipe_gives_what_the_file_gives(tmp_path, suffix, size):
     path = tmp_path / f"log.{suffix.removesuffix('.gz')}"
     pipe = tmp_path / "pipe"
     write_table(path, COLUMNS)
@@ -176,7 +174,7 @@ def test_a_pipe_without_a_recording_is_refused(tmp_path, monkeypatch, data, mess
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "parquet"])
-def test_a_table_goes_into_a_pipe_that_stays_one(tmp_path, suffix):
+def test_a_table_is_written_into_a_pipe(tmp_path, suffix):
     pipe = tmp_path / f"pipe.{suffix}"
     path = tmp_path / f"log.{suffix}"
     os.mkfifo(pipe)

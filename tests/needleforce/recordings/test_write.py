@@ -77,7 +77,7 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
         ("mcap", {"t_s": [-1.0, 0.0]}, "before zero; t_s reaches -1.0 s"),
     ],
 )
-def test_what_no_file_can_hold_is_refused_and_an_old_one_kept(
+def test_unwritable_tables_leave_old_files(
     tmp_path, old, suffix, columns, message
 ):
     path = tmp_path / f"t.{suffix}"
@@ -89,7 +89,7 @@ def test_what_no_file_can_hold_is_refused_and_an_old_one_kept(
     assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == before
 
 
-def test_a_write_that_fails_half_way_leaves_the_old_file(tmp_path, monkeypatch):
+def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "t.csv"
     write_table(path, {"old": [1.0]})
 
@@ -124,7 +124,7 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
 
 
 @pytest.mark.parametrize(("suffix", "most_held_back"), [("csv", 0), ("mcap", 1500)])
-def test_a_live_table_shows_its_rows_and_keeps_them(tmp_path, suffix, most_held_back):
+def test_a_live_table_shows_and_keeps_rows(tmp_path, suffix, most_held_back):
     path = tmp_path / f"t.{suffix}"
     t_s = np.arange(6000) / 1000.0
     write_table(path, {"t_s": [1.0], "old": [1.0]})
@@ -229,7 +229,7 @@ def test_metadata_and_definitions_are_there(path):
     assert state.name == ["joint_1", "joint_2"]
 
 
-def test_an_existing_bag_is_replaced_only_by_a_whole_one(path):
+def test_an_existing_bag_is_replaced_only_whole(path):
     write_table(path, estimate_columns(5))
     with open_table(path) as table:
         table.append(estimate_columns(20))

@@ -112,7 +112,7 @@ def viewer():
     page.stop()
 
 
-def test_a_ring_hands_over_rows_and_skips_what_was_overwritten():
+def test_a_ring_returns_rows_not_yet_overwritten():
     with StateRing(7) as ring:
         reader = StateRing(7, ring.name)
         count, rows = reader.since(0)
@@ -132,7 +132,7 @@ def test_a_ring_hands_over_rows_and_skips_what_was_overwritten():
         reader.close()
 
 
-def test_marks_are_where_and_when_ruptures_were_and_vanish_when_time_goes_back(viewer):
+def test_marks_show_ruptures_up_to_the_time_shown(viewer):
     rows = insertion()
     for part in np.array_split(rows, 7):
         viewer.append(part)
@@ -163,7 +163,7 @@ def test_before_the_tare_no_curve_is_shown(viewer):
         assert all(len(plot.data[0]) == points for plot in viewer._plots.values())
 
 
-def test_a_plan_names_layers_and_what_proved_false_is_taken_back(viewer):
+def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
     viewer.append(
         np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))])
     )
@@ -241,7 +241,7 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
         assert page.errors == []
 
 
-def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
+def test_a_loop_hands_rows_to_a_page_process():
     robot = load_lwr(payload=NeedleTool())
     wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
     found = SimpleNamespace(
@@ -266,9 +266,7 @@ def test_beside_a_loop_the_page_is_a_process_that_costs_it_next_to_nothing():
 
 
 @needs_chromium
-def test_a_recording_becomes_one_page_that_needs_nothing_else(
-    tmp_path, monkeypatch, capsys
-):
+def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
     from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
     from tests.needleforce.scene.scene_page import open_page
@@ -339,7 +337,7 @@ def test_a_recording_becomes_one_page_that_needs_nothing_else(
         (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
     ],
 )
-def test_a_recording_that_cannot_be_tared_is_said_so(
+def test_a_recording_without_tare_is_reported(
     joints, torque, options, code, why, tmp_path, monkeypatch, capsys
 ):
     from needleforce.cli.logs.simulated_log import signal_table
@@ -362,7 +360,7 @@ def test_a_recording_that_cannot_be_tared_is_said_so(
     assert "ignore_contact" not in warned
 
 
-def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
+def test_viewed_joints_are_found_by_name(tmp_path):
     from needleforce.cli.logs.session_view import replay_session
     from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
@@ -387,7 +385,7 @@ def test_the_joints_of_a_bag_are_found_by_their_names(tmp_path):
     assert np.array_equal(one, other, equal_nan=True)
 
 
-def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
+def test_an_arm_is_watched_with_its_scene(monkeypatch, capsys):
     monkeypatch.setattr(
         "needleforce.cli.arms.arm_connection.simulate", lambda *_, **__: short_run()
     )
@@ -410,7 +408,7 @@ def test_an_arm_is_watched_with_the_scene_beside_it(monkeypatch, capsys):
     assert "http://127.0.0.1:8261 shows the scene" in warned
 
 
-def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
+def test_an_unreadable_plan_is_reported(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,q_1\n0,0\n")
     assert main(["view", "a.csv", "--anatomy", str(tmp_path)]) == 2
     said = capsys.readouterr().err
@@ -418,7 +416,7 @@ def test_a_plan_that_cannot_be_read_is_said_so(tmp_path, capsys):
     assert "docs/scene.md" in said
 
 
-def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
+def test_joints_the_robot_lacks_stay_locked():
     page = Viewer(
         load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda"))
     )
@@ -442,7 +440,7 @@ def test_joints_that_the_robot_lacks_stay_where_they_are_locked():
         (["--host", "::1", "--port", "70000"], "::1, port 70000"),
     ],
 )
-def test_where_nothing_can_listen_is_said_in_one_line(options, why, tmp_path, capsys):
+def test_an_impossible_address_is_reported_in_one_line(options, why, tmp_path, capsys):
     assert main(["view", str(tmp_path / "none.csv"), *options]) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert re.search(why, said)
@@ -456,7 +454,7 @@ def test_where_nothing_can_listen_is_said_in_one_line(options, why, tmp_path, ca
         ("no/page.html", "there is no folder no"),
     ],
 )
-def test_a_page_that_would_harm_the_log_or_has_no_place_is_refused_before_the_work(
+def test_a_harmful_or_impossible_export_is_refused_early(
     export, why, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -467,9 +465,7 @@ def test_a_page_that_would_harm_the_log_or_has_no_place_is_refused_before_the_wo
     assert Path("log.csv").read_text() == "no log"
 
 
-def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(
-    viewer, tmp_path, monkeypatch
-):
+def test_a_failing_export_leaves_the_older_page(viewer, tmp_path, monkeypatch):
     def full(_handle):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -482,7 +478,7 @@ def test_a_page_that_cannot_be_written_whole_leaves_the_older_one(
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
 
 
-def test_a_page_beside_a_loop_that_cannot_be_opened_is_said_so():
+def test_a_page_that_cannot_open_is_reported():
     robot = load_lwr()
     with pytest.raises(SceneError, match="port 70000"):
         open_viewer(robot, port=70000)
@@ -520,7 +516,7 @@ def tick(time_s, force_N=1.0, rupture=None):
     )
 
 
-def test_3d_slicer_is_not_left_alone_when_time_begins_anew(monkeypatch):
+def test_slicer_is_updated_when_time_restarts(monkeypatch):
     pytest.importorskip("pyigtl")
     sent = []
     with SlicerOutput(18978) as output:
