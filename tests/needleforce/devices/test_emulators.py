@@ -38,6 +38,7 @@ def test_stopping_an_ended_emulator_returns_its_counts():
     with controller(10) as emulator:
         for process in multiprocessing.active_children():
             process.join()
+
         assert emulator.stop()["cycles"] == 10
 
 
@@ -45,6 +46,7 @@ def test_recorded_samples_end_when_the_arm_is_closed():
     with ReplayArm(np.full(9, 1e-3), np.zeros((9, 7)), None, np.zeros((9, 7))) as arm:
         samples = iter(arm)
         next(samples)
+
     assert (list(samples), arm.report.used) == ([], 1)
 
 
@@ -84,6 +86,7 @@ def test_haptic_silence_is_one_outage(silence, monkeypatch):
     def recv(timeout):
         if waiting:
             return waiting.pop()
+
         raise silence
 
     link = SimpleNamespace(recv=recv, send=sent.append, close=lambda: None)
@@ -95,7 +98,9 @@ def test_haptic_silence_is_one_outage(silence, monkeypatch):
             now_s = 1e-3 * cycle
             if cycle % 10 == 0 and not (1000 < cycle < 3000 or 4000 < cycle < 4500):
                 waiting.append(json.dumps({"inverse3": [device]}))
+
             master.read()
+
     report = master.report
     assert (report.outages, report.longest_gap_s) == (2, pytest.approx(2.0))
     assert len(sent) > report.used + 20  # asked again every 0.1 s

@@ -8,6 +8,7 @@ import threading
 import time
 from functools import partial
 from http.client import IncompleteRead
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from needleforce.devices import (
     DeviceSettingError,
     FriArm,
     LinkError,
+    LinkReport,
     NetFT,
     ReplayArm,
     Scale,
@@ -37,11 +39,18 @@ PATIENCE_S = 20.0
 """On a busy machine things take longer; nothing here is a measurement of speed."""
 
 
+class FriRun(NamedTuple):
+    """Readings of an arm, its report, and what the emulated controller has counted."""
+
+    readings: list
+    report: LinkReport
+    counts: dict
+
+
 def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
-    """Samples, the arm and the counts of an emulated, patient controller that sends
-    so many."""
+    """Run an arm against an emulated, patient controller of so many cycles."""
     arm = FriArm(port=0, wait_s=0.05, give_up_s=give_up_s)
-    wanted = FriSettings(
+    controller = FriSettings(
         port=arm.address[1],
         q_rad=ROWS,
         tau_Nm=2.0 * ROWS,
@@ -50,13 +59,14 @@ def fri_run(cycles, faults=None, *, send=None, give_up_s=1.0, **settings):
         faults=faults or WireFaults(),
         **settings,
     )
-    found = []
-    with arm, Emulator(emulate_fri, wanted) as emulator:
-        for sample in arm:
-            found.append(sample)
+    readings = []
+    with arm, Emulator(emulate_fri, controller) as emulator:
+        for reading in arm:
+            readings.append(reading)
             if send is not None:
                 arm.send(send)
-        return found, arm, emulator.counts()
+
+        return FriRun(readings, arm.report, emulator.counts())
 
 
 def measurement(**values):
@@ -69,53 +79,59 @@ def measurement(**values):
     } | values
     for name, value in fields.items():
         packet[name] = value
+
     return packet.tobytes()
 
 
 def test_every_lwr_cycle_is_answered_and_passed_on():
-    found, arm, counts = fri_run(1000)
-    assert len(found) == 1000 == arm.report.used
-    assert counts["same_cycle"] == 1000
-    assert [sample.dt_s for sample in found[:3]] == [1e-3] * 3
-    assert np.array_equal(found[42].q_rad, ROWS[42])
-    assert np.array_equal(found[42].tau_Nm, 2.0 * ROWS[42])
-    assert found[42].dq_rad_s is None
+    run = fri_run(1000)
+    assert len(run.readings) == 1000 == run.report.used
+    assert run.counts["same_cycle"] == 1000
+    assert [reading.dt_s for reading in run.readings[:3]] == [1e-3] * 3
+    reading = run.readings[42]
+    assert np.array_equal(reading.q_rad, ROWS[42])
+    assert np.array_equal(reading.tau_Nm, 2.0 * ROWS[42])
+    assert reading.dq_rad_s is None
 
 
 def test_invalid_packets_are_dropped_missed_ones_counted():
     faults = WireFaults(
         lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05
     )
-    found, arm, _ = fri_run(2000, faults)
-    assert all(np.array_equal(sample.tau_Nm, 2.0 * sample.q_rad) for sample in found)
-    report = arm.report
+    run = fri_run(2000, faults)
+    assert all(
+        np.array_equal(reading.tau_Nm, 2.0 * reading.q_rad) for reading in run.readings
+    )
+    report = run.report
     assert report.malformed > 50
     assert report.stale > 20
     assert report.missed > 30
-    assert report.used + report.missed == round(
-        sum(sample.dt_s for sample in found) / 1e-3
-    )
-    assert sum(sample.missed for sample in found) == report.missed
+    elapsed_s = sum(reading.dt_s for reading in run.readings)
+    assert report.used + report.missed == round(elapsed_s / 1e-3)
+    assert sum(reading.missed for reading in run.readings) == report.missed
 
 
 def test_readings_after_an_outage_include_its_duration():
-    found, arm, _ = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
-    gap = max(found, key=lambda sample: sample.dt_s)
+    run = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
+    gap = max(run.readings, key=lambda reading: reading.dt_s)
     assert 1.99 < gap.dt_s < 3.9  # longer only on a busy machine
     assert gap.missed == round(gap.dt_s / 1e-3) - 1
-    assert arm.report.outages == 2  # the second is the end
-    assert len(found) == pytest.approx(500, abs=10)
+    assert run.report.outages == 2  # the second is the end
+    assert len(run.readings) == pytest.approx(500, abs=10)
 
 
 def test_commands_need_command_mode_and_good_connection():
     faults = WireFaults(bad_quality=((0.6, 0.8),))
-    found, _, counts = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
-    accepted = np.array([sample.accepts_commands for sample in found])
-    assert not accepted[:190].any()
-    assert accepted[220:580].all()
-    assert not accepted[620:790].any()
-    moved = counts["commanded_rad"] - ROWS[0]
-    assert np.allclose(moved, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
+    run = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
+    accepted = np.array([reading.accepts_commands for reading in run.readings])
+    in_monitor_mode = slice(0, 190)
+    while_commanded = slice(220, 580)
+    while_badly_connected = slice(620, 790)
+    assert not accepted[in_monitor_mode].any()
+    assert accepted[while_commanded].all()
+    assert not accepted[while_badly_connected].any()
+    moved_rad = run.counts["commanded_rad"] - ROWS[0]
+    assert np.allclose(moved_rad, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
 
 
 @pytest.mark.parametrize("command", ["record", "live"])
@@ -152,6 +168,7 @@ def test_invalid_datagrams_count_as_silence():
         is_over.set()
         flooding.join()
         assert 0.3 <= time.monotonic() - begin_s < 0.3 + PATIENCE_S
+
     assert min(arm.report.malformed, arm.report.stale) > 3
 
 
@@ -182,24 +199,25 @@ def test_no_more_time_is_reported_than_passed(
 ):
     real = time.monotonic
     ahead_s = 0.0
-    for module in (
-        fri,
-        datagram_link,
-    ):  # a slow clock, which advances where the test says so
+    # A slow clock, which advances where the test says so.
+    for module in (fri, datagram_link):
         monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
+
     arm = FriArm(port=0, wait_s=1e-3, give_up_s=1e-3 * PATIENCE_S)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
         box.sendto(measurement(count=count), arm.address)
-        samples = iter(arm)
-        found = []
-        next(samples)
+        arriving = iter(arm)
+        readings = []
+        next(arriving)
         ahead_s = passed_s
         for counts in (waiting, [then]):
-            for each in counts:
-                box.sendto(measurement(count=each), arm.address)
-            found += [next(samples) for _ in counts]
-    assert [sample.dt_s for sample in found] == pytest.approx(steps_s)
-    assert arm.report.missed == round((sum(steps_s) - 1e-3 * len(found)) / 1e-3)
+            for number in counts:
+                box.sendto(measurement(count=number), arm.address)
+
+            readings += [next(arriving) for _ in counts]
+
+    assert [sample.dt_s for sample in readings] == pytest.approx(steps_s)
+    assert arm.report.missed == round((sum(steps_s) - 1e-3 * len(readings)) / 1e-3)
 
 
 def test_commands_that_cannot_be_are_refused():
@@ -233,47 +251,56 @@ def test_random_datagrams_do_no_harm():
     assert fri.read_measurement(measurement()) is not None
     for _ in range(100_000):
         size = 916 if rng.random() < 0.5 else int(rng.integers(1501))
-        found = fri.read_measurement(rng.bytes(size))
-        assert found is None or np.isfinite(found["position_rad"]).all()
+        record = fri.read_measurement(rng.bytes(size))
+        assert record is None or np.isfinite(record["position_rad"]).all()
 
 
 def test_another_sender_is_not_listened_to():
     arm = FriArm(port=0, wait_s=0.05, give_up_s=0.1)
     with (
         arm,
-        socket.socket(type=socket.SOCK_DGRAM) as one,
-        socket.socket(type=socket.SOCK_DGRAM) as other,
+        socket.socket(type=socket.SOCK_DGRAM) as box,
+        socket.socket(type=socket.SOCK_DGRAM) as stranger,
     ):
         for count in range(3):
-            one.sendto(measurement(count=count), arm.address)
-            other.sendto(measurement(count=100 + count), arm.address)
-        found = list(arm)
-    assert len(found) == 3
+            box.sendto(measurement(count=count), arm.address)
+            stranger.sendto(measurement(count=100 + count), arm.address)
+
+        readings = list(arm)
+
+    assert len(readings) == 3
     assert arm.report.foreign == 3
     for peer, used in (("127.0.0.2", 0), ("127.1", 1)):
         named = FriArm(port=0, peer=peer, wait_s=0.05, give_up_s=0.1)
-        with named, socket.socket(type=socket.SOCK_DGRAM) as one:
-            one.sendto(measurement(), named.address)
+        with named, socket.socket(type=socket.SOCK_DGRAM) as box:
+            box.sendto(measurement(), named.address)
             assert len(list(named)) == used == 1 - named.report.foreign
 
 
 def test_an_address_that_cannot_be_is_said_so():
     with FriArm(port=0) as arm, pytest.raises(LinkError, match="another program"):
         FriArm(port=arm.address[1])
+
     with pytest.raises(DeviceSettingError, match="expected 0 to 65535"):
         FriArm(port=70000)
+
     with pytest.raises(DeviceSettingError, match="wait_s"):
         FriArm(port=0, wait_s=2.0, give_up_s=1.0)
+
     with pytest.raises(LinkError, match="is it the sensor"):
         NetFT(scale="http://127.0.0.1:9/none.xml")
+
     for name in ("no-such-host.invalid", "a" * 70):
         with pytest.raises(LinkError, match="no name that is known here"):
             NetFT(name)
+
         with pytest.raises(LinkError, match="no name that is known here"):
             FriArm(port=0, peer=name)
+
     for scale in (Scale(0.0, 1.0), (1,), (1, 2, 3)):
         with pytest.raises(DeviceSettingError, match="positive counts"):
             NetFT(scale=scale)
+
     for port in (-5, 0, 70000):
         with pytest.raises(DeviceSettingError, match="expected 1 to 65535"):
             NetFT(port=port, scale=Scale(1.0, 1.0))
@@ -294,30 +321,32 @@ def test_every_force_record_comes_in_newtons(buffered):
         ft = NetFT(port=box.ready["port"], scale=box.ready["page"], buffered=buffered)
         with ft:
             assert ft.scale == (500_000.0, 2e6)
-            found = []
+            wrenches = []
             end_s = time.monotonic() + PATIENCE_S
             stream = ft.stream()
             for wrench in stream:
-                found.append(wrench)
-                if len(found) == 3000:
+                wrenches.append(wrench)
+                if len(wrenches) == 3000:
                     time.sleep(0.06)  # more records than fit by default
-                if len(found) > 6000 or time.monotonic() > end_s:
+                if len(wrenches) > 6000 or time.monotonic() > end_s:
                     break
+
             ft.bias()
-            zero = found[-1]
+            zero = wrenches[-1]
             assert np.allclose(
-                next(stream), WRENCH[len(found) % 5000] - zero, atol=3e-6
+                next(stream), WRENCH[len(wrenches) % 5000] - zero, atol=3e-6
             )
             ft.unbias()
+
     assert ft.report.missed == 0
-    assert len(found) > 6000
-    assert np.allclose(found, WRENCH[np.arange(len(found)) % 5000], atol=2e-6)
+    assert len(wrenches) > 6000
+    assert np.allclose(wrenches, WRENCH[np.arange(len(wrenches)) % 5000], atol=2e-6)
 
 
 def test_lost_force_records_are_counted():
     faults = WireFaults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
-    most_N = np.abs(WRENCH).max() + 1e-6
-    found = []
+    max_N = np.abs(WRENCH).max() + 1e-6
+    wrenches = []
     with (
         Emulator(emulate_rdt, RdtSettings(wrench=WRENCH, faults=faults)) as box,
         NetFT(port=box.ready["port"], scale=Scale(1e6, 1e6)) as ft,
@@ -325,9 +354,12 @@ def test_lost_force_records_are_counted():
         end_s = time.monotonic() + PATIENCE_S
         while ft.report.used <= 5000 and time.monotonic() < end_s:
             time.sleep(1e-3)
-            found.append(ft.read())
+            wrenches.append(ft.read())
+
     report = ft.report
-    assert all(np.abs(wrench).max() <= most_N for wrench in found if wrench is not None)
+    assert all(
+        np.abs(wrench).max() <= max_N for wrench in wrenches if wrench is not None
+    )
     assert report.used > 5000
     assert report.missed == pytest.approx(0.02 * (report.used + report.missed), rel=0.5)
     assert report.malformed > 20
@@ -363,6 +395,7 @@ def test_counts_per_other_units_are_refused(force, torque, why, monkeypatch):
     if why is None:
         assert rdt.read_scale("http://127.0.0.1/") == (1000.0, 2000.0)
         return
+
     with pytest.raises(LinkError, match=why):
         rdt.read_scale("http://127.0.0.1/")
 
@@ -377,6 +410,7 @@ def test_a_faulty_force_sensor_gives_no_force():
                 record["count"] = count
                 record["status"] = status
                 box.sendto(record.tobytes(), asked_from)
+
             time.sleep(0.05)
             assert ft.read() is not None
             assert (ft.report.used, ft.report.malformed) == (2, 1)
@@ -392,6 +426,7 @@ def received(*datagrams):
                 records = np.zeros(len(counts), rdt.RECORD)
                 records["count"] = counts
                 box.sendto(records.tobytes(), asked_from)
+
             time.sleep(0.05)
             assert ft.read() is not None
             return ft.report
@@ -409,9 +444,9 @@ def test_a_restarted_count_needs_many_records_in_sequence(first, anew):
 
 
 def test_repeated_and_late_buffered_datagrams_are_unused():
-    one, two, three, four = (range(k, k + 40) for k in (0, 40, 80, 120))
-    assert received(one, two, two, three).used == 120
-    late = received(one, three, two, four)
+    first, second, third, fourth = (range(k, k + 40) for k in (0, 40, 80, 120))
+    assert received(first, second, second, third).used == 120
+    late = received(first, third, second, fourth)
     assert (late.used, late.stale, late.missed) == (120, 40, 40)
 
 
@@ -433,7 +468,9 @@ def test_a_haptic_device_moves_and_is_felt():
                     master.render([0.0, 0.0, -100.0])  # shortened to 2 N
                 else:
                     time.sleep(2e-4)
+
         counts = service.stop()
+
     assert len(places) > 1000
     # A hand of 300 N/m at 20 mm against 2 N; it swings at 2 Hz.
     assert np.mean(places[-480:]) == pytest.approx(0.02 - 2.0 / 300.0, abs=2e-3)
@@ -459,6 +496,7 @@ def test_malformed_haptic_states_are_counted():
     def talk(link):
         for text in (*bad, json.dumps(good | grip)):
             link.send(text)
+
         time.sleep(0.2)
 
     with server.serve(talk, LOOPBACK, 0) as service:
@@ -471,7 +509,9 @@ def test_malformed_haptic_states_are_counted():
             while sample is None and time.monotonic() < end_s:
                 time.sleep(0.01)
                 sample = master.read()
+
         service.shutdown()
+
     assert sample is not None
     assert not sample.clutch
     assert sample.position_m.tolist() == [0.0, 0.0, 1.0]

@@ -25,13 +25,14 @@ def test_a_signal_ends_recording_also_in_silence(
 ):
     path = tmp_path / "x.mcap"
     arm = FriArm(port=0, give_up_s=PATIENCE_S)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    old_handler = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def ask():
         with socket.socket(type=socket.SOCK_DGRAM) as box:
             for count in range(1, 701 if sends else 1):
                 box.sendto(measurement(count=count), arm.address)
                 time.sleep(1e-3)
+
         time.sleep(0.5)
         signal.pthread_kill(threading.main_thread().ident, number)
 
@@ -41,7 +42,7 @@ def test_a_signal_ends_recording_also_in_silence(
     )
     code = main(["record", "fri:0", "-o", str(path)])
     asking.join()
-    signal.signal(signal.SIGINT, before)
+    signal.signal(signal.SIGINT, old_handler)
     assert code == (0 if sends else 2)
     assert (
         f" s in {path}" if sends else "error: no sample came from"
@@ -57,6 +58,7 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
         for process in multiprocessing.active_children():
             process.kill()
             process.join()
+
         yield from [SAMPLE] * 100
 
     recorder = Recorder(tmp_path / "x.csv", ("a",) * 7)
@@ -67,6 +69,7 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
         recorder,
     ):
         collections.deque(map(recorder.put, samples()))
+
     assert recorder.rows == 50
 
 
@@ -76,12 +79,14 @@ def test_a_recorder_refuses_signals_that_come_and_go(tmp_path):
     recorder = Recorder(path, ("a",) * 7)
     with pytest.raises(CommandError, match="expected the same"), recorder:
         collections.deque(map(recorder.put, samples))
+
     assert len(read_log(path)) == recorder.rows == 70
 
 
 def test_a_recorder_that_cannot_write_says_why(tmp_path):
     with pytest.raises(FileAccessError, match="no known suffix"):
         Recorder(tmp_path / "x.txt", ())
+
     recorder = Recorder(tmp_path / "x.csv", ())
     (tmp_path / "x.csv").mkdir()
     with pytest.raises(FileAccessError, match=r"cannot write .*x\.csv"), recorder:

@@ -31,13 +31,14 @@ def rows(joints, rate_hz, **settings):
     return ArmSettings(q_rad=q, dq_rad_s=dq, effort=effort, rate_hz=rate_hz, **settings)
 
 
-def taken(arm, count):
-    found = []
-    for sample in arm:
-        found.append(sample)
-        if len(found) == count:
-            return found
-    return found
+def take_readings(arm, count):
+    readings = []
+    for reading in arm:
+        readings.append(reading)
+        if len(readings) == count:
+            return readings
+
+    return readings
 
 
 @pytest.fixture(autouse=True)
@@ -53,23 +54,28 @@ def test_a_franka_arm_is_read_bit_for_bit():
     pytest.importorskip("panda_py")
     settings = rows(7, 1000.0)
     with Emulator(emulate_franka, settings) as emulator, FrankaArm() as arm:
-        found = taken(arm, 1000)
+        readings = take_readings(arm, 1000)
         assert emulator.stop()["sent"] >= 1000
-    assert len(found) == 1000
+
+    assert len(readings) == 1000
     first = next(
-        k for k in range(1000) if np.array_equal(settings.q_rad[k], found[0].q_rad)
+        k for k in range(1000) if np.array_equal(settings.q_rad[k], readings[0].q_rad)
     )
     at = (
-        first + np.cumsum([sample.missed + 1 for sample in found]) - found[0].missed - 1
+        first
+        + np.cumsum([sample.missed + 1 for sample in readings])
+        - readings[0].missed
+        - 1
     )
-    for name, wanted in (
+    for name, signal in (
         ("q_rad", settings.q_rad),
         ("dq_rad_s", settings.dq_rad_s),
         ("tau_Nm", settings.effort),
     ):
         assert np.array_equal(
-            [getattr(sample, name) for sample in found], wanted[at % 1000]
+            [getattr(sample, name) for sample in readings], signal[at % 1000]
         )
+
     assert not arm.send(np.zeros(7))
 
 
@@ -79,14 +85,17 @@ def test_currents_of_a_ur_arm_become_torques():
     constants = np.arange(1.0, 7.0)
     with Emulator(emulate_ur, settings) as emulator:
         with UrArm(torque_constant_Nm_A=constants) as arm:
-            found = taken(arm, 500)
+            readings = take_readings(arm, 500)
+
         assert emulator.stop()["sent"] >= 500
-    assert len(found) == 500
-    for sample in found[::50]:
-        row = np.flatnonzero((settings.q_rad == sample.q_rad).all(axis=1))
+
+    assert len(readings) == 500
+    for reading in readings[::50]:
+        row = np.flatnonzero((settings.q_rad == reading.q_rad).all(axis=1))
         assert row.size == 1
-        assert np.array_equal(sample.tau_Nm, constants * settings.effort[row[0]])
-    assert sum(sample.missed for sample in found) == arm.report.missed
+        assert np.array_equal(reading.tau_Nm, constants * settings.effort[row[0]])
+
+    assert sum(reading.missed for reading in readings) == arm.report.missed
 
 
 @pytest.mark.parametrize("has_constants", [True, False])
@@ -95,11 +104,14 @@ def test_a_ur_recording_has_currents_and_known_torques(has_constants, tmp_path, 
     settings = rows(6, 500.0)
     constants = np.arange(1.0, 7.0)
     path = tmp_path / "ur.npz"
-    given = ["--motor-constants", *map(str, constants)] if has_constants else []
+    constant_options = (
+        ["--motor-constants", *map(str, constants)] if has_constants else []
+    )
     with Emulator(emulate_ur, settings):
-        ur = ["ur:127.0.0.1", "--seconds", "0.4", *given]
+        ur = ["ur:127.0.0.1", "--seconds", "0.4", *constant_options]
         assert main(["record", *ur, "-o", str(path)]) == 0
         assert has_constants or main(["live", *ur]) == 2
+
     said = capsys.readouterr().err
     table = np.load(path)
     assert "'ur10e'; --robot or --urdf names another" in said
@@ -150,9 +162,9 @@ def test_nan_currents_are_counted_and_dropped(monkeypatch):
     library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
     monkeypatch.setattr(research_arms, "import_client", lambda *_: library)
     with UrArm() as arm:
-        found = list(arm)
-        assert (len(found), arm.report.malformed, found[1].missed) == (2, 1, 1)
-        assert np.isfinite([sample.current_A for sample in found]).all()
+        readings = list(arm)
+        assert (len(readings), arm.report.malformed, readings[1].missed) == (2, 1, 1)
+        assert np.isfinite([sample.current_A for sample in readings]).all()
 
 
 def test_an_absent_arm_is_reported():
@@ -160,8 +172,10 @@ def test_an_absent_arm_is_reported():
     pytest.importorskip("rtde_receive")
     with pytest.raises(LinkError, match="no Franka arm"):
         FrankaArm()
+
     with pytest.raises(LinkError, match="no UR arm"):
         UrArm()
+
     with pytest.raises(DeviceSettingError, match="six positive"):
         UrArm(torque_constant_Nm_A=[1.0])
 
@@ -171,5 +185,6 @@ def test_a_client_that_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "rtde_receive", None)
     with pytest.raises(MissingClientError, match="pip install panda-python"):
         FrankaArm()
+
     with pytest.raises(MissingClientError, match="pip install ur_rtde"):
         UrArm()

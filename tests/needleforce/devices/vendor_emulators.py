@@ -77,8 +77,11 @@ def _stream(
                 put(number)
             except OSError:
                 break
+
             sent += 1
+
         number += 1
+
     return sent
 
 
@@ -89,7 +92,9 @@ def _read(link: socket.socket, size: int) -> bytes:
         piece = link.recv(size - len(data))
         if not piece:
             raise ConnectionError
+
         data += piece
+
     return data
 
 
@@ -106,6 +111,7 @@ def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                 link, (host, _) = listener.accept()
             except TimeoutError:
                 continue
+
             with link:
                 _, number, size = FRANKA_HEADER.unpack(_read(link, FRANKA_HEADER.size))
                 version, port = struct.unpack_from(
@@ -123,6 +129,7 @@ def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                     ),
                     lambda link=link: pipe.poll() or _is_gone(link),
                 )
+
     return {"sent": sent}
 
 
@@ -146,6 +153,7 @@ def franka_state(number: int, settings: ArmSettings) -> bytes:
     }
     for name, array in rows.items():
         values[FRANKA_AT[name] :][:7] = array[row]
+
     values[:96] = np.tile(np.eye(4).ravel(), 6)  # six poses
     flags = bytes(2 + 2 * 41) + bytes([1])  # modes, errors, reasons of a reflex; idle
     return (
@@ -166,6 +174,7 @@ def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                 link, _ = listener.accept()
             except TimeoutError:
                 continue
+
             with link:
                 try:
                     names = _rtde_setup(link)
@@ -179,6 +188,7 @@ def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                     )
                 except ConnectionError:
                     continue
+
     return {"sent": sent}
 
 

@@ -71,13 +71,16 @@ def write_bag(folder, rows, *, storage="mcap", compression=None):
     bag = Writer(folder, version=8, storage_plugin=StoragePlugin[storage.upper()])
     if compression is not None:
         bag.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+
     connections = {}
     with bag:
         for topic, log_ns, content in rows:
             kind = content.__msgtype__
             if topic not in connections:
                 connections[topic] = bag.add_connection(topic, kind, typestore=TYPES)
+
             bag.write(connections[topic], log_ns, TYPES.serialize_cdr(content, kind))
+
     return Path(folder)
 
 
@@ -106,7 +109,7 @@ def data_file(folder):
 
 
 ASKED = {"required": ("q", "tau", "depth")}
-LONGEST_S = 20.0  # so long nothing comes before a test gives up
+MAX_WAIT_S = 20.0  # so long nothing comes before a test gives up
 HEADER = b"\x01" + pack("<QII", 8, 0, 0)
 END = b"\x0f" + pack("<QI", 4, 0)
 
@@ -120,6 +123,7 @@ def without_chunks(folder):
                 record.write(builder)
             if isinstance(record, DataEnd):
                 break
+
     return MAGIC + HEADER + builder.end() + END
 
 
@@ -130,7 +134,8 @@ def grow(path, pieces, pause_s=0.01, go_on=None):
 
     def write():
         if go_on is not None:
-            assert go_on.wait(LONGEST_S)
+            assert go_on.wait(MAX_WAIT_S)
+
         for piece in pieces[1:]:
             time.sleep(pause_s)
             with path.open("ab") as stream:
@@ -146,18 +151,18 @@ def in_pieces(data, count):
     return [data[a:b] for a, b in pairwise(cuts)]
 
 
-def followed(path, patience=None, mapping=None, **asked):
+def followed(path, options=None, mapping=None, **asked):
     """The log of a recording that is followed to its end."""
     request = ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED))
-    patience = patience or FollowOptions(follow=True, idle_s=LONGEST_S)
-    return LogStream(stream_tables(path, patience, request), request).joined()
+    options = options or FollowOptions(follow=True, idle_s=MAX_WAIT_S)
+    return LogStream(stream_tables(path, options, request), request).joined()
 
 
-def assert_same(found, log):
+def assert_same(other, log):
     """The rows and channels of two logs are equal, bit for bit."""
-    np.testing.assert_array_equal(found.t_s, log.t_s)
-    assert list(found.channels) == list(log.channels)
-    for key, values in found.channels.items():
+    np.testing.assert_array_equal(other.t_s, log.t_s)
+    assert list(other.channels) == list(log.channels)
+    for key, values in other.channels.items():
         np.testing.assert_array_equal(values, log[key])
 
 

@@ -50,6 +50,7 @@ def test_a_bag_without_numbers_or_messages_is_refused(tmp_path):
         FormatError, match=r"no topic with numbers: /log .*holds no numbers"
     ):
         read_log(write_bag(tmp_path / "bag", [("/log", 1, text("a"))]))
+
     with pytest.raises(FormatError, match="holds no messages"):
         read_log(write_bag(tmp_path / "empty", []))
 
@@ -65,8 +66,8 @@ def test_a_topic_is_read_by_its_own_definition(tmp_path):
     table = read_table(
         write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3")
     )
-    found = {name: values.tolist() for name, values in table.columns.items()}
-    assert found == {
+    columns = {name: values.tolist() for name, values in table.columns.items()}
+    assert columns == {
         "t_s": [5e-9],
         "/arm/tau_j": [[1.0, 2.0, 3.0]],
         "/arm/tip_xyz": [[4.0, 5.0, 6.0]],
@@ -79,13 +80,16 @@ def test_a_bag_split_into_files_is_one_log(tmp_path, is_split_by_topic):
     rows = [
         row for row in insertion_rows(3000) if row[0] in ("/joint_states", "/ft/wrench")
     ]
-    parts = [rows[::2], rows[1::2]] if is_split_by_topic else [rows[:2000], rows[2000:]]
+    groups = (
+        [rows[::2], rows[1::2]] if is_split_by_topic else [rows[:2000], rows[2000:]]
+    )
     whole = tmp_path / "whole"
     whole.mkdir()
-    for i, part in enumerate(parts):
-        data_file(write_bag(tmp_path / f"part_{i}", part)).rename(
+    for i, messages in enumerate(groups):
+        data_file(write_bag(tmp_path / f"part_{i}", messages)).rename(
             whole / f"whole_{9 + i}.mcap"
         )
+
     log = read_log(
         whole, mapped(force="/ft/wrench/force_xyz[2]"), required=["q", "force"]
     )
@@ -98,14 +102,18 @@ def test_what_is_no_bag_is_refused(tmp_path):
         (tmp_path / name).write_bytes(b"")
         with pytest.raises(FormatError, match=f"{name} is empty"):
             read_table(tmp_path / name)
+
         (tmp_path / name).write_text("no bag")
         with pytest.raises(FormatError, match="does not begin as one"):
             read_log(tmp_path / name)
+
         with pytest.raises(FileAccessError, match="cannot read"):
             read_log(tmp_path / f"no_{name}")
+
     (tmp_path / "folder").mkdir()
     with pytest.raises(FileAccessError, match="no known suffix"):
         read_log(tmp_path / "folder")
+
     (tmp_path / "folder.db3").mkdir()
     with pytest.raises(FormatError, match="is a folder without"):
         read_log(tmp_path / "folder.db3")
@@ -128,6 +136,7 @@ def test_gripper_messages_on_the_same_topic_are_ignored(tmp_path):
     for k in range(1, 6):
         rows.append(("/j", k, joint_state(10 * k, "ab", [k, k])))
         rows.append(("/j", k, joint_state(10 * k + 5, ["finger"], [0.5])))
+
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["a", "b"])
     np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(1.0, 6.0))
     assert "/j: messages without any of the joints, left out: 5" in log.warnings
@@ -174,6 +183,7 @@ def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
     for joints in ([], ["a", "x"]):
         with pytest.raises(ColumnError, match=several):
             read_log(folder, joints=joints, **asked)
+
     # A channel that is mapped decides for those that are not.
     log = read_log(folder, mapped(q="/hand/position"), **asked)
     assert log["tau_Nm"][:, 0].tolist() == [3.0, 6.0, 9.0]
@@ -184,10 +194,11 @@ def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
 def test_noise_is_refused_or_gives_numbers(data):
     decoder = TopicDecoder(BagTopic("/j", "sensor_msgs/msg/JointState", "cdr"))
     try:
-        found = decoder.decode(b"\0\1\0\0" + data)
+        content = decoder.decode(b"\0\1\0\0" + data)
     except FormatError:
         return
-    assert all(len(values) for values in found.values.values())
+
+    assert all(len(values) for values in content.values.values())
 
 
 def test_columns_are_called_by_topic_and_field():

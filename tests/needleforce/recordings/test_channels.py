@@ -162,7 +162,8 @@ def test_columns_are_found_by_their_usual_names(names, channel, columns):
         (
             ["axial_std_N", "force_std_N"],
             "force_std",
-            r"\(axial_std_N, force_std_N\); say which one under force_std in the mapping",
+            r"\(axial_std_N, force_std_N\); "
+            "say which one under force_std in the mapping",
         ),
         (
             ["tau_ext", "external_torque"],
@@ -269,6 +270,7 @@ def test_toml_gives_columns_units_scales_and_rate(tmp_path):
 def test_a_wrong_toml_error_names_the_file(tmp_path, text, message):
     with pytest.raises(MappingError, match=message) as caught:
         from_toml(tmp_path, text)
+
     assert "mapping.toml" in str(caught.value)
 
 
@@ -298,7 +300,10 @@ def test_a_suggested_mapping_reads_the_same_log(tmp_path, suffix):
     write_table(path, {"t_s": np.arange(50) / 1000, **columns})
     mapping = from_toml(tmp_path, suggest_mapping(path, JOINTS))
     assert set(mapping.channels) >= set(JOINTS)
-    plain, same = (read_log(path, given, required=JOINTS) for given in (None, mapping))
+    plain, same = (
+        read_log(path, known_mapping, required=JOINTS)
+        for known_mapping in (None, mapping)
+    )
     np.testing.assert_array_equal(plain.t_s, same.t_s)
     for name in plain.channels:
         np.testing.assert_array_equal(plain[name], same[name])
@@ -321,11 +326,11 @@ def test_a_suggested_mapping_lists_the_bags_topics(tmp_path):
     assert "# columns = " in text.split("# [dq]")[1]
     topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
     assert f"#   /joint_states: {topic}" in text.splitlines()
-    kept = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
+    known = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
     text = suggest_mapping(
-        folder, JOINTS, mapping=ColumnMapping(**kept), joints=("a", "b", "c")
+        folder, JOINTS, mapping=ColumnMapping(**known), joints=("a", "b", "c")
     )
-    assert tomllib.loads(text).items() >= kept.items()
+    assert tomllib.loads(text).items() >= known.items()
     text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
     assert "# The robot calls them: x, y, z" in text.splitlines()
 
@@ -344,6 +349,7 @@ def test_a_suggested_mapping_keeps_units_and_known_columns(tmp_path):
     assert 'unit = "N"  # assumed; of N, mN, kN, lbf' in text.splitlines()
     with pytest.raises(FileAccessError, match="cannot read the mapping"):
         load_mapping(tmp_path / "none.toml")
+
     for name in ("no.mcap", "no.csv"):
         with pytest.raises(FileAccessError, match="cannot read"):
             suggest_mapping(tmp_path / name, JOINTS)

@@ -3,6 +3,7 @@
 import shutil
 import sqlite3
 from contextlib import closing
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -38,40 +39,59 @@ KINDS = {
 MCAP = ("mcap", "zstd")
 
 
+class ReadBag(NamedTuple):
+    """Messages of a bag, each as topic and time of recording, and faults."""
+
+    messages: list
+    faults: list
+
+
+class BagSample(NamedTuple):
+    """A bag of one file: its name, its bytes, and its messages."""
+
+    name: str
+    data: bytes
+    messages: list
+
+
 def messages_in(path):
     faults = []
-    found = [(m.topic.name, m.log_ns) for m in read_messages(path, faults, MAX_BYTES)]
-    return found, faults
+    messages = [
+        (message.topic.name, message.log_ns)
+        for message in read_messages(path, faults, MAX_BYTES)
+    ]
+    return ReadBag(messages, faults)
 
 
 @pytest.fixture(scope="module")
 def bags(tmp_path_factory):
-    """One of each kind, of several chunks or pages: name and bytes of its file, its
-    messages."""
+    """One of each kind, of several chunks or pages."""
     folder = tmp_path_factory.mktemp("bags")
-    made = {}
+    samples = {}
     for kind, (storage, compression) in KINDS.items():
         rows = insertion_rows(COUNT)
         path = data_file(
             write_bag(folder / kind, rows, storage=storage, compression=compression)
         )
-        found, faults = messages_in(path)
-        assert faults == []
-        assert len(found) == 2 * COUNT + COUNT // 5
-        made[kind] = path.name, path.read_bytes(), found
-    return made
+        bag = messages_in(path)
+        assert bag.faults == []
+        assert len(bag.messages) == 2 * COUNT + COUNT // 5
+        samples[kind] = BagSample(path.name, path.read_bytes(), bag.messages)
+
+    return samples
 
 
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("fraction", [0.0002, 0.2, 0.5, 0.95])
 def test_messages_before_the_cut_are_nearly_all_read(tmp_path, bags, kind, fraction):
-    name, data, whole = bags[kind]
-    (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
-    found, faults = messages_in(tmp_path / name)
+    sample = bags[kind]
+    path = tmp_path / sample.name
+    path.write_bytes(sample.data[: int(fraction * len(sample.data))])
+    bag = messages_in(path)
     # In a compressed chunk the last block of 128 KiB cannot be unpacked in part.
     slack = 0.15 if kind == "zstd" else 0.03
-    assert len(found) >= (fraction - slack) * len(whole)
-    assert faults == [f"{name} is cut short"]
+    assert len(bag.messages) >= (fraction - slack) * len(sample.messages)
+    assert bag.faults == [f"{sample.name} is cut short"]
 
 
 def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
@@ -79,15 +99,16 @@ def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
     writer = sqlite3.connect(data_file(folder))
     writer.execute("PRAGMA journal_mode=WAL")
     writer.execute(
-        "INSERT INTO messages SELECT 1000, topic_id, timestamp, data FROM messages LIMIT 1"
+        "INSERT INTO messages "
+        "SELECT 1000, topic_id, timestamp, data FROM messages LIMIT 1"
     )
     writer.commit()
     shutil.copytree(folder, tmp_path / "killed")
     writer.close()
-    found, faults = messages_in(tmp_path / "killed")
-    assert len(found) == 44
-    assert "bag.db3-wal that are not read" in faults[0]
-    assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in faults[0]
+    bag = messages_in(tmp_path / "killed")
+    assert len(bag.messages) == 44
+    assert "bag.db3-wal that are not read" in bag.faults[0]
+    assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in bag.faults[0]
 
 
 @settings(max_examples=30)
@@ -100,36 +121,42 @@ def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
 def test_damaged_bytes_are_read_or_cleanly_refused(
     tmp_path_factory, bags, kind, where, mask, width
 ):
-    name, data, _ = bags[kind]
+    sample = bags[kind]
+    data = sample.data
     start = int(where * len(data))
     damaged = bytes(byte ^ mask for byte in data[start : start + width])
-    path = tmp_path_factory.mktemp("damaged") / name
+    path = tmp_path_factory.mktemp("damaged") / sample.name
     path.write_bytes(data[:start] + damaged + data[start + width :])
     try:
         table = read_table(path)
     except RecordingError:
         return
+
     assert np.isfinite(table.columns["t_s"]).all()
 
 
 def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
-    name, data, _ = bags["zstd"]
-    (tmp_path / name).write_bytes(data.replace(b"zstd", b"lzma", 1))
+    sample = bags["zstd"]
+    path = tmp_path / sample.name
+    path.write_bytes(sample.data.replace(b"zstd", b"lzma", 1))
     with pytest.raises(
         FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"
     ):
-        read_table(tmp_path / name)
+        read_table(path)
 
 
 @pytest.mark.parametrize("kind", MCAP)
 @pytest.mark.parametrize("fraction", [0.1, 0.4, 0.7, 0.9])
 def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, fraction):
-    name, data, whole = bags[kind]
-    at = int(fraction * len(data))
-    (tmp_path / name).write_bytes(data[:at] + data[at + 1 :])
-    found, faults = messages_in(tmp_path / name)
-    assert found == whole[: len(found)] or len(found) < len(whole)
-    assert f"{name} is damaged at byte" in faults[-1]
+    sample = bags[kind]
+    place = int(fraction * len(sample.data))
+    path = tmp_path / sample.name
+    path.write_bytes(sample.data[:place] + sample.data[place + 1 :])
+    bag = messages_in(path)
+    count = len(bag.messages)
+    is_beginning = bag.messages == sample.messages[:count]
+    assert is_beginning or count < len(sample.messages)
+    assert f"{sample.name} is damaged at byte" in bag.faults[-1]
 
 
 @pytest.mark.parametrize("place", [0, 1, 30])
@@ -167,6 +194,7 @@ def test_compressed_bags_are_refused_with_advice(tmp_path):
         FormatError, match=r"is compressed message by message; .*ros2 bag convert"
     ):
         read_log(tmp_path / "m")
+
     write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
     with pytest.raises(FormatError, match=r"\.zstd must be unpacked: zstd -d"):
         read_log(tmp_path / "f.db3")
@@ -219,7 +247,8 @@ def test_a_cut_sqlite_bag_error_advises_recovery(tmp_path, bags, fraction):
         "UPDATE messages SET timestamp = 'text' WHERE id < 3",
         "DROP TABLE messages",
         # A view could run any query, and without end.
-        "DROP TABLE messages; CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
+        "DROP TABLE messages; "
+        "CREATE VIEW messages AS WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL "
         "SELECT i FROM n) SELECT i id, 1 topic_id, 1 timestamp, x'00' data FROM n",
     ],
 )
@@ -227,6 +256,7 @@ def test_an_sqlite_bag_of_other_content_is_refused(tmp_path, change):
     path = data_file(write_bag(tmp_path / "bag", insertion_rows(40), storage="sqlite3"))
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.executescript(change)
+
     with pytest.raises(
         FormatError, match=r"damaged .*\.recover|no tables messages and topics"
     ):

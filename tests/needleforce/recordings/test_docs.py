@@ -18,7 +18,8 @@ from needleforce.recordings.table import HEAD_ROWS, TableLabels
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
-TEXT, BAGS = (page.read_text(encoding="utf-8") for page in PAGES)
+TEXT = PAGES[0].read_text(encoding="utf-8")
+BAGS = PAGES[1].read_text(encoding="utf-8")
 FILES = dict(
     re.findall(r"^```(?:csv|toml)\n# (\S+)\n(.*?)^```$", TEXT, re.DOTALL | re.MULTILINE)
 )
@@ -74,10 +75,11 @@ def test_the_pages_names_and_units_are_complete():
 
 def test_every_suffix_and_error_named_is_the_codes():
     formats = TEXT.split("## Formats")[1].split("\n\n")[1]
-    found = set(re.findall(r"`(\.[\w.]+)`", formats))
-    assert found == {*CSV_SUFFIXES, ".npz", ".parquet"}
+    suffixes = set(re.findall(r"`(\.[\w.]+)`", formats))
+    assert suffixes == {*CSV_SUFFIXES, ".npz", ".parquet"}
     for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
+
     assert f"decided from the first {HEAD_ROWS} rows" in TEXT
 
 
@@ -95,6 +97,7 @@ def test_the_table_of_topics_is_the_codes():
     for name, kind, _ in bag_topics(columns, TableLabels(), [0]):
         (row,) = [line for line in table.splitlines() if f"| `{name}`" in line]
         assert f"`{kind.replace('/msg', '')}`" in row
+
     for kind in re.findall(r"`(\w+_msgs/\w+)`", BAGS):
         package, name = kind.split("/")
         assert f"{package}/msg/{name}" in standard_types().types

@@ -103,10 +103,10 @@ FAULTS = {
 def test_what_is_odd_costs_little_and_is_reported(read, text):
     table = read(text)
     columns, warnings = FAULTS[text]
-    found = {
+    numbers = {
         name: [x if x == x else NAN for x in v] for name, v in values(table).items()
     }
-    assert found == columns
+    assert numbers == columns
     assert table.warnings == warnings
 
 
@@ -150,8 +150,8 @@ def test_other_than_csv_is_refused_with_the_reason(read, text, message):
 def test_nul_bytes_cost_only_the_line_before(read, tail):
     table = read(f"t,f\n0,1\n1,2\n{tail}".encode() + bytes(300_000))
     assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
-    what = "the file goes on with NUL bytes, as power loss may leave them"
-    assert table.warnings == (f"{what}; what follows line 3 is lost",)
+    loss = "the file goes on with NUL bytes, as power loss may leave them"
+    assert table.warnings == (f"{loss}; what follows line 3 is lost",)
 
 
 def test_compressed_files_read_alike_until_a_cut(read):
@@ -181,10 +181,10 @@ cells = st.floats() | st.integers(-(10**6), 10**6)
 def test_the_fast_and_the_slow_reader_agree(rows):
     text = "a,b,c\n" + "".join(",".join(map(repr, row)) + "\n" for row in rows)
     for more in ("", "1,2\n"):
-        first, last = csv_tables([(text + more).encode()], "text")
-        found = np.column_stack(list(first.columns.values()))
-        np.testing.assert_array_equal(found, rows)
-        assert len(last.warnings) == len(more) // 4
+        first, notes = csv_tables([(text + more).encode()], "text")
+        numbers = np.column_stack(list(first.columns.values()))
+        np.testing.assert_array_equal(numbers, rows)
+        assert len(notes.warnings) == len(more) // 4
 
 
 @given(st.text(alphabet='t,f;\t\n#"0123.e-x ', max_size=60))
@@ -193,6 +193,7 @@ def test_any_text_is_read_or_cleanly_refused(text):
         *_, table = csv_tables([text.encode()], "text")
     except FormatError:
         return
+
     assert table.columns
 
 
@@ -323,6 +324,7 @@ def test_a_missing_library_error_says_what_to_install(
     standard_types.cache_clear()
     for module in ("pyarrow", "pyarrow.parquet", "rosbags.typesys"):
         monkeypatch.setitem(sys.modules, module, None)
+
     for use in (read_table, lambda path: write_table(path, {"t_s": [0.0], "f": [1.0]})):
         with pytest.raises(FileAccessError, match=f"pip install {library}"):
             use(path)
@@ -339,4 +341,5 @@ def test_damaged_bytes_are_read_or_cleanly_refused(tmp_path_factory, where, byte
         table = read_table(path)
     except (FormatError, FileAccessError):
         return
+
     assert table.columns

@@ -15,7 +15,7 @@ from tests.needleforce.recordings.bag_samples import (
     ASKED,
     END,
     HEADER,
-    LONGEST_S,
+    MAX_WAIT_S,
     START_NS,
     assert_same,
     data_file,
@@ -43,14 +43,14 @@ def test_growing_and_finished_bags_give_the_same(tmp_path, kind, count):
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, count))
     start_s = time.monotonic()
-    found = followed(path)
+    growing_log = followed(path)
     writer.join()
     # It ended because the recorder finished the file, not because nothing came.
-    assert time.monotonic() - start_s < 0.8 * LONGEST_S
+    assert time.monotonic() - start_s < 0.8 * MAX_WAIT_S
     log = read_log(path, **ASKED)
     assert len(log) == 3000
-    assert_same(found, log)
-    assert "cut short" not in "".join(found.warnings)
+    assert_same(growing_log, log)
+    assert "cut short" not in "".join(growing_log.warnings)
 
 
 def test_rows_come_while_the_recorder_still_writes(tmp_path):
@@ -59,17 +59,18 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     go_on = threading.Event()
     half = len(data) // 2
     writer = grow(path, [data[:half], data[half:]], go_on=go_on)
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S)
-    tables = stream_tables(path, patience, ChannelRequest(**ASKED))
+    options = FollowOptions(follow=True, idle_s=MAX_WAIT_S)
+    tables = stream_tables(path, options, ChannelRequest(**ASKED))
     rows = 0
-    before = None
+    early_rows = None
     for table in tables:
         rows += len(table.columns["t_s"])
-        if rows > 1400 and before is None:
-            before = rows
+        if rows > 1400 and early_rows is None:
+            early_rows = rows
             go_on.set()
+
     writer.join()
-    assert 1400 < before < 1600
+    assert 1400 < early_rows < 1600
     assert rows == 3000
 
 
@@ -83,10 +84,10 @@ def test_only_an_idle_end_reports_an_unfinished_file(
     assert "growing.mcap is cut short" in cut.warnings
     assert 1900 < len(cut) < 2100
     is_over = threading.Event()
-    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
+    options = FollowOptions(follow=True, should_stop=is_over.is_set)
     timer = threading.Timer(0.5, is_over.set)
     timer.start()
-    stopped = followed(path, patience)
+    stopped = followed(path, options)
     assert len(stopped) == len(cut)
     assert "cut short" not in "".join(stopped.warnings)
 
@@ -114,6 +115,7 @@ def test_unfollowable_sources_are_refused_with_advice(
         write_bag(tmp_path / name, insertion_rows(3))
     if data is not None:
         (tmp_path / name).write_bytes(data)
+
     with pytest.raises(error, match=message):
         list(stream_tables(tmp_path / name, FollowOptions(follow=True, idle_s=0.1)))
 
@@ -134,10 +136,11 @@ def test_a_late_topic_is_awaited_and_reported_once(tmp_path):
     path = tmp_path / "growing.mcap"
     reported = []
     data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
-    patience = FollowOptions(follow=True, idle_s=LONGEST_S, warn=reported.append)
-    assert_same(followed(path, patience), read_log(path, **ASKED))
+    options = FollowOptions(follow=True, idle_s=MAX_WAIT_S, warn=reported.append)
+    assert_same(followed(path, options), read_log(path, **ASKED))
     assert reported == [
-        "growing.mcap: waiting for more topics; needed are q, tau, depth, and until now there are "
+        "growing.mcap: waiting for more topics; "
+        "needed are q, tau, depth, and until now there are "
         "/joint_states"
     ]
 
@@ -154,6 +157,7 @@ def arm_and_force(count, late_ns=0, force_ends=None):
         rows.append(("/joint_states", t_ns, joint_state(t_ns, "ab", (k, -k))))
         if force_ends is None or k < force_ends:
             rows.append(("/ft", t_ns + late_ns, wrench(t_ns, (0.0, 0.0, k))))
+
     return sorted(rows, key=lambda row: row[1])
 
 
@@ -164,10 +168,10 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
     )
     path = tmp_path / "growing.mcap"
     writer = grow(path, in_pieces(data, 60))
-    found = followed(path, mapping=FORCE_MAPPING, **FORCE)
+    growing_log = followed(path, mapping=FORCE_MAPPING, **FORCE)
     writer.join()
-    np.testing.assert_array_equal(found["force_N"], np.arange(500.0))
-    assert_same(found, read_log(path, FORCE_MAPPING, **FORCE))
+    np.testing.assert_array_equal(growing_log["force_N"], np.arange(500.0))
+    assert_same(growing_log, read_log(path, FORCE_MAPPING, **FORCE))
 
 
 def test_rows_do_not_wait_for_ended_topics(tmp_path):
@@ -177,11 +181,11 @@ def test_rows_do_not_wait_for_ended_topics(tmp_path):
     path = tmp_path / "growing.mcap"
     is_over = threading.Event()
     path.write_bytes(data[: -len(END)])
-    patience = FollowOptions(follow=True, should_stop=is_over.is_set)
+    options = FollowOptions(follow=True, should_stop=is_over.is_set)
     tables = stream_tables(
-        path, patience, ChannelRequest(mapping=FORCE_MAPPING, **FORCE)
+        path, options, ChannelRequest(mapping=FORCE_MAPPING, **FORCE)
     )
-    timer = threading.Timer(LONGEST_S, is_over.set)
+    timer = threading.Timer(MAX_WAIT_S, is_over.set)
     timer.start()
     first = next(tables)
     timer.cancel()

@@ -46,6 +46,7 @@ def bounded(peak=6 * SMALL, seconds=10.0):
         assert tracemalloc.get_traced_memory()[1] < peak
     finally:
         tracemalloc.stop()
+
     assert time.monotonic() - start_s < seconds
 
 
@@ -53,6 +54,7 @@ def mcap_file(path, *records):
     builder = RecordBuilder()
     for record in (*records, DataEnd(0)):
         record.write(builder)
+
     path.write_bytes(MAGIC + builder.end())
     return path
 
@@ -144,6 +146,7 @@ def test_an_impossible_file_name_is_reported(tmp_path, name):
     ):
         with pytest.raises(FileAccessError, match="cannot read"):
             read(tmp_path / name)
+
     with pytest.raises(FileAccessError, match="cannot write"):
         write_table(tmp_path / name, {"t_s": [0.0]})
 
@@ -205,15 +208,18 @@ def test_followed_files_that_vanish_are_read_and_reported(tmp_path, is_rotated):
     next(tables)
     with path.open("a") as log:
         log.write("300,1\n")
+
     path.rename(tmp_path / "log.1.csv")
     if is_rotated:
         path.write_text("t,f\n301,1\n")
-    last = []
+
+    end_times = []
     with pytest.raises(
         FileAccessError, match="was renamed or removed while it was followed"
     ):
-        last.extend(table.columns["t"][-1] for table in tables)
-    assert last[-1] == 300.0
+        end_times.extend(table.columns["t"][-1] for table in tables)
+
+    assert end_times[-1] == 300.0
 
 
 def test_file_names_stay_comments_in_suggested_mappings(tmp_path):

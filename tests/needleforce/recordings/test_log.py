@@ -72,7 +72,9 @@ def test_stamps_that_do_not_advance_are_counted(t_s):
             LogError, match=r"no usable time.* at least two time stamps must advance"
         ):
             log_of(t_s=t_s, force_N=np.zeros(t_s.size))
+
         return
+
     log = log_of(t_s=t_s, force_N=np.zeros(t_s.size))
     faults = [warning for warning in log.warnings if "set back" not in warning]
     counted = sum(int(warning.split(": ")[2].split()[0]) for warning in faults)
@@ -115,8 +117,8 @@ def test_pieces_give_what_the_whole_gives(cut, late):
     t_s = np.concatenate((RAMP_S, RAMP_S, RAMP_S + 2.0))
     t_s[late] -= 0.3
     clock = RowClock()
-    found = np.concatenate([clock.update(t_s[:cut]), clock.update(t_s[cut:])])
-    np.testing.assert_array_equal(found, RowClock().update(t_s))
+    dt_s = np.concatenate([clock.update(t_s[:cut]), clock.update(t_s[cut:])])
+    np.testing.assert_array_equal(dt_s, RowClock().update(t_s))
 
 
 def test_a_log_reports_a_clock_set_back():
@@ -156,6 +158,7 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
         path.write_text("\n".join(lines) + "\n")
     else:
         assert read_table(path).columns["time [ns]"].tolist() == stamps_ns.tolist()
+
     log = read_log(path)
     assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
     write_log(tmp_path / "log.mcap", log)
@@ -201,6 +204,7 @@ def test_units_and_scales_multiply(chosen, scale):
     if name == "time":
         scale = abs(scale)
         expected = np.abs(expected)
+
     mapping = mapped(**{name: ColumnSpec(columns="x", unit=unit, scale=scale)})
     if name == "time":
         values = log_of(mapping, ("force",), x=raw, force_N=ONES).t_s
@@ -208,6 +212,7 @@ def test_units_and_scales_multiply(chosen, scale):
         log = log_of(mapping, (name,), x=raw, t_s=T)
         values = log[channel.key].reshape(-1)
         assert log[channel.key].ndim == (2 if channel.per_joint else 1)
+
     np.testing.assert_allclose(values, expected)
 
 
@@ -261,7 +266,10 @@ def test_only_the_channels_asked_for_are_looked_at():
 
 
 def test_a_missing_channel_error_lists_names_and_columns():
-    message = "no column found for tau .* tau, tau_j, effort, torque.*Columns are: t, q, moment"
+    message = (
+        "no column found for tau .* tau, tau_j, effort, torque.*"
+        "Columns are: t, q, moment"
+    )
     with pytest.raises(ColumnError, match=message):
         log_of(None, ("q", "tau"), t=T, q=ONES, moment=ONES)
 
@@ -313,18 +321,23 @@ def test_omitted_columns_are_reported_when_nothing_fits(tmp_path):
         ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
     ) as caught:
         read_log(log, required=["tau"])
+
     assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("mapping", "columns", "t_s", "warning"),
     [
-        (None, {"t": [0.0, np.nan, 0.02]}, [0.0, 0.02], "time: rows without a stamp, left "
-         "out: 1 (first: row 2)"),
+        (
+            None,
+            {"t": [0.0, np.nan, 0.02]},
+            [0.0, 0.02],
+            "time: rows without a stamp, left out: 1 (first: row 2)",
+        ),
         (mapped(rate_hz=200.0), {"t": T}, [0.0, 0.005, 0.01], ""),
     ],
     ids=["column", "rate of the mapping"],
-)  # fmt: skip
+)
 def test_time_comes_from_rate_or_column(mapping, columns, t_s, warning):
     log = log_of(mapping, **columns, f=np.arange(3.0))
     np.testing.assert_allclose(log.t_s, t_s)
@@ -355,8 +368,8 @@ def test_implausible_si_values_of_assumed_units_are_reported():
     hints = log_of(**names).warnings
     assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
     assert (
-        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm"
-        in hints
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
+        "or --depth COLUMN:mm" in hints
     )
     stated = {
         "t_s": np.arange(3.0),
@@ -374,6 +387,7 @@ def test_the_real_liver_log_lacks_time(recordings_dir):
         ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"
     ):
         read_log(path, required=("depth", "force"))
+
     mapping = mapped(depth="depth_m_04", force="force_N_04", rate_hz=1000.0)
     log = read_log(path, mapping, required=("depth", "force"))
     assert log["depth_m"].max() == pytest.approx(0.085, abs=1e-3)

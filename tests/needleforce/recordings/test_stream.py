@@ -44,9 +44,9 @@ def text_of(rows):
     return "\n".join(lines) + "\n"
 
 
-def assert_all_the_same(found, log):
-    assert_same(found, log)
-    assert set(found.warnings) == set(log.warnings)
+def assert_all_the_same(other, log):
+    assert_same(other, log)
+    assert set(other.warnings) == set(log.warnings)
 
 
 @settings(max_examples=30)
@@ -61,8 +61,10 @@ def test_text_in_any_pieces_reads_the_same(tmp_path_factory, size, rows, packed)
     path.write_bytes(text)
     data = gzip.compress(text, mtime=0) if packed else text
     pieces = [data[start : start + size] for start in range(0, len(data), size)]
-    found = LogStream(csv_tables(pieces, "log"), ChannelRequest(**ASKED)).joined()
-    assert_all_the_same(found, read_log(path, **ASKED))
+    streamed_log = LogStream(
+        csv_tables(pieces, "log"), ChannelRequest(**ASKED)
+    ).joined()
+    assert_all_the_same(streamed_log, read_log(path, **ASKED))
 
 
 def test_an_assumed_unit_is_doubted_when_values_show():
@@ -71,10 +73,11 @@ def test_an_assumed_unit_is_doubted_when_values_show():
     lines = [f"{k / 1000},{z},0.1\n" for k, z in enumerate(depth)]
     tables = csv_tables([b"t,depth,f\n", *(line.encode() for line in lines)], "log")
     stream = LogStream(tables, ChannelRequest(required=("depth", "force")))
-    seen = [warning for _ in stream for warning in stream.take_warnings()]
-    assert seen == []
+    early_warnings = [warning for _ in stream for warning in stream.take_warnings()]
+    assert early_warnings == []
     assert stream.take_warnings() == (
-        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', or --depth COLUMN:mm",
+        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
+        "or --depth COLUMN:mm",
     )
     assert stream.take_warnings() == ()
 
@@ -91,9 +94,9 @@ def test_a_growing_file_is_followed_by_whole_lines(tmp_path):
     whole.write_bytes(text)
     cuts = [10, 5000, 17_777, 33_333, len(text)]
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
-    found = followed(path, FollowOptions(follow=True, idle_s=0.6), **ASKED)
+    followed_log = followed(path, FollowOptions(follow=True, idle_s=0.6), **ASKED)
     writer.join()
-    assert_all_the_same(found, read_log(whole, **ASKED))
+    assert_all_the_same(followed_log, read_log(whole, **ASKED))
 
 
 def test_following_ends_when_asked_without_partial_lines(tmp_path):
@@ -105,14 +108,14 @@ def test_following_ends_when_asked_without_partial_lines(tmp_path):
         asked.append(1)
         return len(asked) > 3
 
-    patience = FollowOptions(follow=True, should_stop=should_stop)
-    found = followed(path, patience, **ASKED)
-    assert found.t_s.tolist() == [0.0, 1.0]
-    assert "cut short" not in "".join(found.warnings)
-    found = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
+    options = FollowOptions(follow=True, should_stop=should_stop)
+    followed_log = followed(path, options, **ASKED)
+    assert followed_log.t_s.tolist() == [0.0, 1.0]
+    assert "cut short" not in "".join(followed_log.warnings)
+    followed_log = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
     assert (
         "line 4, the last, is cut short (3 of 3 cells) and was left out"
-        in found.warnings
+        in followed_log.warnings
     )
 
 
@@ -147,10 +150,10 @@ def test_a_pipe_gives_what_the_file_gives(tmp_path, suffix, size):
 
     writer = threading.Thread(target=write)
     writer.start()
-    found = LogStream(stream_tables(pipe, FollowOptions())).joined()
+    piped_log = LogStream(stream_tables(pipe, FollowOptions())).joined()
     writer.join()
-    assert_all_the_same(found, read_log(path))
-    assert list(found.channels) == ["depth_m", "force_N"]
+    assert_all_the_same(piped_log, read_log(path))
+    assert list(piped_log.channels) == ["depth_m", "force_N"]
 
 
 @pytest.mark.parametrize(

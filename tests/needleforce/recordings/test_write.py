@@ -45,6 +45,7 @@ def test_numbers_and_stamps_read_back_bit_for_bit(
     log = read_log(path)
     for name, numbers in channels.items():
         np.testing.assert_array_equal(log[name], numbers)
+
     assert list(log.channels) == list(channels)
     found_ns = log.start_ns + np.rint(log.t_s * 1e9).astype(np.int64)
     assert found_ns.tolist() == (start_ns + since_ns).tolist()
@@ -77,16 +78,16 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
         ("mcap", {"t_s": [-1.0, 0.0]}, "before zero; t_s reaches -1.0 s"),
     ],
 )
-def test_unwritable_tables_leave_old_files(
-    tmp_path, old, suffix, columns, message
-):
+def test_unwritable_tables_leave_old_files(tmp_path, old, suffix, columns, message):
     path = tmp_path / f"t.{suffix}"
     if old:
         write_table(path, old)
-    before = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
+
+    contents = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
     with pytest.raises(LogError, match=message):
         write_table(path, columns)
-    assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == before
+
+    assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == contents
 
 
 def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
@@ -99,6 +100,7 @@ def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
     monkeypatch.setattr("os.replace", full)
     with pytest.raises(FileAccessError, match=r"cannot write .*No space left"):
         write_table(path, {"new": [2.0]})
+
     assert path.read_text() == "old\n1.0\n"
     assert [entry.name for entry in tmp_path.iterdir()] == ["t.csv"]
 
@@ -118,6 +120,7 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
             table.append(
                 {name: values[start : start + 7] for name, values in columns.items()}
             )
+
     assert path.read_bytes() == (tmp_path / f"once.{suffix}").read_bytes()
     if suffix == "npz":
         assert np.load(path)["status"].dtype == columns["status"].dtype
@@ -134,6 +137,7 @@ def test_a_live_table_shows_and_keeps_rows(tmp_path, suffix, most_held_back):
         assert 3000 - most_held_back <= len(read_table(path)) <= 3000
         table.append({"t_s": t_s[3000:], "f": t_s[3000:]})
         raise ZeroDivisionError
+
     assert 6000 - most_held_back <= len(read_table(path)) <= 6000
     assert [entry.name for entry in tmp_path.iterdir()] == [path.name]
 
@@ -152,6 +156,7 @@ def test_rows_with_other_columns_are_refused(tmp_path, later):
         table.append({"t": T_S, "f": T_S})
         with pytest.raises(LogError, match="do not fit those before"):
             table.append(later)
+
     assert len(read_table(tmp_path / "t.csv").columns["t"]) == 3
 
 
@@ -198,6 +203,7 @@ def test_joint_signals_are_joint_states_and_a_wrench(path):
             ("effort", "tau_Nm"),
         ):
             np.testing.assert_array_equal(getattr(state, field), columns[name][k])
+
     for k, (_, wrench) in enumerate(messages_of(path, "/ft_sensor/wrench")):
         assert wrench.header.frame_id == "ft_sensor"
         assert [wrench.wrench.force.x, wrench.wrench.torque.z] == [
@@ -224,6 +230,7 @@ def test_metadata_and_definitions_are_there(path):
         assert bag.message_count == 40
         assert bag.duration == 19_000_001
         assert all(connection.msgdef.data for connection in bag.connections)
+
     (_, state), *_ = messages_of(path, "/joint_states")
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
@@ -234,5 +241,6 @@ def test_an_existing_bag_is_replaced_only_whole(path):
     with open_table(path) as table:
         table.append(estimate_columns(20))
         assert read_table(path).columns["t_s"].size == 5
+
     assert read_table(path).columns["t_s"].size == 20
     assert [p.name for p in path.parent.iterdir()] == [path.name]

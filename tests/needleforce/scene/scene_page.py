@@ -41,22 +41,23 @@ class OpenPage:
             message = json.loads(self._socket.recv(timeout=START_s))
             if message.get("id") == number:
                 return message.get("result", {})
+
             self._note(message)
 
     def _note(self, message):
         method = message.get("method")
-        found = message.get("params", {})
+        event = message.get("params", {})
         if method == "Runtime.exceptionThrown":
-            self.errors.append(str(found["exceptionDetails"])[:300])
-        elif method == "Log.entryAdded" and found["entry"]["level"] == "error":
-            self.errors.append(found["entry"]["text"])
-        elif method == "Runtime.consoleAPICalled" and found["type"] == "error":
-            self.errors.append(str(found["args"])[:300])
+            self.errors.append(str(event["exceptionDetails"])[:300])
+        elif method == "Log.entryAdded" and event["entry"]["level"] == "error":
+            self.errors.append(event["entry"]["text"])
+        elif method == "Runtime.consoleAPICalled" and event["type"] == "error":
+            self.errors.append(str(event["args"])[:300])
 
     def evaluate(self, expression):
         """The value of an expression in the page."""
-        found = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
-        return found.get("result", {}).get("value")
+        reply = self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        return reply.get("result", {}).get("value")
 
     def wait_for(self, expression, seconds=START_s):
         """Whether an expression becomes true in time."""
@@ -64,13 +65,15 @@ class OpenPage:
         while time.monotonic() < end_s:
             if self.evaluate(expression):
                 return True
+
             time.sleep(0.2)
+
         return False
 
     def picture(self, path):
         """Write what is seen as a PNG."""
-        found = self.call("Page.captureScreenshot", format="png")
-        Path(path).write_bytes(base64.b64decode(found["data"]))
+        reply = self.call("Page.captureScreenshot", format="png")
+        Path(path).write_bytes(base64.b64decode(reply["data"]))
         return path
 
 
@@ -99,9 +102,11 @@ def open_page(url, size=(1400, 900)):
             while not (place.exists() and place.read_text().count("\n")):
                 assert time.monotonic() < end_s, "the browser has not started"
                 time.sleep(0.1)
+
             port = place.read_text().splitlines()[0]
             with urlopen(f"http://127.0.0.1:{port}/json/list") as reply:
                 tabs = [tab for tab in json.load(reply) if tab["type"] == "page"]
+
             with connect(tabs[0]["webSocketDebuggerUrl"], max_size=1 << 26) as socket:
                 page = OpenPage(socket)
                 page.call("Page.navigate", url=url)

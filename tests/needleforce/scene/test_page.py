@@ -119,12 +119,14 @@ def test_a_ring_returns_rows_not_yet_overwritten():
         assert (count, len(rows)) == (0, 0)
         for k in range(10):
             ring.put(row(0.001 * k))
+
         count, rows = reader.since(count)
         assert (count, len(rows)) == (10, 10)
         assert np.allclose(rows[:, 0], 0.001 * np.arange(10))
         assert np.allclose(rows[3, len(FIELDS) :], HOME)
         for k in range(3 * ROWS):
             ring.put(row(float(k)))
+
         count, rows = reader.since(count)
         assert count == 10 + 3 * ROWS
         assert len(rows) == 3 * ROWS // 4
@@ -134,8 +136,9 @@ def test_a_ring_returns_rows_not_yet_overwritten():
 
 def test_marks_show_ruptures_up_to_the_time_shown(viewer):
     rows = insertion()
-    for part in np.array_split(rows, 7):
-        viewer.append(part)
+    for chunk in np.array_split(rows, 7):
+        viewer.append(chunk)
+
     viewer.show()
     (mark,) = viewer.marks
     assert mark.text == "rupture 1 at 12.0 mm"
@@ -187,6 +190,7 @@ def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
     for time_s, shown in ((1.9, [0, 0]), (2.5, [1, 0]), (3.5, [0, 0]), (4.0, [0, 1])):
         viewer.show(time_s)
         assert [is_shown(mark) for mark in viewer.marks] == shown
+
     assert "in **rib** (93 %)\n" in viewer._text.content
     assert not ring.visible
 
@@ -196,17 +200,23 @@ def test_a_row_holds_the_estimate_and_its_plan():
         1, "liver", 0.9, 2e-3, 1e-3, "rib", 0.05, 1e-3, 1, "liver", 0.8, True
     )
     rupture = SimpleNamespace(layer=1, depth_m=0.03)
-    found = SimpleNamespace(rupture=None, retracted=rupture, tip_force_N=0.5, layer=2)
-    found.tip_force_std_N = None
-    found.shaft_friction_N = 0.1
-    now = SimpleNamespace(
-        time_s=1.0, depth_m=0.04, speed_m_s=0.0, identification=found, plan=plan
+    identification = SimpleNamespace(
+        rupture=None, retracted=rupture, tip_force_N=0.5, layer=2
     )
-    now.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
-    now.status = SimpleNamespace(value="ok")
-    made = dict(zip(FIELDS, view_row(now, HOME), strict=False))
-    assert (made["retracted"], made["rupture"], made["is_good"]) == (1, 0, 1)
-    assert [made[f"plan_{name}"] for name in PLAN_FIELDS] == [
+    identification.tip_force_std_N = None
+    identification.shaft_friction_N = 0.1
+    estimate = SimpleNamespace(
+        time_s=1.0,
+        depth_m=0.04,
+        speed_m_s=0.0,
+        identification=identification,
+        plan=plan,
+    )
+    estimate.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
+    estimate.status = SimpleNamespace(value="ok")
+    numbers = dict(zip(FIELDS, view_row(estimate, HOME), strict=False))
+    assert (numbers["retracted"], numbers["rupture"], numbers["is_good"]) == (1, 0, 1)
+    assert [numbers[f"plan_{name}"] for name in PLAN_FIELDS] == [
         1,
         0.9,
         2e-3,
@@ -244,24 +254,25 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
 def test_a_loop_hands_rows_to_a_page_process():
     robot = load_lwr(payload=NeedleTool())
     wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
-    found = SimpleNamespace(
+    identification = SimpleNamespace(
         rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None
     )
-    found.shaft_friction_N = 0.1
-    found.layer = 1
+    identification.shaft_friction_N = 0.1
+    identification.layer = 1
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")
         for k in range(2000):
-            now = SimpleNamespace(
+            estimate = SimpleNamespace(
                 time_s=0.001 * k,
                 depth_m=0.0,
                 speed_m_s=0.0,
                 wrench=wrench,
-                identification=found,
+                identification=identification,
                 status=SimpleNamespace(value="ok"),
                 plan=None,
             )
-            view.put(now, HOME)
+            view.put(estimate, HOME)
+
         time.sleep(0.2)
 
 
@@ -378,11 +389,11 @@ def test_viewed_joints_are_found_by_name(tmp_path):
         tmp_path / "a.mcap", signals, labels=TableLabels(joint_names=model.joint_names)
     )
     write_table(tmp_path / "b.mcap", turned, labels=TableLabels(joint_names=names))
-    one, other = (
+    rows, reordered_rows = (
         replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )
-    assert len(one) > 90
-    assert np.array_equal(one, other, equal_nan=True)
+    assert len(rows) > 90
+    assert np.array_equal(rows, reordered_rows, equal_nan=True)
 
 
 def test_an_arm_is_watched_with_its_scene(monkeypatch, capsys):
@@ -475,6 +486,7 @@ def test_a_failing_export_leaves_the_older_page(viewer, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(SceneError, match="No space left"):
         viewer.export(page, frames=2)
+
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
 
 
@@ -482,6 +494,7 @@ def test_a_page_that_cannot_open_is_reported():
     robot = load_lwr()
     with pytest.raises(SceneError, match="port 70000"):
         open_viewer(robot, port=70000)
+
     place = np.zeros(3)
     with pytest.raises(SceneError, match="expected two points"):
         open_viewer(robot, PlanScene((), (), place, place), port=8291)
@@ -491,28 +504,29 @@ RECEIVER = """
 import json, sys, time, pyigtl
 client = pyigtl.OpenIGTLinkClient("127.0.0.1", int(sys.argv[1]))
 client.start()
-found, end_s = {"poses": 0, "forces": 0, "ruptures": []}, time.monotonic() + 20.0
+received = {"poses": 0, "forces": 0, "ruptures": []}
+end_s = time.monotonic() + 20.0
 print("ready", flush=True)
-while time.monotonic() < end_s and not found["ruptures"]:
+while time.monotonic() < end_s and not received["ruptures"]:
     for message in client.get_latest_messages():
         if message.device_name == "NeedleToReference":
-            found["poses"] += 1
-            found["matrix"] = message.matrix.tolist()
+            received["poses"] += 1
+            received["matrix"] = message.matrix.tolist()
         elif message.device_name == "Force":
-            found["forces"] += 1
+            received["forces"] += 1
         elif message.device_name == "Rupture":
-            found["ruptures"].append(json.loads(message.string))
+            received["ruptures"].append(json.loads(message.string))
     time.sleep(0.005)
-print(json.dumps(found), flush=True)
+print(json.dumps(received), flush=True)
 client.stop()
 """
 
 
 def tick(time_s, force_N=1.0, rupture=None):
-    found = SimpleNamespace(tip_force_N=0.5, rupture=rupture)
+    identification = SimpleNamespace(tip_force_N=0.5, rupture=rupture)
     wrench = SimpleNamespace(axial=force_N, axial_std=0.1)
     return SimpleNamespace(
-        time_s=time_s, depth_m=0.02, wrench=wrench, identification=found
+        time_s=time_s, depth_m=0.02, wrench=wrench, identification=identification
     )
 
 
@@ -554,6 +568,7 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
             end_s = time.monotonic() + 20.0
             while not output.is_connected and time.monotonic() < end_s:
                 time.sleep(0.05)
+
             assert output.is_connected
             pose = np.eye(4)
             pose[:3, 3] = 0.01, 0.02, 0.03
@@ -562,16 +577,18 @@ def test_3d_slicer_gets_pose_force_and_ruptures():
             )
             sent = 0
             for k in range(1000):
-                found = rupture if k == 999 else None
-                sent += output.put(tick(0.001 * k, rupture=found), pose)
+                tick_rupture = rupture if k == 999 else None
+                sent += output.put(tick(0.001 * k, rupture=tick_rupture), pose)
                 time.sleep(0.001)
+
             assert sent == pytest.approx(51, abs=1)
-            found = json.loads(receiver.communicate(timeout=30.0)[0])
+            received = json.loads(receiver.communicate(timeout=30.0)[0])
         finally:
             receiver.kill()
-    assert found["poses"] > 5
-    assert found["forces"] > 5
-    assert found["ruptures"][0]["depth_mm"] == pytest.approx(20.0)
+
+    assert received["poses"] > 5
+    assert received["forces"] > 5
+    assert received["ruptures"][0]["depth_mm"] == pytest.approx(20.0)
     assert np.allclose(
-        np.array(found["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3
+        np.array(received["matrix"])[:3, 3], [-10.0, -20.0, 30.0], atol=1e-3
     )
