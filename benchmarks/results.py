@@ -117,7 +117,7 @@ def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> N
     Raises `ResultsError` where that cannot be.
     """
     from needleforce.plots import FiguresError
-    from needleforce.plots.chart import write_file
+    from needleforce.plots.drawing import write_file
 
     try:
         write_file(path, to_json(rows, runs))

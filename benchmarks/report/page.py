@@ -35,7 +35,7 @@ from needleforce.plots import (
     save_page_figure,
     write_page,
 )
-from needleforce.plots.chart import write_file
+from needleforce.plots.drawing import write_file
 from needleforce.plots.page import PAGE
 
 PLANTS = ("clean", "fri", "degraded", "ideal", "needle")

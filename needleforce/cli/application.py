@@ -3,35 +3,27 @@
 from cyclopts import App, Group, Parameter
 
 LOG = Group("Log", sort_key=1)
-
-
 OUTPUT = Group(
     "Output", help="What is written; without any, a summary alone.", sort_key=2
 )
-
-
 LIVE_OUTPUT = Group("Output", sort_key=2)
+"""Output of the commands that do not print a summary alone."""
 ROBOT = Group("Robot", sort_key=3)
-
-
 SENSOR = Group("Sensor", sort_key=4)
-
-
 TARE = Group("Tare", sort_key=5)
-
-
 COLUMNS = Group(
     "Columns",
-    help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names separated by "
-    "commas; a unit and a factor may follow, as in z:mm or fz:N:-1. What is not given is found "
-    "by its usual names.",
+    help="COLUMNS is a column name, a pattern such as q{1..7} or q_*, or names "
+    "separated by commas; a unit and a factor may follow, as in z:mm or fz:N:-1. What "
+    "is not given is found by its usual names.",
     sort_key=6,
 )
 
 
 app = App(
     name="needleforce",
-    help="Needle-tip force from a robot's joint torques, and the layers that the needle passes.",
+    help="Needle-tip force from a robot's joint torques, and the layers that the "
+    "needle passes.",
     default_parameter=Parameter(negative=(), show_default=False),
     help_format="markdown",
     version_flags=["--version"],

@@ -29,6 +29,6 @@ def force_command(
 
     needleforce force insertion.csv --tare 0:4 -o forces.csv --figure forces.png
     """
-    from needleforce.cli.logs.force_result import run
+    from needleforce.cli.logs.force_run import run
 
     return run(log, output, robot, sensor, columns)

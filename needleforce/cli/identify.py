@@ -27,6 +27,6 @@ def identify_command(
 
     needleforce identify forces.csv -o layers.csv --figure layers.png
     """
-    from needleforce.cli.logs.layer_result import run
+    from needleforce.cli.logs.identify_run import run
 
     return run(log, output, options, columns)

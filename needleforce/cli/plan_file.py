@@ -1,40 +1,91 @@
-"""The plan of an insertion in a file, for `live` and `view`."""
+"""The plan of an insertion from a file, for `live` and `view`.
 
+The file is `plan.json`, see docs/scene.md; a segmentation may lie beside it.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from needleforce.anatomy import AnatomyError, Layer, PlanMatch, read_labels
+from foundation.arrays import Array
+from needleforce.anatomy import AnatomyError, Labels, Layer, PlanMatch, read_labels
 from needleforce.cli.terminal import CommandError, progress_bar
 from needleforce.scene import PlanScene
 
-LEAST_VOXELS = 500
-
-
 PLAN = "plan.json"
 
+MIN_VOXELS = 500
+"""Structures with fewer voxels are not shown."""
 
-MOST_m = 10.0  # Of a coordinate; beyond it the unit is not the metre
+MAX_COORDINATE_M = 10.0
+"""A larger coordinate is not in metres [m]."""
+
+ROTATION_TOLERANCE = 1e-3
+"""By so much the rows of a rotation may miss being orthonormal."""
+
+MISSING_PATH = "neither layers nor entry_m and target_m in it"
+MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
 
 
-Point = tuple[float, float, float]
-
-
-class Planned(NamedTuple):
-    """What a plan's file says.
+class Point(NamedTuple):
+    """A place or a direction.
 
     Attributes:
-        entry_in_base_m: None: depths count as the session's.
+        x: Along the first axis.
+        y: Along the second axis.
+        z: Along the third axis.
+    """
+
+    x: float
+    y: float
+    z: float
+
+
+class Rotation(NamedTuple):
+    """A rotation matrix.
+
+    Attributes:
+        x: First row.
+        y: Second row.
+        z: Third row.
+    """
+
+    x: Point
+    y: Point
+    z: Point
+
+
+NO_ROTATION = Rotation(Point(1.0, 0.0, 0.0), Point(0.0, 1.0, 0.0), Point(0.0, 0.0, 1.0))
+
+
+class LoadedPlan(NamedTuple):
+    """A plan as a session and the scene take it.
+
+    Attributes:
+        scene: Anatomy and plan for the viewer.
+        match: The layers with which ruptures are matched.
+        entry_in_base_m: The entry point in the robot's base, shape (3,) [m]; None where
+            depths count as the session's.
     """
 
     scene: PlanScene
     match: PlanMatch
-    entry_in_base_m: np.ndarray | None
+    entry_in_base_m: Array | None
 
 
-class _LayerOfFile(msgspec.Struct, forbid_unknown_fields=True):
+class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
+    """A layer in the file.
+
+    Attributes:
+        name: Name of the structure.
+        exit_m: Depth at which the needle leaves it [m].
+        exit_std_m: Its standard deviation [m].
+        is_obstacle: Bone or cartilage.
+    """
+
     name: str
     exit_m: float
     exit_std_m: float = 0.5e-3
@@ -42,98 +93,136 @@ class _LayerOfFile(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
-    """See docs/scene.md."""
+    """What stands in the file; see docs/scene.md.
 
-    rotation: tuple[Point, Point, Point] = (
-        (1.0, 0.0, 0.0),
-        (0.0, 1.0, 0.0),
-        (0.0, 0.0, 1.0),
-    )
-    translation_m: Point = (0.0, 0.0, 0.0)
+    Attributes:
+        rotation: From the model to the robot's base.
+        translation_m: From the model to the robot's base [m].
+        entry_m: Entry point in the model [m].
+        target_m: Target in the model [m].
+        offset_std_m: Standard deviation of a shift of all layers [m].
+        start_m: Depth at which the first layer begins [m].
+        layers: Layers along the needle.
+    """
+
+    rotation: Rotation = NO_ROTATION
+    translation_m: Point = Point(0.0, 0.0, 0.0)
     entry_m: Point | None = None
     target_m: Point | None = None
     offset_std_m: float = 3e-3
     start_m: float = 0.0
-    layers: tuple[_LayerOfFile, ...] = ()
+    layers: tuple[_PlannedLayer, ...] = ()
 
 
-def read_plan(place: Path) -> Planned:
-    """A plan from its file, or from a folder with `plan.json`; labels may lie beside
-    it.
+def read_plan(place: Path) -> LoadedPlan:
+    """Return a plan from its file, or from a folder with `plan.json`.
+
+    Raises:
+        CommandError: The file cannot be read, or holds no plan that can be followed.
     """
     path = place / PLAN if place.is_dir() else place
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
-        _require_places(plan)
-        scene, layers = _segmented(plan, path.parent)
-        match = PlanMatch(_given(plan) or layers, plan.offset_std_m)
+        _require_metres(plan)
+        scene = _scene_of(plan, path.parent)
+        layers = _planned_layers(plan) or list(scene.layers)
+        match = PlanMatch(layers, plan.offset_std_m)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise CommandError(
             f"{path}: {error}; docs/scene.md says what a plan holds"
         ) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
-    return Planned(scene._replace(layers=match.layers), match, entry_m)
+    return LoadedPlan(scene._replace(layers=match.layers), match, entry_m)
 
 
-def _require_places(plan: _PlanFile) -> None:
-    """Refuse half of a way, and millimetres."""
+def _require_metres(plan: _PlanFile) -> None:
+    """Refuse one end of the path without the other, and places in millimetres."""
     if (plan.entry_m is None) != (plan.target_m is None):
         raise ValueError("one of entry_m and target_m in it: expected both, or neither")
-    places = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
-    if not all(abs(part) < MOST_m for place in places for part in place):
+    points = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
+    coordinates_m = [coordinate for point in points for coordinate in point]
+    if not all(abs(coordinate) < MAX_COORDINATE_M for coordinate in coordinates_m):
         raise ValueError(
-            f"a place beyond {MOST_m:g} m in it: expected metres, not millimetres"
+            f"a place beyond {MAX_COORDINATE_M:g} m in it: expected metres, not "
+            "millimetres"
         )
 
 
-def _segmented(plan: _PlanFile, folder: Path) -> tuple[PlanScene, list[Layer]]:
-    """Surfaces, and the layers between entry and target, of the labels in a folder."""
-    files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    turn = np.array(plan.rotation)
-    shift = np.array(plan.translation_m)
-    if (
-        not np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
-        or np.linalg.det(turn) < 0.0
-    ):
-        raise ValueError(
-            f"rotation is {turn.tolist()}: expected orthonormal rows, no mirror image"
-        )
+def _scene_of(plan: _PlanFile, folder: Path) -> PlanScene:
+    """Return the scene of a plan.
+
+    Surfaces are those of the labels in a folder, and so are the layers between entry
+    and target where the plan has none.
+    """
+    rotation = _checked_rotation(plan)
+    translation_m = np.array(plan.translation_m)
     if plan.entry_m is None or plan.target_m is None:
         if not plan.layers:
-            raise ValueError("neither layers nor entry_m and target_m in it")
-        return PlanScene(rotation=turn, translation_m=shift), []
-    way = np.array(plan.entry_m), np.array(plan.target_m)
-    if np.array_equal(*way):
+            raise ValueError(MISSING_PATH)
+        return PlanScene(rotation=rotation, translation_m=translation_m)
+    entry_m = np.array(plan.entry_m)
+    target_m = np.array(plan.target_m)
+    if np.array_equal(entry_m, target_m):
         raise ValueError(
             f"entry_m and target_m are the same point {list(plan.entry_m)}"
         )
+    scene = PlanScene((), (), entry_m, target_m, rotation, translation_m)
+    files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
     if not files:
         if not plan.layers:
-            raise ValueError(
-                "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
-            )
-        return PlanScene((), (), *way, turn, shift), []
+            raise ValueError(MISSING_LAYERS)
+        return scene
     labels = read_labels(files[0])
-    with progress_bar("surfaces") as progress:
-        large = [item.name for item in labels.structures if item.voxels >= LEAST_VOXELS]
-        made = tuple(labels.surfaces(large, progress).values())
-    layers = [] if plan.layers else labels.layers_along(*way)
-    return PlanScene(made, (), *way, turn, shift), layers
+    surfaces = _large_surfaces(labels)
+    layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
+    return scene._replace(surfaces=surfaces, layers=layers)
 
 
-def _given(plan: _PlanFile) -> list[Layer]:
-    """The layers that stand in the file itself."""
-    found = []
-    depth_m = plan.start_m
-    std_m = 0.0
-    for one in plan.layers:
-        if not one.exit_m > depth_m:
-            raise ValueError(
-                f"{one.name!r} ends at {one.exit_m} m, not below where it begins"
-            )
-        found.append(
-            Layer(one.name, depth_m, one.exit_m, std_m, one.exit_std_m, one.is_obstacle)
+def _checked_rotation(plan: _PlanFile) -> Array:
+    """Return the rotation of a plan, shape (3, 3)."""
+    rotation = np.array(plan.rotation)
+    is_orthonormal = np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=ROTATION_TOLERANCE
+    )
+    if not is_orthonormal or np.linalg.det(rotation) < 0.0:
+        raise ValueError(
+            f"rotation is {rotation.tolist()}: expected orthonormal rows, no mirror "
+            "image"
         )
-        depth_m = one.exit_m
-        std_m = one.exit_std_m
-    return found
+    return rotation
+
+
+def large_structures(labels: Labels) -> list[str]:
+    """Return the names of the structures that are large enough to be shown."""
+    return [item.name for item in labels.structures if item.voxels >= MIN_VOXELS]
+
+
+def _large_surfaces(labels: Labels) -> Sequence[object]:
+    """Return the surfaces of the structures that are shown."""
+    with progress_bar("surfaces") as progress:
+        return tuple(labels.surfaces(large_structures(labels), progress).values())
+
+
+def _planned_layers(plan: _PlanFile) -> list[Layer]:
+    """Return the layers that stand in the file itself."""
+    layers: list[Layer] = []
+    entry_m = plan.start_m
+    entry_std_m = 0.0
+    for planned in plan.layers:
+        if not planned.exit_m > entry_m:
+            raise ValueError(
+                f"{planned.name!r} ends at {planned.exit_m} m, not below where it "
+                "begins"
+            )
+        layer = Layer(
+            planned.name,
+            entry_m,
+            planned.exit_m,
+            entry_std_m,
+            planned.exit_std_m,
+            planned.is_obstacle,
+        )
+        layers.append(layer)
+        entry_m = planned.exit_m
+        entry_std_m = planned.exit_std_m
+    return layers

@@ -37,11 +37,11 @@ def report_command(
 
     needleforce report insertion.csv report
     """
-    from needleforce.cli.logs import force_result, layer_result
+    from needleforce.cli.logs import force_run, identify_run
     from needleforce.cli.logs.log_session import has_channels
 
     output = Output(report=folder)
     torque = "tau_ext" if sensor.external_torque else "tau"
     if has_channels(log, columns, ("q", torque)):
-        return force_result.run(log, output, robot, sensor, columns, options)
-    return layer_result.run(log, output, options, columns)
+        return force_run.run(log, output, robot, sensor, columns, options)
+    return identify_run.run(log, output, options, columns)

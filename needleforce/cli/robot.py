@@ -1,12 +1,13 @@
-"""The robot and its sensor from options and TOML files: arm, payload, friction,
-settings.
+"""The robot and its sensor from options and TOML files.
+
+Arm, payload, friction and settings.
 """
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ import urdf
 from foundation.advice import Advice, Message
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandError
-from needleforce.cli.toml_tables import NOTHING, decoded
+from needleforce.cli.toml_tables import NOTHING, convert_table
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
 from residual import (
@@ -29,9 +30,11 @@ from urdf import NeedleTool, Payload, Robot, example_robot_path
 from urdf.advice import RobotAdvice
 from urdf.errors import finite_array
 
-# The arm, and what hangs on its flange.
-
 LWR = "lwr"
+"""Name of the arm that is taken without options."""
+
+NEEDLE = "needle"
+"""Name of the payload that a known LWR has without options."""
 
 _ADVICES: dict[Advice, str] = {
     RobotAdvice.LOCK_JOINT: "lock it with --lock",
@@ -41,8 +44,14 @@ _ADVICES: dict[Advice, str] = {
 
 
 def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
-    """Return the robot that the options describe; a mapping file may name the
-    payload.
+    """Return the robot that the options describe.
+
+    Args:
+        options: Options of the command.
+        mapping: File of the mapping, which may name the payload.
+
+    Raises:
+        CommandError: Options contradict each other, or the robot cannot be loaded.
     """
     payload = payload_from_options(options, mapping)
     if options.urdf is not None and options.robot is not None:
@@ -51,85 +60,110 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         raise CommandError(
             "--lock holds joints of a robot of --urdf FILE; known robots have none"
         )
-    placed = {"tool_frame": options.tool_frame, "tool_placement": options.tip_offset}
-    placed |= {"without": options.without, "payload": payload}
-    if options.urdf is None and options.robot in (None, LWR):
+    if _is_lwr(options):
         if options.tool_frame or options.tip_offset or options.without:
             raise CommandError(
-                "--tool-frame, --tip-offset and --without describe a robot of --robot NAME or "
-                "--urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
+                "--tool-frame, --tip-offset and --without describe a robot of --robot "
+                "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
             )
         return urdf.load_lwr(payload=payload)
-    locked = dict(map(_locked, options.lock))
+    tool: dict[str, Any] = {
+        "tool_frame": options.tool_frame,
+        "tool_placement": options.tip_offset,
+        "without": options.without,
+        "payload": payload,
+    }
+    locked_joints = dict(map(_parse_lock, options.lock))
     try:
         if options.urdf is None:
-            return urdf.load_example(str(options.robot), **placed)
-        return urdf.load_urdf(options.urdf, locked_joints=locked, **placed)
+            return urdf.load_example(str(options.robot), **tool)
+        return urdf.load_urdf(options.urdf, locked_joints=locked_joints, **tool)
     except (urdf.UnsupportedJointError, urdf.UnknownNameError) as error:
         raise CommandError(Message.of(error).in_words(_ADVICES)) from error
 
 
-def _locked(text: str) -> tuple[str, float]:
+def _is_lwr(options: RobotOptions) -> bool:
+    """Return whether the robot is the known LWR 4+."""
+    return options.urdf is None and options.robot in (None, LWR)
+
+
+def _parse_lock(text: str) -> tuple[str, float]:
+    """Return name and position [rad, m] of a joint that ``--lock`` holds."""
     name, equals, position = text.partition("=")
     try:
         return name, float(position) if equals else 0.0
     except ValueError as error:
-        what = f"{position!r} is no number; expected JOINT or JOINT=POSITION"
-        raise CommandError(f"--lock {text}: {what}") from error
+        raise CommandError(
+            f"--lock {text}: {position!r} is no number; expected JOINT or "
+            "JOINT=POSITION"
+        ) from error
+
+
+def urdf_with_shapes(options: RobotOptions) -> Path | None:
+    """Return the file whose shapes the scene shows."""
+    if options.urdf is not None:
+        return Path(options.urdf)
+    if options.robot in (None, LWR):
+        return Path(str(files("urdf.data") / "lwr4plus.urdf"))
+    return Path(example_robot_path(options.robot))
 
 
 def payload_from_options(
     options: RobotOptions, mapping: str | None
 ) -> Payload | NeedleTool | None:
-    """Return the payload of the option, else of the mapping, else the robot's usual
-    one.
+    """Return the payload of the option, else of the mapping, else the usual one.
 
     A table holds either ``mass_kg``, ``com_m`` and ``inertia_kg_m2`` (about the centre
     of mass; a point mass without it) in flange axes, or a table ``[needle]`` with
     fields of `urdf.NeedleTool`.
+
+    Args:
+        options: Options of the command.
+        mapping: File of the mapping, if any.
+
+    Raises:
+        CommandError: The table or file describes no payload.
     """
-    value = options.payload
+    value: Any = options.payload
     where = "--payload"
     if value is None and mapping is not None:
         value = load_mapping(mapping).payload
         where = f"{mapping}: [payload]"
     if value is None:
-        value = (
-            "needle"
-            if options.urdf is None and options.robot in (None, LWR)
-            else NOTHING
-        )
+        value = NEEDLE if _is_lwr(options) else NOTHING
     if value == NOTHING:
         return None
-    if value == "needle":
+    if value == NEEDLE:
         return NeedleTool()
     if isinstance(value, str):
-        where = (
-            value
-            if options.payload is not None
-            else str(Path(mapping or "").parent / value)
-        )
+        where = value
+        if options.payload is None:  # a path in the mapping counts from its folder
+            where = str(Path(mapping or "").parent / value)
         value = read_toml(where, "payload file")
     if not isinstance(value, dict):
-        what = f"payload is {type(value).__name__}, expected a table, a file, needle or none"
-        raise CommandError(f"{mapping}: {what}")
-    return _payload(value, where)
+        raise CommandError(
+            f"{mapping}: payload is {type(value).__name__}, expected a table, a file, "
+            "needle or none"
+        )
+    return _payload_from_table(value, where)
 
 
-def _payload(table: Mapping[str, Any], where: str) -> Payload | NeedleTool:
+def _payload_from_table(table: Mapping[str, Any], where: str) -> Payload | NeedleTool:
+    """Return the payload that a table describes."""
     if "needle" in table:
         if len(table) > 1 or not isinstance(table["needle"], dict):
             raise CommandError(
                 f"{where}: give either a table [needle] alone, or mass_kg and com_m"
             )
-        return decoded(NeedleTool, table["needle"], f"{where}: [needle]")
+        return convert_table(NeedleTool, table["needle"], f"{where}: [needle]")
     for name in ("mass_kg", "com_m"):
         if name not in table:
             raise CommandError(
-                f"{where}: {name} is missing; a payload has mass_kg, com_m and inertia_kg_m2, or "
-                "is a table [needle]"
+                f"{where}: {name} is missing; a payload has mass_kg, com_m and "
+                "inertia_kg_m2, or is a table [needle]"
             )
-    return decoded(Payload, {"inertia_kg_m2": [[0.0] * 3] * 3, **table}, where)
+    point_mass = {"inertia_kg_m2": [[0.0] * 3] * 3}
+    return convert_table(Payload, {**point_mass, **table}, where)
 
 
 def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
@@ -139,54 +173,88 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     title = "[payload]  # in flange axes; inertia about the centre of mass"
     if isinstance(payload, NeedleTool):
         title = "[payload.needle]  # force sensor and needle; see docs/force.md"
-    values = {
-        item.name: np.asarray(getattr(payload, item.name)) for item in fields(payload)
-    }
-    return [title, *(f"{name} = {value.tolist()!r}" for name, value in values.items())]
+    lines = [title]
+    for item in fields(payload):
+        value = np.asarray(getattr(payload, item.name))
+        lines.append(f"{item.name} = {value.tolist()!r}")
+    return lines
 
 
-# Friction and rotors between torque measurement and link, and the sensor's settings.
+class RobotWithFriction(NamedTuple):
+    """A robot, and what stands between its torque sensors and its links.
 
-_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
+    Attributes:
+        robot: The robot, with the inertia of its rotors.
+        friction: Friction of its joints; None without any.
+    """
+
+    robot: Robot
+    friction: FrictionModel | None
 
 
-def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
-    """Return the robot with the rotors, and the friction if any, of the file of
-    ``--friction``.
+_FRICTION_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
+"""Friction models, by the name of their table."""
+
+_ROTOR_INERTIA = "rotor_inertia_kg_m2"
+
+
+def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
+    """Return the robot with rotors and friction of the file of ``--friction``.
 
     It holds one table, ``[viscous_coulomb]`` with the fields of
     `residual.JointFriction` or ``[sigmoid]`` with those of `residual.SigmoidFriction`,
     and may hold ``rotor_inertia_kg_m2``.
+
+    Args:
+        robot: The robot without them.
+        path: The file, if any.
+
+    Raises:
+        CommandError: The file has other tables, or a key that is unknown.
     """
     if path is None:
-        return robot, None
-    content = read_toml(path, "friction file")
-    rotor = content.pop("rotor_inertia_kg_m2", None)
-    if len(content) > 1 or not content.keys() <= _MODELS.keys():
+        return RobotWithFriction(robot, None)
+    tables = read_toml(path, "friction file")
+    rotor_inertia = tables.pop(_ROTOR_INERTIA, None)
+    if len(tables) > 1 or not tables.keys() <= _FRICTION_MODELS.keys():
+        known = " or ".join(f"[{name}]" for name in _FRICTION_MODELS)
         raise CommandError(
-            f"{path} has {', '.join(content)}; expected one table of "
-            f"{' or '.join(f'[{name}]' for name in _MODELS)}, and rotor_inertia_kg_m2 if it counts"
+            f"{path} has {', '.join(tables)}; expected one table of {known}, and "
+            f"{_ROTOR_INERTIA} if it counts"
         )
     friction = None
-    for name, table in content.items():
-        where = f"{path}: [{name}]"
-        for key, value in table.items() if isinstance(table, dict) else ():
+    for name, table in tables.items():
+        friction = _friction_from_table(name, table, f"{path}: [{name}]", robot.nv)
+    if rotor_inertia is not None:
+        where = f"{path}: {_ROTOR_INERTIA}, one number per joint,"
+        inertia_kg_m2 = finite_array(rotor_inertia, (robot.nv,), where)
+        robot = robot.with_armature(inertia_kg_m2)
+    return RobotWithFriction(robot, friction)
+
+
+def _friction_from_table(
+    name: str, table: Any, where: str, joints: int
+) -> FrictionModel:
+    """Return the friction of a table; lists in it must have one number per joint."""
+    if isinstance(table, dict):
+        for key, value in table.items():
             if isinstance(value, list):
-                finite_array(
-                    value, (robot.nv,), f"{where}: {key}, one number per joint,"
-                )
-        friction = decoded(_MODELS[name], table, where)
-    if rotor is not None:
-        name = f"{path}: rotor_inertia_kg_m2, one number per joint,"
-        robot = robot.with_armature(finite_array(rotor, (robot.nv,), name))
-    return robot, friction
+                label = f"{where}: {key}, one number per joint,"
+                finite_array(value, (joints,), label)
+    return convert_table(_FRICTION_MODELS[name], table, where)
 
 
 def sensor_config(
     options: SensorOptions, friction: FrictionModel | None
 ) -> SensorConfig:
-    """Return the preset with the file's settings, then the options', in place of its
-    own.
+    """Return the preset with the file's settings, then the options', in their place.
+
+    Args:
+        options: Options of the command.
+        friction: Friction of the joints; None for that of the preset.
+
+    Raises:
+        CommandError: The file of ``--config`` has friction, or an unknown key.
     """
     config = PUBLISHED if options.published else DEFAULT
     if options.config is not None:
@@ -195,21 +263,14 @@ def sensor_config(
             raise CommandError(
                 f"{options.config}: give joint friction with --friction FILE"
             )
-        config = decoded(SensorConfig, table, options.config, config)
-    given = {"gain_per_s": options.gain, "friction": friction}
-    given |= {
-        name: getattr(options, name) for name in ("alignment", "mode", "insertion_axis")
+        config = convert_table(SensorConfig, table, options.config, config)
+    settings = {
+        "gain_per_s": options.gain,
+        "friction": friction,
+        "alignment": options.alignment,
+        "mode": options.mode,
+        "insertion_axis": options.insertion_axis,
+        "torque_is_gravity_compensated": options.gravity_compensated or None,
     }
-    given["torque_is_gravity_compensated"] = options.gravity_compensated or None
-    return replace(
-        config, **{name: value for name, value in given.items() if value is not None}
-    )
-
-
-def urdf_with_shapes(options: RobotOptions) -> Path | None:
-    """The file whose shapes are shown."""
-    if options.urdf is not None:
-        return Path(options.urdf)
-    if options.robot in (None, "lwr"):
-        return Path(str(files("urdf.data") / "lwr4plus.urdf"))
-    return Path(example_robot_path(options.robot))
+    chosen = {name: value for name, value in settings.items() if value is not None}
+    return replace(config, **chosen)

@@ -1,6 +1,7 @@
-"""Options of the commands: frozen dataclasses from which cyclopts builds the parser.
+"""Options that several commands take.
 
-The text of a field in its class's `Attributes:` is its help.
+Frozen dataclasses from which cyclopts builds the parser; the text of a field in its
+class's `Attributes:` is its help.
 """
 
 from dataclasses import dataclass
@@ -17,7 +18,8 @@ Source = Annotated[
         name="LOG",
         group=LOG,
         allow_leading_hyphen=True,
-        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard input.",
+        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard "
+        "input.",
     ),
 ]
 
@@ -28,8 +30,7 @@ _COLUMN = Parameter(metavar="COLUMNS")
 @Parameter(name="*", group=COLUMNS)
 @dataclass(frozen=True, kw_only=True)
 class Columns:
-    """Which columns are which channels; a field of a channel's name holds its
-    columns.
+    """Which columns are which channels; a field with a channel's name has its columns.
 
     Attributes:
         time: Time stamp (s, ms, us, ns).
@@ -83,7 +84,7 @@ class AllColumns(JointColumns, DepthColumns):
 
 
 TARE_S = 4.0
-"""Motion without contact before the tare of a session, unless `--tare` says otherwise."""
+"""Motion without contact before the tare of a session, without ``--tare`` [s]."""
 
 Over = Literal["time", "depth"]
 
@@ -123,6 +124,7 @@ class Output:
 
 
 Direction = tuple[float, float, float]
+"""A vector along x, y, z."""
 
 
 @Parameter(name="*", group=ROBOT)
@@ -143,8 +145,8 @@ class RobotOptions:
             the hand is off.
         lock: With --urdf: joints that are not in the log, held at a position in rad or
             m (default: 0).
-        payload: What is on the flange: a TOML file; the paper's 304 g force sensor and
-            needle (default of the LWR); or nothing (default of other robots). It
+        payload: What is on the flange: a TOML file; the published 304 g force sensor
+            and needle (default of the LWR); or nothing (default of other robots). It
             overrides the mapping.
     """
 
@@ -161,9 +163,8 @@ class RobotOptions:
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
 
     def __post_init__(self) -> None:
-        if (
-            self.robot == "lwr4plus"
-        ):  # its name in `urdf`, where it has nothing on the flange
+        # In `urdf` the arm is called lwr4plus, where it has nothing on the flange.
+        if self.robot == "lwr4plus":
             object.__setattr__(self, "robot", "lwr")
 
 
@@ -234,14 +235,16 @@ ArmName = Annotated[
     Parameter(
         name="ARM",
         group=LOG,
-        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), franka:ADDRESS, "
-        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka is taken for a panda and a "
-        "ur for a ur10e unless --robot or --urdf names another.",
+        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), "
+        "franka:ADDRESS, ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
+        "is taken for a panda and a ur for a ur10e unless --robot or --urdf names "
+        "another.",
     ),
 ]
 
 
-Constants = tuple[float, float, float, float, float, float]
+MotorConstants = tuple[float, float, float, float, float, float]
+"""Joint torque per motor current of the six joints of a UR [Nm/A]."""
 
 
 @Parameter(name="*", group=LOG)
@@ -256,4 +259,6 @@ class ArmOptions:
     """
 
     seconds: Annotated[float, Parameter(metavar="S")] = float("inf")
-    motor_constants: Annotated[Constants | None, Parameter(metavar="K1 ... K6")] = None
+    motor_constants: Annotated[
+        MotorConstants | None, Parameter(metavar="K1 ... K6")
+    ] = None

@@ -8,10 +8,17 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-FAILED = 2  # exit code after one line that says what is wrong with options or files
-INTERRUPTED = 130  # after Ctrl-C, as shells have it
-READER_GONE = 141  # when the reader of standard output has gone, as in `| head`
-TERMINATED = 143  # after SIGTERM
+FAILED = 2
+"""Exit code after one line that says what is wrong with options or files."""
+
+INTERRUPTED = 130
+"""Exit code after Ctrl-C, as shells have it."""
+
+READER_GONE = 141
+"""Exit code when the reader of standard output has gone, as in ``| head``."""
+
+TERMINATED = 143
+"""Exit code after SIGTERM."""
 
 _FORESEEN = (
     "urdf",
@@ -37,18 +44,23 @@ class _Terminated(BaseException):
 
 
 def run_command(work: Callable[[], int]) -> int:
-    """Run what returns an exit code; every foreseen failure is one line on stderr
-    and a code.
+    """Run a command; every foreseen failure is one line on stderr and an exit code.
+
+    Args:
+        work: The command; returns its exit code.
+
+    Returns:
+        The exit code.
     """
     is_terminated = False
 
-    def end(_number: int, _frame: FrameType | None) -> None:
+    def terminate(_number: int, _frame: FrameType | None) -> None:
         nonlocal is_terminated
         is_terminated = True
         raise _Terminated
 
     try:
-        with handled(end, signal.SIGTERM):
+        with handled(terminate, signal.SIGTERM):
             code = work()
             write_out("")
         return code
@@ -63,11 +75,11 @@ def run_command(work: Callable[[], int]) -> int:
         if is_terminated:
             say("terminated")
             return TERMINATED
-        say(f"error: {_explained(error)}")
+        say(f"error: {_describe_failure(error)}")
         return FAILED
 
 
-def _explained(error: BaseException) -> str:
+def _describe_failure(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
     if type(error).__module__.partition(".")[0] in _FORESEEN:
         try:
@@ -86,46 +98,59 @@ def _explained(error: BaseException) -> str:
 def handled(
     handler: Callable[[int, FrameType | None], None], *numbers: int
 ) -> Iterator[None]:
-    """Let a handler have signals while the block runs; only a process's first thread
-    may.
+    """Let a handler have signals while the block runs.
+
+    Only a process's first thread may; in others nothing changes.
+
+    Args:
+        handler: What takes number and frame of a signal.
+        numbers: The signals.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, handler) for number in numbers}
+    replaced = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, earlier in before.items():
-            signal.signal(number, earlier)
+        for number, earlier_handler in replaced.items():
+            signal.signal(number, earlier_handler)
 
 
 @contextmanager
 def stop_request(
     *others: int, then: Callable[[], None] = lambda: None
 ) -> Iterator[Callable[[], bool]]:
-    """Yield whether Ctrl-C or another of these signals came; the second interrupts
-    at once.
+    """Yield whether Ctrl-C or another of these signals came.
+
+    The second signal interrupts at once.
+
+    Args:
+        others: Signals beside Ctrl-C.
+        then: Called when the first signal comes.
     """
     is_asked = False
 
-    def hear(_number: int, _frame: FrameType | None) -> None:
+    def note_request(_number: int, _frame: FrameType | None) -> None:
         nonlocal is_asked
         if is_asked:
             raise KeyboardInterrupt
         is_asked = True
         then()
 
-    with handled(hear, signal.SIGINT, *others):
+    with handled(note_request, signal.SIGINT, *others):
         yield lambda: is_asked
 
 
 @contextmanager
-def progress_bar(
-    what: str, *, is_wanted: bool = True
-) -> Iterator[Callable[[float], None]]:
-    """Show on stderr, if that is a terminal, how far work has come; yield what takes
-    it.
+def progress_bar(label: str, *, is_wanted: bool = True) -> Iterator[Progress]:
+    """Show on stderr, if that is a terminal, how far work has come.
+
+    Yields what takes the fraction that is done.
+
+    Args:
+        label: What is done.
+        is_wanted: Whether it is shown at all.
     """
     if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
@@ -137,27 +162,31 @@ def progress_bar(
     with Progress(
         console=Console(stderr=True), transient=True, redirect_stdout=False
     ) as bar:
-        task = bar.add_task(what, total=None)
+        task = bar.add_task(label, total=None)
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 
 
 def aligned(rows: Iterable[tuple[str, str]]) -> str:
     """Return a line for each label and its text, the texts below each other."""
-    rows = list(rows)
-    width = max(len(label) for label, _ in rows)
-    return "".join(f"{label:<{width}}  {text}\n" for label, text in rows)
+    lines = list(rows)
+    width = max(len(label) for label, _ in lines)
+    return "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
 
 
 def say(text: str) -> None:
-    """Write one line to stderr, whatever line ends a message has."""
+    """Write a message to stderr as one line, whatever line ends it has."""
     if sys.stderr is not None:
         sys.stderr.write(f"{' '.join(text.split())}\n")
 
 
 def write_out(text: str, *, to_stderr: bool = False) -> None:
-    """Write whole lines now, to stderr where a table goes to standard output.
+    """Write whole lines now.
 
     What the terminal's encoding lacks is written as an escape.
+
+    Args:
+        text: The lines.
+        to_stderr: Whether a table goes to standard output.
     """
     stream = sys.stderr if to_stderr else sys.stdout
     if stream is not None:  # as print does where a stream is closed

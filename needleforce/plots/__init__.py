@@ -2,23 +2,25 @@
 
 matplotlib and jinja2 are imported only when something is drawn.
 
-Reading order: `chart` (charts as plain data, saved as PNG, SVG or PDF), `palette`
-(colours, line styles, words of an axis), `page` (one HTML file with figures, tables and
-text inside).
+Reading order: `chart` (charts as plain data), `palette` (colours, line styles, words of
+an axis), `drawing` (charts saved as PNG, SVG or PDF), `page` (one HTML file with
+figures, tables and text inside), `errors`.
 """
 
 from needleforce.plots import palette as palette
 from needleforce.plots.chart import (
     Chart as Chart,
     Curve as Curve,
-    FiguresError as FiguresError,
     Instants as Instants,
     LineStyle as LineStyle,
     Panel as Panel,
     Shading as Shading,
+)
+from needleforce.plots.drawing import (
     require_matplotlib as require_matplotlib,
     save_figure as save_figure,
 )
+from needleforce.plots.errors import FiguresError as FiguresError
 from needleforce.plots.page import (
     PAGE as PAGE,
     Page as Page,

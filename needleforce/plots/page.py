@@ -9,10 +9,20 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from needleforce.plots import chart as charts
+from needleforce.plots.chart import WIDE_IN, Chart
+from needleforce.plots.drawing import (
+    printable,
+    require_matplotlib,
+    save_figure,
+    write_file,
+)
+from needleforce.plots.errors import ChartError, WriteError
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
-PAGE = "index.html"  # in the folder of a report
+"""Media types of figures, by suffix."""
+
+PAGE = "index.html"
+"""Name of the page in the folder of a report."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +44,17 @@ class PageFigure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PageTable:
-    """A table of a page; raises `ChartError` where a row is longer or shorter than
-    the head.
+    """A table of a page.
 
     Attributes:
         caption: Stands above.
-        head: Of the columns; empty texts for none.
-        numeric: columns, from 0, whose cells line up on the right.
+        head: Heads of the columns; empty texts for none.
+        rows: Cells of every row.
+        numeric: Columns, from 0, whose cells line up on the right.
         note: Stands below.
+
+    Raises:
+        ChartError: A row is longer or shorter than the head.
     """
 
     caption: str
@@ -53,9 +66,9 @@ class PageTable:
     def __post_init__(self) -> None:
         for row in self.rows:
             if len(row) != len(self.head):
-                raise charts.ChartError(
-                    f"table {self.caption!r} has a row of {len(row)} cells under {len(self.head)} "
-                    "heads; give one cell per head"
+                raise ChartError(
+                    f"table {self.caption!r} has a row of {len(row)} cells under "
+                    f"{len(self.head)} heads; give one cell per head"
                 )
 
 
@@ -64,10 +77,13 @@ class Section:
     """A part of a page.
 
     Attributes:
-        anchor: Id within the page.
+        heading: Its heading.
+        anchor: Its id within the page.
+        paragraphs: Its text.
         notices: Text that must not be overlooked.
-        command: As typed.
-        figures: Side by side where there is room.
+        command: A command as typed; empty for none.
+        figures: Its figures, side by side where there is room.
+        tables: Its tables.
     """
 
     heading: str
@@ -81,8 +97,12 @@ class Section:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Page:
-    """Title, paragraphs under it, and sections, listed above where there are at
-    least three.
+    """A page.
+
+    Attributes:
+        title: Its title.
+        lead: Paragraphs under the title.
+        sections: Its sections, listed above where there are at least three.
     """
 
     title: str
@@ -90,7 +110,11 @@ class Page:
     sections: tuple[Section, ...] = ()
 
     def html(self) -> str:
-        """The whole page; raises `WriteError` where a figure cannot be read."""
+        """Return the whole page.
+
+        Raises:
+            WriteError: A figure cannot be read.
+        """
         from jinja2 import Environment
         from markupsafe import Markup, escape
 
@@ -103,93 +127,110 @@ class Page:
         source = (
             files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
         )
-        return charts.printable(environment.from_string(source).render(page=self))
+        return printable(environment.from_string(source).render(page=self))
 
 
 def _data_uri(path: Path) -> str:
-    """As an image, not as elements of the page: names inside two drawings cannot
-    clash.
+    """Return a file as the address of an image.
+
+    An image has names of its own, so those inside two drawings cannot clash.
     """
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise charts.WriteError(
-            f"cannot read {path}: {error.strerror or error}"
-        ) from error
+        raise WriteError(f"cannot read {path}: {error.strerror or error}") from error
     return f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(content).decode()}"
 
 
 def write_page(path: str | Path, page: Page) -> Path:
-    """Write a page as HTML file, whole or not at all (`WriteError`), and return its
-    path.
+    """Write a page as HTML file, whole or not at all.
+
+    Returns:
+        Its path.
+
+    Raises:
+        WriteError: The file cannot be written.
     """
-    return charts.write_file(path, page.html().encode())
+    return write_file(path, page.html().encode())
 
 
 def save_page_figure(
-    chart: charts.Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
+    chart: Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
 ) -> PageFigure:
-    """Save a chart as a figure of a page; one that stands alone also as
-    ``NAME-wide``.
+    """Save a chart as a figure of a page.
+
+    Args:
+        chart: The chart.
+        path: Its file.
+        alt: What it shows, for those who cannot see it.
+        caption: Its caption.
+        is_alone: Whether it stands alone; then it is also saved as ``NAME-wide``.
     """
     wide = None
     if is_alone:
         place = path.with_stem(f"{path.stem}-wide")
-        wide = charts.save_figure(replace(chart, width_in=charts.WIDE_IN), place)
+        wide = save_figure(replace(chart, width_in=WIDE_IN), place)
     return PageFigure(
-        path=charts.save_figure(chart, path), alt=alt, caption=caption, wide=wide
+        path=save_figure(chart, path), alt=alt, caption=caption, wide=wide
     )
 
 
 def settings_table(settings: Any, caption: str) -> PageTable:
-    """One line per field of a dataclass; of a dataclass within it ``outer.inner``."""
+    """Return a table with a line per field of a dataclass.
+
+    Fields of a dataclass within it are ``outer.inner``.
+    """
     return PageTable(
         caption=caption, head=("setting", "value"), rows=tuple(_rows(settings, ""))
     )
 
 
 def _rows(settings: Any, prefix: str) -> Iterator[tuple[str, str]]:
+    """Yield name and value of every field of a dataclass."""
     for item in fields(settings):
         value = getattr(settings, item.name)
         name = f"{prefix}{item.name}"
         if is_dataclass(value):
             yield from _rows(value, f"{name}.")
-            continue
-        values = (
-            value
-            if isinstance(value, tuple | list)
-            else (value,)
-            if value is not None
-            else ()
-        )
-        texts = [
-            f"{each:g}" if isinstance(each, float) else str(each) for each in values
-        ]
-        yield f"`{name}`", ", ".join(texts) or "none"
+        else:
+            yield f"`{name}`", _describe_setting(value)
+
+
+def _describe_setting(value: Any) -> str:
+    """Return a setting in words."""
+    if value is None:
+        return "none"
+    values = value if isinstance(value, tuple | list) else (value,)
+    texts = [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
+    return ", ".join(texts) or "none"
 
 
 @contextmanager
 def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
-    """Make the folder of a report (if any) before the work; if it stays empty,
-    remove it after.
+    """Make the folder of a report before the work; remove it if it stays empty.
+
+    Args:
+        path: The folder; None for no report.
+
+    Raises:
+        WriteError: The folder cannot be made.
     """
     if path is None:
         yield None
         return
-    charts.require_matplotlib("--report")
+    require_matplotlib("--report")
     folder = Path(path)
-    made = [each for each in (folder, *folder.parents) if not each.exists()]
+    new_folders = [place for place in (folder, *folder.parents) if not place.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise charts.WriteError(
+        raise WriteError(
             f"cannot write to {folder}: {error.strerror or error}"
         ) from error
     try:
         yield folder
     finally:
-        with suppress(
-            OSError
-        ):  # one that holds something is not removed, nor those it lies in
-            for each in made:
-                each.rmdir()
+        # One that holds something is not removed, nor those it lies in.
+        with suppress(OSError):
+            for place in new_folders:
+                place.rmdir()

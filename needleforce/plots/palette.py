@@ -1,7 +1,7 @@
 """Colours, line styles and the words on axes, in one place.
 
 The hues are those of Okabe and Ito, which colour-blind eyes can separate; every role
-has a line style of its own as well, for print. Where curves coincide, broad pale ones
+has a line style of its own as well, for print. Where curves coincide, broad pale lines
 are drawn below and thin dashed or dotted ones above, so that all are seen.
 """
 
@@ -31,30 +31,43 @@ DASHED: Dash = (0.0, (5.0, 2.0))
 DASH_DOTTED: Dash = (0.0, (6.0, 2.0, 1.2, 2.0))
 
 TRUE = LineStyle(color=BLACK, width_pt=0.9)
-# A part of the true force, or a true parameter, drawn over others.
+"""What the ground truth says."""
+
 TRUE_PART = LineStyle(color=BLACK, dash=DOTTED, width_pt=1.5)
-# Drawn below the others: the force an identifier is given, and another sensor's for
-# comparison.
+"""A part of the true force, or a true parameter, drawn over others."""
+
 READING = LineStyle(color=GREEN, width_pt=2.6, opacity=0.45)
+"""The force that an identifier is given, drawn below the others."""
+
 OTHER_SENSOR = LineStyle(color=GREY, width_pt=4.0, opacity=0.4)
+"""The force of another sensor for comparison, drawn below the others."""
+
 OTHER_DASHED = LineStyle(color="#555555", dash=DASHED, width_pt=0.9)
 PREDICTED = LineStyle(color=ORANGE, dash=DASHED, width_pt=1.0)
 OURS = LineStyle(color=BLUE, width_pt=1.4)
-# The published method, with its multi-layer model and with that of Kelvin and Voigt.
+
 PUBLISHED = LineStyle(color=VERMILION, dash=DASHED, width_pt=1.2)
+"""The published method with its multi-layer model."""
+
 PUBLISHED_KV = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.1)
+"""The published method with the model of Kelvin and Voigt."""
+
 TIP = LineStyle(color=PURPLE, dash=DASH_DOTTED, width_pt=1.0)
 UNTARED = LineStyle(color=GREY, width_pt=1.0)
-# The components of a vector.
+
 COMPONENTS = (
     replace(UNTARED, color=VERMILION),
     replace(UNTARED, color=GREEN, dash=DASHED),
     replace(UNTARED, color=PURPLE, dash=DASH_DOTTED),
 )
+"""The components of a vector along x, y, z."""
 
 RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
 COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
 REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
-TRUE_RUPTURE = "#d2d2d2"  # while a layer ruptures, in the ground truth
+
+TRUE_RUPTURE = "#d2d2d2"
+"""Colour of the time in which a layer ruptures, in the ground truth."""
+
 TARE = "#d5efd9"
 INITIALIZING = "#e4e4e4"

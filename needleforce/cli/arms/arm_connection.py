@@ -2,32 +2,24 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from groundtruth import simulate
-from needleforce.cli.robot import robot_from_options
-from needleforce.cli.shared_options import ArmOptions, RobotOptions
+from needleforce.cli.robot import LWR, robot_from_options
+from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request
-from needleforce.devices import (
-    ArmReading,
-    FrankaArm,
-    FriArm,
-    ReplayArm,
-    UrArm,
-    pace,
-)
+from needleforce.devices import ArmReading, FrankaArm, FriArm, ReplayArm, UrArm, pace
 from urdf import Robot
 
-ROBOTS = {
-    "fri": "lwr",
-    "franka": "panda",
-    "ur": "ur10e",
-}  # Of a kind of arm, unless described
+ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
+"""The robot of a kind of arm, unless options describe another."""
 
+SIMULATED_SCENARIO = "stack-glove-constant"
+"""What ``sim`` simulates without a scenario."""
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
@@ -35,72 +27,117 @@ NO_TORQUES = (
 )
 
 
+class ConnectedArm(NamedTuple):
+    """An arm that sends its joint signals, and its model.
+
+    Attributes:
+        arm: The connection, one of `needleforce.devices`.
+        robot: The model.
+    """
+
+    arm: Any
+    robot: Robot
+
+
 @contextmanager
 def open_arm(
-    text: str, options: RobotOptions, constants_Nm_A: tuple[float, ...] | None = None
-) -> Iterator[tuple[Any, Robot]]:
-    """Open the arm that a user names, with its model; it is closed in the end."""
-    kind, _, rest = text.partition(":")
+    name: str, options: RobotOptions, constants_Nm_A: MotorConstants | None = None
+) -> Iterator[ConnectedArm]:
+    """Open the arm that a user names, with its model; it is closed in the end.
+
+    Args:
+        name: The arm as the command line names it, such as ``fri:30200``.
+        options: Options that describe the robot.
+        constants_Nm_A: Torque per motor current of each joint of a UR [Nm/A].
+
+    Raises:
+        CommandError: There is no such arm, or the model does not fit it.
+    """
+    kind, _, address = name.partition(":")
     if constants_Nm_A is not None and kind != "ur":
-        raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {text}")
+        raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if kind == "sim":
-        if options not in (RobotOptions(), RobotOptions(robot="lwr")):
-            raise CommandError(
-                f"{text} simulates an LWR 4+ with its needle; leave the options of the robot out"
-            )
-        with progress_bar("simulating"):
-            run = simulate(rest or "stack-glove-constant", plant="clean")
-        signals = run.signals
-        dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
-        yield (
-            ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm),
-            run.robot,
-        )
+        yield _simulate_arm(name, address or SIMULATED_SCENARIO, options)
         return
-    is_port = rest.isdecimal() or not rest
-    if kind not in ROBOTS or (not is_port if kind == "fri" else not rest):
-        raise CommandError(
-            f"{text}: expected an arm as fri, fri:PORT, franka:ADDRESS, ur:ADDRESS or sim:SCENARIO"
-        )
+    _require_known_arm(name)
     if options.robot is None and options.urdf is None:
         options = replace(options, robot=ROBOTS[kind])
         say(
-            f"{text} is taken for the arm {options.robot!r}; --robot or --urdf names another"
+            f"{name} is taken for the arm {options.robot!r}; --robot or --urdf names "
+            "another"
         )
     robot = robot_from_options(options, None)
-    if kind == "fri":
-        arm: Any = FriArm(port=int(rest)) if rest else FriArm()
-    else:
-        is_ur = kind == "ur"
-        arm = (
-            UrArm(rest, torque_constant_Nm_A=constants_Nm_A)
-            if is_ur
-            else FrankaArm(rest)
-        )
-    with arm:
+    with _connect(kind, address, constants_Nm_A) as arm:
         if arm.joints != robot.nv:
             raise CommandError(
-                f"{text} has {arm.joints} joints, the robot that describes it {robot.nv}: "
-                "name another with --robot or --urdf"
+                f"{name} has {arm.joints} joints, the robot that describes it "
+                f"{robot.nv}: name another with --robot or --urdf"
             )
-        yield arm, robot
+        yield ConnectedArm(arm, robot)
+
+
+def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedArm:
+    """Return an LWR 4+ that replays a simulated insertion."""
+    if options not in (RobotOptions(), RobotOptions(robot=LWR)):
+        raise CommandError(
+            f"{name} simulates an LWR 4+ with its needle; leave the options of the "
+            "robot out"
+        )
+    with progress_bar("simulating"):
+        run = simulate(scenario, plant="clean")
+    signals = run.signals
+    dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
+    arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
+    return ConnectedArm(arm, run.robot)
+
+
+def _require_known_arm(name: str) -> None:
+    """Refuse a name of no known kind, or without the address that its kind needs."""
+    kind, _, address = name.partition(":")
+    has_address = bool(address)
+    if kind == "fri":
+        has_address = address.isdecimal() or not address
+    if kind not in ROBOTS or not has_address:
+        raise CommandError(
+            f"{name}: expected an arm as fri, fri:PORT, franka:ADDRESS, ur:ADDRESS or "
+            "sim:SCENARIO"
+        )
+
+
+def _connect(
+    kind: str, address: str, constants_Nm_A: MotorConstants | None
+) -> AbstractContextManager[Any]:
+    """Return the connection to an arm of a kind."""
+    if kind == "fri":
+        return FriArm(port=int(address)) if address else FriArm()
+    if kind == "ur":
+        return UrArm(address, torque_constant_Nm_A=constants_Nm_A)
+    return FrankaArm(address)
 
 
 def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]:
-    """Samples until the time is over, the arm stays away, or Ctrl-C, SIGTERM or
-    SIGHUP.
+    """Yield samples until the time is over, the arm stays away, or a signal ends it.
+
+    Signals are Ctrl-C, SIGTERM and SIGHUP.
+
+    Args:
+        arm: A connection of `needleforce.devices`.
+        options: For how long it is listened to.
+
+    Raises:
+        CommandError: The time is not positive.
     """
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
     # What nohup has the process ignore does not end it; else a signal does while
     # nothing comes.
-    others = [
-        n
-        for n in (signal.SIGTERM, signal.SIGHUP)
-        if signal.getsignal(n) != signal.SIG_IGN
+    signals = [
+        number
+        for number in (signal.SIGTERM, signal.SIGHUP)
+        if signal.getsignal(number) != signal.SIG_IGN
     ]
     passed_s = 0.0
-    with stop_request(*others, then=arm.end) as is_asked:
+    with stop_request(*signals, then=arm.end) as is_asked:
         for sample in pace(arm) if isinstance(arm, ReplayArm) else arm:
             passed_s += sample.dt_s
             yield sample
@@ -112,6 +149,6 @@ def require_samples(arm_name: str, arm: Any) -> None:
     """Raise `CommandError` if nothing came from an arm."""
     if not arm.report.used:
         raise CommandError(
-            f"no sample came from {arm_name} ({arm.report}): expected one per cycle; does the arm "
-            "run, and does it send to this machine and port?"
+            f"no sample came from {arm_name} ({arm.report}): expected one per cycle; "
+            "does the arm run, and does it send to this machine and port?"
         )

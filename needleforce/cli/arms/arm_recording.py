@@ -16,17 +16,27 @@ from needleforce.cli.terminal import say
 def record_signals(
     arm_name: str, output: Path, options: ArmOptions, robot: RobotOptions
 ) -> int:
-    """Write the joint signals of an arm as they come; return the exit code."""
+    """Write the joint signals of an arm into a file as they come.
+
+    Args:
+        arm_name: The arm as the command line names it.
+        output: The recording.
+        options: For how long the arm is listened to.
+        robot: Options that describe the robot.
+
+    Returns:
+        The exit code.
+    """
     has_torque = True
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
-        Recorder(output, model.joint_names) as to,
+        Recorder(output, model.joint_names) as recorder,
     ):
         for sample in samples_until_stopped(arm, options):
-            to.put(sample)
+            recorder.put(sample)
             has_torque = sample.tau_Nm is not None
     require_samples(arm_name, arm)
-    say(f"{to.rows} samples, {to.time_s:.3f} s in {output}; {arm.report}")
+    say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0

@@ -1,13 +1,14 @@
-"""`needleforce live`: an arm is watched."""
+"""`needleforce live`: a session beside an arm, in words and in the scene."""
 
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from needleforce.anatomy import PlanState
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ROBOTS,
@@ -16,96 +17,129 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
 )
 from needleforce.cli.auto_tare import SessionTare
-from needleforce.cli.plan_file import Planned, read_plan
+from needleforce.cli.plan_file import LoadedPlan, read_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandError, say, write_out
-from needleforce.devices import (
-    NetFT,
-)
+from needleforce.devices import NetFT
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
-PANEL_s = 0.1
+PANEL_S = 0.1
+"""Time between two pictures on a terminal [s]."""
+
+LINE_S = 1.0
+"""Time between two lines where standard output is no terminal [s]."""
+
+MAX_STD_N = 99.0
+"""Largest standard deviation that is printed [N]."""
+
+SHOWN_EVENTS = 5
+"""Latest events that the panel shows."""
+
+M_TO_MM = 1e3
 
 
-LINE_s = 1.0
-"""Between two pictures on a terminal, and two lines elsewhere."""
+class Display:
+    """What a session estimates: a panel on a terminal, a line a second elsewhere.
 
+    Args:
+        arm: The arm, which reports on its link.
+        reference: Force sensor beside the session, if any.
+        panel: The panel; None where standard output is no terminal.
+    """
 
-class _Watch:
-    """What a session knows, as a panel on a terminal or a line a second elsewhere."""
-
-    def __init__(self, arm: Any, reference: ReferenceForce | None) -> None:
+    def __init__(
+        self, arm: Any, reference: ReferenceForce | None, panel: Any | None
+    ) -> None:
         self._arm = arm
         self._reference = reference
+        self._panel = panel
         self._next_s = 0.0
         self._events: list[str] = []
 
-    def show(self, now: SessionEstimate, live: Any) -> None:
-        for text in _events(now):
-            self._events.append(text)
-            if live is None:
-                write_out(f"{text}\n")
-        if now.time_s < self._next_s:
+    def update(self, estimate: SessionEstimate) -> None:
+        """Show events at once, and all the rest when it is time."""
+        for event in describe_events(estimate):
+            self._events.append(event)
+            if self._panel is None:
+                write_out(f"{event}\n")
+        if estimate.time_s < self._next_s:
             return
-        self._next_s = now.time_s + (LINE_s if live is None else PANEL_s)
-        lines = self._lines(now)
-        if live is None:
-            write_out("  ".join(lines[: 3 if now.plan is None else 4]) + "\n")
+        values = self._describe_values(estimate)
+        if self._panel is None:
+            self._next_s = estimate.time_s + LINE_S
+            write_out("  ".join(values) + "\n")
         else:
-            live.update("\n".join(lines))
+            self._next_s = estimate.time_s + PANEL_S
+            lines = [*values, *self._events[-SHOWN_EVENTS:]]
+            lines += [str(estimate.warnings or ""), estimate.wrench.message]
+            lines += [f"link: {self._arm.report}"]
+            self._panel.update("\n".join(lines))
 
-    def _lines(self, now: SessionEstimate) -> list[str]:
-        wrench = now.wrench
-        found = now.identification
-        depth = f"depth {1e3 * now.depth_m:6.1f} mm  layer {found.layer}"
-        beside = (
-            "" if self._reference is None else f" ({_reference_words(self._reference)})"
-        )
-        return [
-            f"{now.time_s:8.1f} s  {now.status}",
-            f"force {wrench.axial:6.2f} ± {min(wrench.axial_std, 99.0):.3f} N{beside}",
-            f"tip {found.tip_force_N:6.2f} N  {depth}",
-            *(() if now.plan is None else (_plan_words(now.plan),)),
-            *self._events[-5:],
-            str(now.warnings or ""),
-            wrench.message,
-            f"link: {self._arm.report}",
+    def _describe_values(self, estimate: SessionEstimate) -> list[str]:
+        """Return time, forces, depth and plan in words."""
+        wrench = estimate.wrench
+        identification = estimate.identification
+        std_N = min(wrench.axial_std, MAX_STD_N)
+        force = f"force {wrench.axial:6.2f} ± {std_N:.3f} N"
+        if self._reference is not None:
+            force += f" ({describe_reference(self._reference)})"
+        depth_mm = M_TO_MM * estimate.depth_m
+        values = [
+            f"{estimate.time_s:8.1f} s  {estimate.status}",
+            force,
+            f"tip {identification.tip_force_N:6.2f} N  "
+            f"depth {depth_mm:6.1f} mm  layer {identification.layer}",
         ]
+        if estimate.plan is not None:
+            values.append(describe_plan(estimate.plan))
+        return values
 
 
-def _events(now: SessionEstimate) -> Iterator[str]:
-    """What this tick has brought, in words."""
-    found = now.identification
-    plan = now.plan
-    if (rupture := found.rupture) is not None:
-        chance = f"{100.0 * rupture.probability:.0f} %"
-        text = f"rupture of layer {rupture.layer} at {1e3 * rupture.depth_m:.1f} mm ({chance})"
+def describe_events(estimate: SessionEstimate) -> Iterator[str]:
+    """Yield in words the rupture that was detected or retracted at this sample."""
+    rupture = estimate.identification.rupture
+    if rupture is not None:
+        depth_mm = M_TO_MM * rupture.depth_m
+        text = (
+            f"rupture of layer {rupture.layer} at {depth_mm:.1f} mm "
+            f"({_percent(rupture.probability)})"
+        )
+        plan = estimate.plan
         if plan is not None:
-            where = (
-                f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
-            )
-            text += f", by the plan {where} ({100.0 * plan.matched_probability:.0f} %)"
+            match = plan.matched_name
+            if plan.matched >= 0:
+                match = f"into {match}"
+            text += f", by the plan {match} ({_percent(plan.matched_probability)})"
         yield text
-    if found.retracted is not None:
-        yield f"no rupture of layer {found.retracted.layer} after all: the force came back"
+    retracted = estimate.identification.retracted
+    if retracted is not None:
+        yield f"no rupture of layer {retracted.layer} after all: the force came back"
 
 
-def _reference_words(reference: ReferenceForce) -> str:
+def describe_reference(reference: ReferenceForce) -> str:
+    """Return the force of a reference sensor and its difference from the estimate."""
     return (
         f"reference {reference.axial_N:.2f} N, rms difference {reference.rms_N:.3f} N"
     )
 
 
-def _plan_words(plan: Any) -> str:
-    text = f"in {plan.name} ({100.0 * plan.probability:.0f} %)"
+def describe_plan(plan: PlanState) -> str:
+    """Return where the tip is by the plan, what comes next, and the plan's offset."""
+    text = f"in {plan.name} ({_percent(plan.probability)})"
     if plan.next_name:
-        text += f", {plan.next_name} at {1e3 * plan.next_m:.1f} ± {1e3 * plan.next_std_m:.1f} mm"
-    return (
-        f"{text}, offset {1e3 * plan.offset_m:+.1f} ± {1e3 * plan.offset_std_m:.1f} mm"
-    )
+        next_mm = M_TO_MM * plan.next_m
+        next_std_mm = M_TO_MM * plan.next_std_m
+        text += f", {plan.next_name} at {next_mm:.1f} ± {next_std_mm:.1f} mm"
+    offset_mm = M_TO_MM * plan.offset_m
+    offset_std_mm = M_TO_MM * plan.offset_std_m
+    return f"{text}, offset {offset_mm:+.1f} ± {offset_std_mm:.1f} mm"
+
+
+def _percent(probability: float) -> str:
+    return f"{100.0 * probability:.0f} %"
 
 
 class ReferenceSensor(NamedTuple):
@@ -126,12 +160,17 @@ class ReferenceSensor(NamedTuple):
             yield ReferenceForce(sensor, self.axis)
             say(f"reference: {sensor.report}")
 
+    def zero(self, reference: ReferenceForce) -> None:
+        """Zero the sensor with the tare, or say that it has sent nothing."""
+        if not reference.zero():
+            say(f"{self.address} had sent nothing at the tare: no reference")
+
 
 @contextmanager
-def _page(
-    kind: str, port: int, model: Robot, plan: Planned | None, robot: RobotOptions
+def _open_page(
+    kind: str, port: int, model: Robot, plan: LoadedPlan | None, robot: RobotOptions
 ) -> Iterator[Any]:
-    """The scene beside the session."""
+    """Serve the scene beside the session."""
     from needleforce.scene import SceneError, open_viewer
     from needleforce.scene.nodes import EMPTY
 
@@ -139,12 +178,22 @@ def _page(
         robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
     try:
-        view = open_viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
+        page = open_viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
     except SceneError as error:
         raise CommandError(str(error)) from error
-    with view:
-        say(f"{view.url} shows the scene")
-        yield view
+    with page:
+        say(f"{page.url} shows the scene")
+        yield page
+
+
+@contextmanager
+def _open_panel() -> Iterator[Any]:
+    """Open a place on the terminal that is written over."""
+    from rich.live import Live
+
+    with Live("", refresh_per_second=1.0 / PANEL_S) as panel:
+        yield panel
+        time.sleep(PANEL_S)
 
 
 def watch_arm(
@@ -160,8 +209,8 @@ def watch_arm(
     """Watch force and layers of an arm.
 
     Args:
-        arm_name: The arm as a user names it.
-        options: How long it is watched.
+        arm_name: The arm as the command line names it.
+        options: For how long the arm is listened to.
         robot: Options that describe the robot.
         tare_s: Motion without contact before a tare [s].
         plan_path: Plan to match ruptures with, if any.
@@ -170,51 +219,62 @@ def watch_arm(
 
     Returns:
         The exit code.
+
+    Raises:
+        CommandError: The arm sends nothing, or no torques.
     """
     tare = SessionTare(tare_s)
-    kind = arm_name.partition(":")[0]
     plan = None if plan_path is None else read_plan(plan_path)
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
-        nullcontext()
-        if reference_sensor is None
-        else reference_sensor.opened() as reference,
-        nullcontext()
-        if page_port is None
-        else _page(kind, page_port, model, plan, robot) as page,
+        _reference_beside(reference_sensor) as reference,
+        _page_beside(arm_name, page_port, model, plan, robot) as page,
+        _panel_on_terminal() as panel,
     ):
         session = InsertionSession(model)
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m)
-        view = _Watch(arm, reference)
-        with _panel() if sys.stdout.isatty() else nullcontext() as panel:
-            for sample in samples_until_stopped(arm, options):
-                if sample.tau_Nm is None:
-                    raise CommandError(f"{arm_name}: {NO_TORQUES}")
-                now = session.update(
-                    sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
-                )
-                if reference is not None:
-                    reference.update(now.wrench)
-                is_tared = tare.after(session, now)
-                if is_tared and reference is not None and not reference.zero():
-                    address = reference_sensor.address if reference_sensor else ""
-                    say(f"{address} had sent nothing at the tare: no reference")
-                view.show(now, panel)
-                if page is not None:
-                    page.put(now, sample.q_rad)
+        display = Display(arm, reference, panel)
+        for sample in samples_until_stopped(arm, options):
+            if sample.tau_Nm is None:
+                raise CommandError(f"{arm_name}: {NO_TORQUES}")
+            estimate = session.update(
+                sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+            )
+            if reference is not None:
+                reference.update(estimate.wrench)
+            is_tared_now = tare.after(session, estimate)
+            if is_tared_now and reference is not None and reference_sensor is not None:
+                reference_sensor.zero(reference)
+            display.update(estimate)
+            if page is not None:
+                page.put(estimate, sample.q_rad)
     require_samples(arm_name, arm)
     if reference is not None:
-        say(f"{_reference_words(reference)} of {reference.count} ticks since the tare")
+        say(
+            f"{describe_reference(reference)} of {reference.count} ticks since the tare"
+        )
     say(f"{arm.report}; {session.rejected} samples rejected by the session")
     return 0
 
 
-@contextmanager
-def _panel() -> Iterator[Any]:
-    """A place on the terminal that is written over."""
-    from rich.live import Live
+def _reference_beside(
+    sensor: ReferenceSensor | None,
+) -> AbstractContextManager[ReferenceForce | None]:
+    return nullcontext() if sensor is None else sensor.opened()
 
-    with Live("", refresh_per_second=1.0 / PANEL_s) as panel:
-        yield panel
-        time.sleep(PANEL_s)
+
+def _page_beside(
+    arm_name: str,
+    port: int | None,
+    model: Robot,
+    plan: LoadedPlan | None,
+    robot: RobotOptions,
+) -> AbstractContextManager[Any | None]:
+    if port is None:
+        return nullcontext()
+    return _open_page(arm_name.partition(":")[0], port, model, plan, robot)
+
+
+def _panel_on_terminal() -> AbstractContextManager[Any | None]:
+    return _open_panel() if sys.stdout.isatty() else nullcontext()

@@ -1,8 +1,7 @@
-"""Joint signals into a file, from a process of its own: the loop that hands them over
-never waits.
+"""A recording written by a process of its own: the loop with the arm never waits.
 
 Fifty samples take a bag some milliseconds to write, more than the millisecond in which
-an arm wants its answer.
+an arm needs its answer.
 """
 
 import multiprocessing
@@ -21,8 +20,11 @@ from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
 
-CHUNK = 50  # Samples written at a time
+CHUNK = 50
+"""Samples written at a time."""
 
+POLL_S = 1.0
+"""Time after which the process looks whether its parent still runs [s]."""
 
 COLUMNS = {
     "q_rad": "q_rad",
@@ -31,8 +33,8 @@ COLUMNS = {
     "external_Nm": "tau_ext_Nm",
     "current_A": "current_A",
 }
-"""Columns of a recording, by the fields of `ArmReading`; those that are None are left
-out."""
+"""Columns of a recording, by the fields of `ArmReading`; those that are None have no
+column."""
 
 
 class Recorder:
@@ -40,9 +42,13 @@ class Recorder:
 
     Whatever goes wrong in its process is raised by `put` or at the end.
 
+    Args:
+        path: The recording.
+        joint_names: Names of the joints, in the order of the signals.
+
     Attributes:
-        rows: Samples that it was given.
-        time_s: Time stamp of the last one: the first has 0.
+        rows: Samples that were put into it.
+        time_s: Time stamp of the latest sample [s]; the first has 0.
 
     Raises:
         needleforce.recordings.FileAccessError: The file cannot be written.
@@ -56,12 +62,12 @@ class Recorder:
         self._fields: list[str] = []
         context = multiprocessing.get_context("spawn")
         self._queue = context.Queue()
-        self._pipe, self._other = context.Pipe(duplex=False)
-        given = (self._queue, self._other, path, joint_names)
-        self._process = context.Process(target=_write, args=given)
+        self._pipe, self._writers_pipe = context.Pipe(duplex=False)
+        arguments = (self._queue, self._writers_pipe, path, joint_names)
+        self._process = context.Process(target=_write, args=arguments)
 
     def put(self, sample: ArmReading) -> None:
-        """Take a sample; it takes microseconds."""
+        """Take a sample, in microseconds."""
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:
             raise CommandError(
@@ -74,10 +80,10 @@ class Recorder:
         if len(self._chunk) == CHUNK:
             self._hand_over()
             if self._pipe.poll():
-                self._raise()
+                self._raise_writers_error()
 
-    def _raise(self) -> None:
-        """Raise what was wrong in the process, if anything was."""
+    def _raise_writers_error(self) -> None:
+        """Raise the error of the writing process, if it had one."""
         try:
             error = self._pipe.recv()
         except EOFError:
@@ -86,30 +92,33 @@ class Recorder:
             raise error
 
     def _hand_over(self) -> None:
-        if self._chunk:
-            times, samples = zip(*self._chunk, strict=True)
-            self._chunk = []
-            columns: dict[str, Any] = {"t_s": np.array(times)}
-            for field in self._fields:
-                columns[COLUMNS[field]] = np.array(
-                    [getattr(each, field) for each in samples]
-                )
-            self._queue.put(columns)
+        """Send the samples that were put to the writing process."""
+        if not self._chunk:
+            return
+        times_s, samples = zip(*self._chunk, strict=True)
+        self._chunk = []
+        columns: dict[str, Any] = {"t_s": np.array(times_s)}
+        for field in self._fields:
+            columns[COLUMNS[field]] = np.array(
+                [getattr(sample, field) for sample in samples]
+            )
+        self._queue.put(columns)
 
     def __enter__(self) -> Self:
         # Signals are for the loop, which then ends the process: it inherits that they
         # are blocked.
-        ours = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, ours)
+        signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
         try:
             self._process.start()
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        self._other.close()
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        self._writers_pipe.close()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._queue.cancel_join_thread()  # Else a writer that died would hold this process.
+        # Else a writer that died would hold this process.
+        self._queue.cancel_join_thread()
         try:
             self._hand_over()
             self._queue.put(None)
@@ -118,12 +127,13 @@ class Recorder:
             self._process.kill()
             self._process.join()
         if kind is None:
-            self._raise()
+            self._raise_writers_error()
 
 
 def leave_real_time() -> None:
-    """Go on with ordinary priority: a child inherits the loop's, and would take the
-    loop's time.
+    """Go on with ordinary priority.
+
+    A child inherits the priority of the loop, and would take the loop's time.
     """
     with suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
@@ -132,23 +142,26 @@ def leave_real_time() -> None:
 def _write(
     queue: Any, pipe: Connection, path: Path, joint_names: tuple[str, ...]
 ) -> None:
-    """The process: into the pipe goes None when all is written, or what was wrong."""
+    """Write what comes through the queue until None comes; runs in its own process.
+
+    Into the pipe goes None when all is written, or the error.
+    """
     leave_real_time()
     parent = multiprocessing.parent_process()
-    wrong = None
+    failure: Exception | None = None
     try:
         with open_table(
             path, is_live=True, labels=lambda: TableLabels(joint_names=joint_names)
-        ) as to:
+        ) as table:
             while parent is not None and parent.is_alive():
                 try:
-                    columns = queue.get(timeout=1.0)
+                    columns = queue.get(timeout=POLL_S)
                 except Empty:
                     continue
                 if columns is None:
                     break
-                to.append(columns)
+                table.append(columns)
     except Exception as error:
-        wrong = error
+        failure = error
     with suppress(OSError):  # Where the loop was killed nobody listens.
-        pipe.send(wrong)
+        pipe.send(failure)

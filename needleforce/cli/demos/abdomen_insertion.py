@@ -1,18 +1,20 @@
-"""`needleforce demo abdomen`: from a CT to a needle whose ruptures correct the plan.
+"""From a CT to a needle whose ruptures correct the plan: `needleforce demo abdomen`.
 
 A segmented torso, registered to the robot by landmarks and touches; a plan to a target
 in the liver; a simulated insertion through those tissues, which lie a few millimetres
-deeper than the plan says; ruptures found from joint torques, matched with the plan.
+deeper than the plan says; ruptures detected from joint torques, matched with the plan.
 Simulation only.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from foundation.arrays import Array
 from groundtruth import Run, Scenario, simulate
 from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import ABDOMEN
@@ -25,10 +27,11 @@ from needleforce.anatomy import (
     PlanState,
     Registration,
     Structure,
+    Surface,
 )
 from needleforce.cli.demos.abdomen_plan import (
     FRONT,
-    Array,
+    PlannedPath,
     inside_body,
     plan_path,
     read_torso,
@@ -39,229 +42,427 @@ from needleforce.scene.state_ring import FIELDS, view_row
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
 
-SHIFT_STD_m = 3e-3  # How far organs lie from where the CT saw them, along the needle
+ORGAN = "liver"
+"""Structure in which the target lies."""
 
+SHIFT_STD_m = 3e-3
+"""How far organs lie from where the CT saw them, along the needle [m]."""
 
 TOUCHES = 100
-
+"""Touches of the skin by which the torso is registered."""
 
 TOUCH_STD_m = 0.5e-3
+"""Error of the touched places [m]."""
 
+TOUCH_RADIUS_m = 0.25
+"""Touches lie within this distance of the entry [m]."""
+
+SLIP_PROBABILITY = 0.1
+"""Probability that a touch slips."""
+
+SLIP_m = (5e-3, 20e-3)
+"""Least and largest distance of a slip from the skin [m]."""
 
 LANDMARKS = 5
+"""Landmarks by which the torso is registered first."""
 
+LANDMARK_STD_m = 1e-3
+"""Error of the landmarks along each axis [m]."""
+
+LANDMARK_STATED_STD_m = 1.5e-3
+"""Error of the landmarks that the registration is told [m]."""
+
+BACK_QUANTILE = 0.4
+"""Fraction of the skin, from behind, that no landmark or touch can reach."""
 
 SPEED_m_s = 4e-3
-
+"""Speed of the insertion [m/s]."""
 
 STANDOFF_m = 15e-3
-
+"""Distance from the skin at the start [m]."""
 
 BEYOND_m = 12e-3
+"""How far the needle goes beyond the target [m]."""
+
+ROW_TICKS = 20
+"""Every so many samples become a row, beside those of events."""
+
+PLANNED_FRACTION = 0.2
+SIMULATED_FRACTION = 0.6
+"""Fractions of the work that plan and simulation are."""
+
+
+class Placement(NamedTuple):
+    """Where the model lies in the robot's base.
+
+    Attributes:
+        rotation: From the model to the robot, shape (3, 3).
+        translation_m: From the model to the robot, shape (3,) [m].
+    """
+
+    rotation: Array
+    translation_m: Array
+
+    def to_robot(self, points_m: Array) -> Array:
+        """Return points of the model, shape (n, 3), in the robot's base [m]."""
+        return points_m @ self.rotation.T + self.translation_m
+
+    def point_to_robot(self, point_m: Array) -> Array:
+        """Return a point of the model, shape (3,), in the robot's base [m]."""
+        return self.rotation @ point_m + self.translation_m
+
+
+class Registrations(NamedTuple):
+    """What is known of the placement.
+
+    Attributes:
+        rough: By landmarks.
+        fine: By touches of the skin; the same as `rough` where they cannot register.
+    """
+
+    rough: Registration
+    fine: Registration
+
+
+class MatchedRupture(NamedTuple):
+    """A rupture, and the plan after it.
+
+    Attributes:
+        depth_m: Depth below the planned entry [m].
+        plan: What plan and ruptures say together.
+    """
+
+    depth_m: float
+    plan: PlanState
+
+
+class FollowedInsertion(NamedTuple):
+    """A session over the signals of the insertion.
+
+    Attributes:
+        depth_m: Depth of the tip below the planned entry, shape (n,) [m].
+        force_N: Force of the virtual sensor, shape (n,) [N].
+        tip_N: Force at the tip, shape (n,) [N].
+        ruptures: The ruptures, but for those that were retracted.
+        stop_m: Depth at which the corrected plan has the target [m].
+        rows: Rows of the scene.
+        entry_in_base_m: Where the needle meets the planned entry, shape (3,) [m].
+        axis: Direction of the needle there, in base axes, shape (3,).
+    """
+
+    depth_m: Array
+    force_N: Array
+    tip_N: Array
+    ruptures: list[MatchedRupture]
+    stop_m: float
+    rows: Array
+    entry_in_base_m: Array
+    axis: Array
+
+
+class TargetErrors(NamedTuple):
+    """How far from the target the tip stops.
+
+    Attributes:
+        by_plan_m: By the plan alone [m].
+        corrected_m: By the plan that ruptures have corrected [m].
+    """
+
+    by_plan_m: float
+    corrected_m: float
 
 
 class Insertion(NamedTuple):
     """What the demonstration has done.
 
     Attributes:
-        entry_m: Of the plan, in the model.
-        rough: By landmarks.
-        fine: By touches.
-        truth: True rotation and shift from the model to the robot.
-        shift_m: By which everything lies deeper along the needle than planned.
-        depth_m: Of the tip below the planned entry, per row.
-        states: After each rupture: its depth, what is known.
-        stop_m: Depth at which the plan, corrected, has the target.
-        rows: As the scene takes them.
-        entry_in_base_m: Where the needle meets the planned entry.
-        axis: Of the needle there.
+        labels: The segmentation.
+        path: The planned path.
+        layers: The planned layers along it.
+        registrations: What is known of the placement.
+        placement: The true placement.
+        shift_m: By so much everything lies deeper along the needle than planned [m].
+        robot: The simulated robot.
+        followed: The session over its signals.
     """
 
     labels: Labels
-    entry_m: Array
-    target_m: Array
-    plan: list[Layer]
-    rough: Registration
-    fine: Registration
-    truth: tuple[Array, Array]
+    path: PlannedPath
+    layers: list[Layer]
+    registrations: Registrations
+    placement: Placement
     shift_m: float
-    depth_m: Array
-    force_N: Array
-    tip_N: Array
-    states: list[tuple[float, PlanState]]
-    stop_m: float
     robot: Robot
-    rows: Array
-    entry_in_base_m: Array
-    axis: Array
+    followed: FollowedInsertion
 
     @property
-    def length_m(self) -> float:
-        """From entry to target, as planned."""
-        return float(np.linalg.norm(self.target_m - self.entry_m))
+    def errors_m(self) -> TargetErrors:
+        """How far from the target the tip stops [m].
 
-    @property
-    def errors_m(self) -> tuple[float, float]:
-        """How far from the target the tip stops: by the plan alone, corrected.
-
-        The shift lies along the needle; what registration errs by across it stays in
-        both.
+        The shift lies along the needle; the error of the registration across it stays
+        in both.
         """
-        truth = self.truth[0] @ self.target_m + self.truth[1]
-        axis = self.truth[0] @ (self.target_m - self.entry_m) / self.length_m
-        wrong = self.fine.to_robot(self.target_m) - truth
-        across = float(np.linalg.norm(wrong - (wrong @ axis) * axis))
-        true = self.length_m + self.shift_m
-        by_plan, corrected = np.hypot(
-            [self.length_m - true, self.stop_m - true], across
-        ).tolist()
-        return by_plan, corrected
+        path = self.path
+        length_m = path.length_m
+        rotation = self.placement.rotation
+        axis = rotation @ (path.target_m - path.entry_m) / length_m
+        error_m = self.registrations.fine.to_robot(
+            path.target_m
+        ) - self.placement.point_to_robot(path.target_m)
+        across_m = float(np.linalg.norm(error_m - (error_m @ axis) * axis))
+        true_depth_m = length_m + self.shift_m
+        along_m = [length_m - true_depth_m, self.followed.stop_m - true_depth_m]
+        by_plan_m, corrected_m = np.hypot(along_m, across_m).tolist()
+        return TargetErrors(by_plan_m, corrected_m)
 
 
 def register(
-    labels: Labels, entry_m: Array, truth: tuple[Array, Array], rng: np.random.Generator
-) -> tuple[Registration, Registration]:
-    """Register by landmarks, and by touches of the skin around the entry, with a
-    pointer.
+    labels: Labels, entry_m: Array, placement: Placement, rng: np.random.Generator
+) -> Registrations:
+    """Register by landmarks, then by touches of the skin with a pointer.
 
-    Where the touches cannot register (a torso that could spin), it is the landmarks
-    twice.
+    Touches lie around the entry. Where they cannot register (a torso that could spin),
+    the landmarks alone do.
+
+    Args:
+        labels: The segmentation.
+        entry_m: Entry in the model, shape (3,) [m].
+        placement: The true placement.
+        rng: Draws landmarks, touches and their errors.
     """
-    body = [inside_body(labels).astype(np.uint8)]
-    skin = Labels.of(body, labels.grid, [Structure.named("skin", 1)]).surfaces()["skin"]
-    front = skin.vertices_m[
-        skin.vertices_m @ FRONT > np.quantile(skin.vertices_m @ FRONT, 0.4)
-    ]
-    marks = front[_spread(front, LANDMARKS, rng)]
-    robot = marks @ truth[0].T + truth[1] + 1e-3 * rng.normal(size=marks.shape)
-    rough = anatomy.fit_landmarks(marks, robot, std_m=1.5e-3, is_std_known=True)
-    near = front[np.linalg.norm(front - entry_m, axis=1) < 0.25]
-    touched = near[rng.choice(len(near), TOUCHES)] + TOUCH_STD_m * rng.normal(
-        size=(TOUCHES, 3)
+    skin = _skin_of(labels)
+    out_m = skin.vertices_m @ FRONT
+    front_m = skin.vertices_m[out_m > np.quantile(out_m, BACK_QUANTILE)]
+    landmarks_m = front_m[_spread_indices(front_m, LANDMARKS, rng)]
+    noise_m = LANDMARK_STD_m * rng.normal(size=landmarks_m.shape)
+    rough = anatomy.fit_landmarks(
+        landmarks_m,
+        placement.to_robot(landmarks_m) + noise_m,
+        std_m=LANDMARK_STATED_STD_m,
+        is_std_known=True,
     )
-    slipped = rng.random(TOUCHES) < 0.1
-    touched[slipped] += rng.uniform(5e-3, 20e-3, (int(slipped.sum()), 1)) * FRONT
+    touched_m = placement.to_robot(_touch(front_m, entry_m, rng))
     try:
-        return rough, anatomy.fit_surface(skin, touched @ truth[0].T + truth[1], rough)
+        return Registrations(rough, anatomy.fit_surface(skin, touched_m, rough))
     except anatomy.RegistrationError:
-        return rough, rough
+        return Registrations(rough, rough)
 
 
-def _spread(points: Array, count: int, rng: np.random.Generator) -> list[int]:
-    """Indices of points far from each other."""
-    chosen = [int(rng.integers(len(points)))]
-    far = np.full(len(points), np.inf)
+def _skin_of(labels: Labels) -> Surface:
+    """Return the surface of the body."""
+    body = [inside_body(labels).astype(np.uint8)]
+    structures = [Structure.named("skin", 1)]
+    return Labels.of(body, labels.grid, structures).surfaces()["skin"]
+
+
+def _touch(front_m: Array, entry_m: Array, rng: np.random.Generator) -> Array:
+    """Return touched places around the entry, some of which slipped, shape (n, 3)."""
+    near_m = front_m[np.linalg.norm(front_m - entry_m, axis=1) < TOUCH_RADIUS_m]
+    touched_m = near_m[rng.choice(len(near_m), TOUCHES)]
+    touched_m = touched_m + TOUCH_STD_m * rng.normal(size=(TOUCHES, 3))
+    has_slipped = rng.random(TOUCHES) < SLIP_PROBABILITY
+    slips_m = rng.uniform(*SLIP_m, (int(has_slipped.sum()), 1))
+    touched_m[has_slipped] += slips_m * FRONT
+    return touched_m
+
+
+def _spread_indices(points_m: Array, count: int, rng: np.random.Generator) -> list[int]:
+    """Return indices of points far from each other."""
+    chosen = [int(rng.integers(len(points_m)))]
+    distances_m = np.full(len(points_m), np.inf)
     for _ in range(count - 1):
-        far = np.minimum(far, np.linalg.norm(points - points[chosen[-1]], axis=1))
-        chosen.append(int(np.argmax(far)))
+        to_latest_m = np.linalg.norm(points_m - points_m[chosen[-1]], axis=1)
+        distances_m = np.minimum(distances_m, to_latest_m)
+        chosen.append(int(np.argmax(distances_m)))
     return chosen
 
 
-def tissue(plan: list[Layer]) -> tuple[TissueLayer, ...]:
-    """Layers of the simulation as thick as those of the plan, and one behind the
-    target.
+def tissue(layers: list[Layer]) -> tuple[TissueLayer, ...]:
+    """Return layers of the simulation as thick as those of the plan.
+
+    The last one is thicker, so that the needle can go beyond the target.
     """
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "fat": fat, "cavity": fat}
-    thick_m = np.array([layer.exit_m - layer.entry_m for layer in plan])
-    thick_m[-1] += 2.0 * BEYOND_m
+    thickness_m = np.array([layer.exit_m - layer.entry_m for layer in layers])
+    thickness_m[-1] += 2.0 * BEYOND_m
     return tuple(
         replace(kinds.get(layer.name, muscle), name=layer.name, thickness_m=each_m)
-        for layer, each_m in zip(plan, thick_m.tolist(), strict=True)
+        for layer, each_m in zip(layers, thickness_m.tolist(), strict=True)
     )
 
 
 def insert(
     folder: Path | None, seed: int, progress: Progress = lambda fraction: None
 ) -> Insertion:
-    """Plan, register, insert, and let ruptures correct the plan."""
+    """Plan, register, insert, and let ruptures correct the plan.
+
+    Args:
+        folder: Folder with CT and labels; None for an analytic torso.
+        seed: Seed of everything that is drawn at random.
+        progress: Takes the fraction of the work that is done.
+    """
     rng = np.random.default_rng(seed)
     labels = read_torso(folder, rng)
-    entry, target = plan_path(labels, "liver", rng)
-    plan = thick_layers(labels.layers_along(entry, target))
-    turn = Rotation.from_euler("x", 90.0 + 5.0 * rng.normal(), degrees=True).as_matrix()
-    truth = turn, np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)
-    rough, fine = register(labels, entry, truth, rng)
-    axis = truth[0] @ ((target - entry) / np.linalg.norm(target - entry))
-    wrong = float((truth[0] @ target + truth[1] - fine.to_robot(target)) @ axis)
-    shift = wrong + SHIFT_STD_m * float(rng.normal())
-    progress(0.2)
-    layers = tissue(plan)
-    length = float(np.linalg.norm(target - entry))
+    path = plan_path(labels, ORGAN, rng)
+    layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
+    placement = _draw_placement(rng)
+    registrations = register(labels, path.entry_m, placement, rng)
+    axis = placement.rotation @ path.axis
+    fine = registrations.fine
+    target_in_base_m = placement.point_to_robot(path.target_m)
+    error_m = float((target_in_base_m - fine.to_robot(path.target_m)) @ axis)
+    shift_m = error_m + SHIFT_STD_m * float(rng.normal())
+    progress(PLANNED_FRACTION)
+    run = _simulate(layers, path.length_m, seed, progress)
+    std_m = float(np.hypot(fine.std_along_m(axis, path.target_m), SHIFT_STD_m))
+    followed = _follow_plan(run, PlanMatch(layers, std_m), shift_m, path.length_m)
+    return Insertion(
+        labels, path, layers, registrations, placement, shift_m, run.robot, followed
+    )
+
+
+def _draw_placement(rng: np.random.Generator) -> Placement:
+    """Return a patient who lies on the back in front of the robot, drawn at random."""
+    angle_deg = 90.0 + 5.0 * rng.normal()
+    rotation = Rotation.from_euler("x", angle_deg, degrees=True).as_matrix()
+    translation_m = np.array([0.6, 0.0, 0.3]) + 0.02 * rng.normal(size=3)
+    return Placement(rotation, translation_m)
+
+
+def _simulate(
+    layers: list[Layer], length_m: float, seed: int, progress: Progress
+) -> Run:
+    """Simulate an insertion through the layers of a plan, and beyond its end."""
     motion = constant_motion(
-        speed_m_s=SPEED_m_s, depth_m=length + BEYOND_m, standoff_m=STANDOFF_m
+        speed_m_s=SPEED_m_s, depth_m=length_m + BEYOND_m, standoff_m=STANDOFF_m
     )
     scenario = Scenario(
-        id="abdomen", title="the plan's tissues", layers=layers, motion=motion
+        id="abdomen",
+        title="the plan's tissues",
+        layers=tissue(layers),
+        motion=motion,
     )
-    run = simulate(scenario, "clean", seed, lambda part: progress(0.2 + 0.6 * part))
-    std = float(np.hypot(fine.std_along_m(axis, target), SHIFT_STD_m))
-    followed = _followed(run, PlanMatch(plan, std), shift, length)
-    return Insertion(labels, entry, target, plan, rough, fine, truth, shift, **followed)
+
+    def report(fraction: float) -> None:
+        progress(PLANNED_FRACTION + SIMULATED_FRACTION * fraction)
+
+    return simulate(scenario, "clean", seed, report)
 
 
-def _followed(
-    run: Run, match: PlanMatch, shift_m: float, length_m: float
-) -> dict[str, Any]:
-    """The session over the run's signals, its ruptures matched with the plan: the
-    other fields.
+class _FollowedSample(NamedTuple):
+    """A sample at which the session follows the plan.
+
+    Attributes:
+        number: Number of the sample in the run.
+        q_rad: Joint positions [rad].
+        estimate: What the session estimates.
     """
-    signals = run.signals
-    true = run.truth
-    session = InsertionSession(run.robot)
-    velocity = (
-        signals.dq_rad_s if signals.dq_rad_s is not None else [None] * len(signals.t_s)
-    )
-    rows = []
-    states = []
-    last_s = signals.t_s[0]
-    stop = None
-    entry_m = 0.0
-    start_m = np.zeros(3)
-    axis = np.zeros(3)
-    for k, (t_s, q, dq, tau) in enumerate(
-        zip(signals.t_s, signals.q_rad, velocity, signals.tau_Nm, strict=True)
-    ):
-        now = session.update(q, dq, tau, t_s - last_s)
-        last_s = t_s
-        if not session.tared and t_s > run.tare_end_s:
-            session.tare()
-            # The robot knows where its tip is, and where the planned entry; the tissue
-            # lies deeper by what nobody knows.
-            entry_m = -float(true.depth_m[k]) - shift_m
-            start_m, axis = session.snapshot().zero
-            session.follow(match, start_m + entry_m * axis)
-            continue
-        if now.plan is None or t_s > run.scenario.motion.insertion_end_s:
-            continue
-        is_event = _took_event(now, entry_m, states)
-        if k % 20 == 0 or is_event:
-            rows.append(view_row(now, q))
-        if stop is None and now.depth_m - entry_m >= length_m + now.plan.offset_m:
-            stop = now.depth_m - entry_m
+
+    number: int
+    q_rad: Array
+    estimate: SessionEstimate
+
+    @property
+    def has_event(self) -> bool:
+        """Whether a rupture was detected or retracted."""
+        identification = self.estimate.identification
+        return (
+            identification.rupture is not None or identification.retracted is not None
+        )
+
+
+class _Follower:
+    """A session that follows the plan over the signals of a run."""
+
+    def __init__(self, run: Run, match: PlanMatch, shift_m: float) -> None:
+        self.session = InsertionSession(run.robot)
+        self.ruptures: list[MatchedRupture] = []
+        self.entry_m = 0.0
+        self.entry_in_base_m = np.zeros(3)
+        self.axis = np.zeros(3)
+        self._run = run
+        self._match = match
+        self._shift_m = shift_m
+
+    def samples(self) -> Iterator[_FollowedSample]:
+        """Run the session; yield the samples of the insertion after the tare."""
+        signals = self._run.signals
+        velocities = signals.dq_rad_s
+        if velocities is None:
+            velocities = [None] * len(signals.t_s)
+        steps_s = np.diff(signals.t_s, prepend=signals.t_s[0])
+        rows = zip(signals.q_rad, velocities, signals.tau_Nm, steps_s, strict=True)
+        for number, (q_rad, dq_rad_s, tau_Nm, step_s) in enumerate(rows):
+            t_s = signals.t_s[number]
+            estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, step_s)
+            if not self.session.tared and t_s > self._run.tare_end_s:
+                self._tare(float(self._run.truth.depth_m[number]))
+            elif estimate.plan is not None and t_s <= self._insertion_end_s:
+                self._note_rupture(estimate)
+                yield _FollowedSample(number, q_rad, estimate)
+
+    @property
+    def _insertion_end_s(self) -> float:
+        return self._run.scenario.motion.insertion_end_s
+
+    def _tare(self, true_depth_m: float) -> None:
+        """Tare, and follow the plan from there.
+
+        The robot knows where its tip is, and where the planned entry; the tissue lies
+        deeper by what nobody knows.
+        """
+        self.session.tare()
+        zero = self.session.snapshot().zero
+        self.entry_m = -true_depth_m - self._shift_m
+        self.axis = zero.axis_in_base
+        self.entry_in_base_m = zero.start_in_base_m + self.entry_m * self.axis
+        self.session.follow(self._match, self.entry_in_base_m)
+
+    def _note_rupture(self, estimate: SessionEstimate) -> None:
+        """Keep a rupture, or remove one that was retracted."""
+        identification = estimate.identification
+        if identification.rupture is not None and estimate.plan is not None:
+            depth_m = identification.rupture.depth_m - self.entry_m
+            self.ruptures.append(MatchedRupture(depth_m, estimate.plan))
+        if identification.retracted is not None:
+            depth_m = identification.retracted.depth_m - self.entry_m
+            self.ruptures = [
+                rupture for rupture in self.ruptures if rupture.depth_m != depth_m
+            ]
+
+
+def _follow_plan(
+    run: Run, match: PlanMatch, shift_m: float, length_m: float
+) -> FollowedInsertion:
+    """Run a session over the signals of a run, its ruptures matched with the plan.
+
+    Args:
+        run: The insertion.
+        match: The plan.
+        shift_m: By so much everything lies deeper than planned [m].
+        length_m: Length of the planned path [m].
+    """
+    follower = _Follower(run, match, shift_m)
+    rows: list[tuple[float, ...]] = []
+    stop_m: float | None = None
+    for sample in follower.samples():
+        estimate = sample.estimate
+        if sample.number % ROW_TICKS == 0 or sample.has_event:
+            rows.append(view_row(estimate, sample.q_rad))
+        depth_m = estimate.depth_m - follower.entry_m
+        offset_m = estimate.plan.offset_m if estimate.plan is not None else 0.0
+        if stop_m is None and depth_m >= length_m + offset_m:
+            stop_m = depth_m
     table = np.array(rows)
-    depth = table[:, FIELDS.index("depth_m")] - entry_m
-    return {
-        "depth_m": depth,
-        "force_N": table[:, FIELDS.index("force_N")],
-        "tip_N": table[:, FIELDS.index("tip_N")],
-        "states": states,
-        "stop_m": depth[-1] if stop is None else stop,
-        "robot": run.robot,
-        "rows": table,
-        "entry_in_base_m": start_m + entry_m * axis,
-        "axis": axis,
-    }
-
-
-def _took_event(
-    now: SessionEstimate, entry_m: float, states: list[tuple[float, PlanState]]
-) -> bool:
-    """Note a rupture, or strike out one that proved false; whether there was either."""
-    found = now.identification
-    if found.rupture is not None and now.plan is not None:
-        states.append((found.rupture.depth_m - entry_m, now.plan))
-    if found.retracted is not None:
-        wrong_m = found.retracted.depth_m - entry_m
-        states[:] = [one for one in states if one[0] != wrong_m]
-    return found.rupture is not None or found.retracted is not None
+    depths_m = table[:, FIELDS.index("depth_m")] - follower.entry_m
+    return FollowedInsertion(
+        depth_m=depths_m,
+        force_N=table[:, FIELDS.index("force_N")],
+        tip_N=table[:, FIELDS.index("tip_N")],
+        ruptures=follower.ruptures,
+        stop_m=depths_m[-1] if stop_m is None else stop_m,
+        rows=table,
+        entry_in_base_m=follower.entry_in_base_m,
+        axis=follower.axis,
+    )

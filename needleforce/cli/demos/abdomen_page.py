@@ -1,23 +1,24 @@
-"""`needleforce demo abdomen` on a page: table, forces, the needle's plane, the
-scene.
-"""
+"""`needleforce demo abdomen` on a page: table, forces, needle's plane, scene."""
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
+from foundation.arrays import Array
+from needleforce.anatomy import Labels, PlanState, Registration, Structure
 from needleforce.cli.demos.abdomen_insertion import (
     LANDMARKS,
     TOUCHES,
     Insertion,
     insert,
 )
-from needleforce.cli.demos.result_page import DemoResult
-from needleforce.cli.plan_file import LEAST_VOXELS
+from needleforce.cli.demos.result_page import DemoResult, NamedChart
+from needleforce.cli.plan_file import large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, progress_bar, write_out
@@ -31,161 +32,233 @@ from needleforce.plots import (
     require_matplotlib,
 )
 
-NEEDED = {"SimpleITK": "SimpleITK", "skimage": "scikit-image"}
-NEEDED |= {name: name for name in ("manifold3d", "trimesh", "mujoco")}
-"""Modules, all of extras, and the packages that bring them."""
+PACKAGE_OF_MODULE = {
+    "SimpleITK": "SimpleITK",
+    "skimage": "scikit-image",
+    "manifold3d": "manifold3d",
+    "trimesh": "trimesh",
+    "mujoco": "mujoco",
+}
+"""Modules that are needed, all of extras, and the packages that bring them."""
+
+UP = (0.0, 0.0, 1.0)
+"""Direction to the head in the model, and up in the scene."""
+
+HIDING_STRUCTURE = "lean"
+"""Structure that would hide what lies in it; the scene does not show it."""
+
+TITLE = "From a CT to a needle whose ruptures correct the plan"
+
+SLICE_CAPTION = (
+    "The plane of the needle through the segmentation, as planned: entry and target, "
+    "planned boundaries (white), detected ruptures (cyan), and where the tip stopped "
+    "(red), each moved back by the true shift."
+)
+
+M_TO_MM = 1e3
 
 
 def run(
     data: Path | None, seed: int, *, folder: Path | None, picture: Path | None
 ) -> int:
-    """Do it, print a table, and write a page or its first picture; return the exit
-    code.
+    """Run the demonstration and print its table.
+
+    Args:
+        data: Folder with CT and labels; None for an analytic torso.
+        seed: Seed of everything that is drawn at random.
+        folder: Folder for a page, if any.
+        picture: File for the needle's plane, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A package is missing.
     """
     if folder is not None or picture is not None:
         require_matplotlib("demo")
-    for name, package in NEEDED.items():
-        if find_spec(name) is None:
+    for module, package in PACKAGE_OF_MODULE.items():
+        if find_spec(module) is None:
             raise CommandError(f"demo abdomen needs {package}; pip install {package}")
     with progress_bar("demonstrating abdomen") as progress:
-        made = insert(data, seed, progress)
-
-    def drawn(folder: Path) -> list[PageFigure]:
-        plane = draw_slice(made, folder / "slice.png")
-        return [PageFigure(path=plane, alt=SLICE, caption=SLICE)]
-
-    title = "From a CT to a needle whose ruptures correct the plan"
-    DemoResult(title, _rows(made), _charts(made)).write("abdomen", folder, drawn)
+        insertion = insert(data, seed, progress)
+    result = DemoResult(TITLE, _rows_of(insertion), (_force_chart(insertion),))
+    result.print_table()
+    if folder is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        plane = draw_plane(insertion, folder / "slice.png")
+        figure = PageFigure(path=plane, alt=SLICE_CAPTION, caption=SLICE_CAPTION)
+        result.write_page("abdomen", folder, [figure])
     if picture is not None:
-        draw_slice(made, picture)
+        draw_plane(insertion, picture)
     if folder is not None and find_spec("viser") is not None:
-        write_out(f"{write_scene(made, folder / 'scene.html')}\n")
+        write_out(f"{write_scene(insertion, folder / 'scene.html')}\n")
     return 0
 
 
-def write_scene(made: Insertion, path: Path) -> Path:
-    """Write the insertion as a film in the scene; the patient lies where the needle
-    meets it.
+def write_scene(insertion: Insertion, path: Path) -> Path:
+    """Write the insertion as a film in the scene.
+
+    The patient lies where the needle meets the planned entry.
     """
     from needleforce.scene import PlanScene, Viewer
 
-    way = made.target_m - made.entry_m
-    up = [0.0, 0.0, 1.0]
-    turn = Rotation.align_vectors([made.axis, up], [way, up], weights=[np.inf, 1.0])[0]
-    large = [
-        item.name for item in made.labels.structures if item.voxels >= LEAST_VOXELS
-    ]
-    names = [name for name in large if name != "lean"]  # it would hide what lies in it
-    surfaces = tuple(made.labels.surfaces(names).values())
-    shift = made.entry_in_base_m - turn.apply(made.entry_m)
-    scene = PlanScene(
-        surfaces, made.plan, made.entry_m, made.target_m, turn.as_matrix(), shift
+    planned = insertion.path
+    followed = insertion.followed
+    alignment = Rotation.align_vectors(
+        [followed.axis, UP],
+        [planned.target_m - planned.entry_m, UP],
+        weights=[np.inf, 1.0],
     )
-    viewer = Viewer(made.robot, scene, urdf_path=urdf_with_shapes(RobotOptions()))
-    viewer.append(made.rows)
+    rotation = alignment[0]
+    labels = insertion.labels
+    names = [name for name in large_structures(labels) if name != HIDING_STRUCTURE]
+    scene = PlanScene(
+        surfaces=tuple(labels.surfaces(names).values()),
+        layers=insertion.layers,
+        entry_m=planned.entry_m,
+        target_m=planned.target_m,
+        rotation=rotation.as_matrix(),
+        translation_m=followed.entry_in_base_m - rotation.apply(planned.entry_m),
+    )
+    shapes = urdf_with_shapes(RobotOptions())
+    viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
+    viewer.append(followed.rows)
     try:
         return viewer.export(path)
     finally:
         viewer.stop()
 
 
-LEAST_NAMED = 800  # Pixels from which on a structure's name is written
-
-
-SLICE = (
-    "The plane of the needle through the segmentation, as planned: entry and target, planned "
-    "boundaries (white), detected ruptures (cyan), and where the tip stopped (red), each moved "
-    "back by the true shift."
-)
-
-
-def _rows(made: Insertion) -> tuple[tuple[str, str], ...]:
-    by_plan, corrected = (f"{1e3 * error:.1f} mm" for error in made.errors_m)
-    true = made.truth[0] @ made.target_m + made.truth[1]
+def _rows_of(insertion: Insertion) -> tuple[tuple[str, str], ...]:
+    """Return label and text of every line of the table."""
     path = ", ".join(
-        f"{p.name} {1e3 * (p.exit_m - p.entry_m):.0f} mm" for p in made.plan
+        f"{layer.name} {M_TO_MM * (layer.exit_m - layer.entry_m):.0f} mm"
+        for layer in insertion.layers
     )
-    ways = []
-    for each in (made.rough, made.fine):
-        error = np.linalg.norm(each.to_robot(made.target_m) - true)
-        std = each.tre_m(made.target_m)
-        ways.append(f"{1e3 * error:.1f} mm at the target, {1e3 * std:.1f} stated")
-    if made.fine is made.rough:
-        ways[1] = "refused: the skin slides or spins on itself"
-    rows = {"planned path": path, f"registration by {LANDMARKS} landmarks": ways[0]}
-    rows[f"and {TOUCHES} touches of the skin"] = ways[1]
-    for k, (depth, state) in enumerate(made.states, 1):
-        where = (
-            f"into {state.matched_name}" if state.matched >= 0 else state.matched_name
-        )
-        rows[f"rupture {k} at {1e3 * depth:.1f} mm"] = (
-            f"{where} ({100 * state.matched_probability:.0f} %); all lies "
-            f"{1e3 * state.offset_m:+.1f} ± {1e3 * state.offset_std_m:.1f} mm deeper"
-        )
-    rows["true shift along the needle"] = f"{1e3 * made.shift_m:+.1f} mm"
-    rows["tip from the target, by the plan alone"] = by_plan
-    rows["tip from the target, corrected by force"] = corrected
+    rough, fine = insertion.registrations
+    by_touches = "refused: the skin slides or spins on itself"
+    if fine is not rough:
+        by_touches = _describe_registration(insertion, fine)
+    rows = {
+        "planned path": path,
+        f"registration by {LANDMARKS} landmarks": _describe_registration(
+            insertion, rough
+        ),
+        f"and {TOUCHES} touches of the skin": by_touches,
+    }
+    for number, (depth_m, plan) in enumerate(insertion.followed.ruptures, 1):
+        label = f"rupture {number} at {M_TO_MM * depth_m:.1f} mm"
+        rows[label] = _describe_match(plan)
+    errors = insertion.errors_m
+    rows["true shift along the needle"] = f"{M_TO_MM * insertion.shift_m:+.1f} mm"
+    by_plan_mm = M_TO_MM * errors.by_plan_m
+    rows["tip from the target, by the plan alone"] = f"{by_plan_mm:.1f} mm"
+    corrected_mm = M_TO_MM * errors.corrected_m
+    rows["tip from the target, corrected by force"] = f"{corrected_mm:.1f} mm"
     return tuple(rows.items())
 
 
-def _charts(made: Insertion) -> tuple[tuple[str, Chart, str], ...]:
-    x = 1e3 * made.depth_m
-    planned = tuple(1e3 * layer.exit_m for layer in made.plan[:-1])
-    found = tuple(1e3 * depth for depth, _ in made.states)
-    marks = (
-        Instants(label="planned boundary", style=palette.COMPENSATION, places=planned),
-        Instants(label="detected rupture", style=palette.RUPTURE, places=found),
+def _describe_registration(insertion: Insertion, registration: Registration) -> str:
+    """Return true and stated error of a registration at the target."""
+    target_m = insertion.path.target_m
+    true_m = insertion.placement.point_to_robot(target_m)
+    error_mm = M_TO_MM * np.linalg.norm(registration.to_robot(target_m) - true_m)
+    std_mm = M_TO_MM * registration.tre_m(target_m)
+    return f"{error_mm:.1f} mm at the target, {std_mm:.1f} stated"
+
+
+def _describe_match(plan: PlanState) -> str:
+    """Return into which layer a rupture led, and by how much the plan is off."""
+    match = f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
+    offset_mm = M_TO_MM * plan.offset_m
+    std_mm = M_TO_MM * plan.offset_std_m
+    return (
+        f"{match} ({100 * plan.matched_probability:.0f} %); all lies "
+        f"{offset_mm:+.1f} ± {std_mm:.1f} mm deeper"
     )
-    forces = (
-        Curve(
-            style=palette.READING, x=x, y=made.force_N, label="force, virtual sensor"
-        ),
-        Curve(style=palette.TIP, x=x, y=made.tip_N, label="tip force"),
+
+
+def _force_chart(insertion: Insertion) -> NamedChart:
+    """Return the chart of force and tip force over depth."""
+    followed = insertion.followed
+    depth_mm = M_TO_MM * followed.depth_m
+    boundaries_mm = tuple(M_TO_MM * layer.exit_m for layer in insertion.layers[:-1])
+    ruptures_mm = tuple(M_TO_MM * rupture.depth_m for rupture in followed.ruptures)
+    force = Curve(
+        style=palette.READING,
+        x=depth_mm,
+        y=followed.force_N,
+        label="force, virtual sensor",
     )
+    tip = Curve(style=palette.TIP, x=depth_mm, y=followed.tip_N, label="tip force")
     chart = Chart(
-        title="Force and tip force over depth\nboundaries as planned, ruptures as detected",
+        title="Force and tip force over depth\n"
+        "boundaries as planned, ruptures as detected",
         x_label="depth below the planned entry [mm]",
-        panels=(Panel(y_label=palette.FORCE, curves=forces),),
-        instants=marks,
+        panels=(Panel(y_label=palette.FORCE, curves=(force, tip)),),
+        instants=(
+            Instants("planned boundary", palette.COMPENSATION, boundaries_mm),
+            Instants("detected rupture", palette.RUPTURE, ruptures_mm),
+        ),
     )
     caption = "Force over depth: where the plan expected boundaries, where they were."
-    return (("force", chart, caption),)
+    return NamedChart("force", chart, caption)
 
 
-def draw_slice(made: Insertion, path: Path) -> Path:
-    """Draw the plane of the needle into a file."""
+PIXEL_M = 5e-4
+"""Size of a pixel of the plane [m]."""
+
+BEFORE_ENTRY_M = 0.03
+BEHIND_TARGET_M = 0.06
+BESIDE_M = 0.09
+"""How far the plane reaches around the path [m]."""
+
+MIN_NAMED_PIXELS = 800
+"""A structure with fewer pixels in the plane bears no name."""
+
+
+class NamePlace(NamedTuple):
+    """Where the name of a structure is written in the plane.
+
+    Attributes:
+        name: Name of the structure.
+        row: Row of the pixel.
+        column: Column of the pixel.
+    """
+
+    name: str
+    row: int
+    column: int
+
+
+class NeedlePlane(NamedTuple):
+    """The segmentation in the plane of the needle.
+
+    Attributes:
+        along_m: Places of the rows along the needle, from the entry, shape (m,) [m].
+        across_m: Places of the columns across it, shape (n,) [m].
+        colors: Colours of the pixels, shape (m, n, 3).
+        names: Names of the large structures, each where the structure is widest.
+    """
+
+    along_m: Array
+    across_m: Array
+    colors: Array
+    names: list[NamePlace]
+
+
+def draw_plane(insertion: Insertion, path: Path) -> Path:
+    """Draw the plane of the needle into a file; return its path."""
     import matplotlib.pyplot as plt
     from matplotlib.patheffects import withStroke
 
-    outline = [
-        withStroke(linewidth=3.0, foreground="0.15")
-    ]  # legible on any structure's colour
-    along = np.arange(-0.03, made.length_m + 0.06, 5e-4)
-    across = np.arange(-0.09, 0.09, 5e-4)
-    colors, names = _section(made, along, across)
-    figure, plane = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
-    extent = (1e3 * across[0], 1e3 * across[-1], 1e3 * along[-1], 1e3 * along[0])
-    plane.imshow(colors, extent=extent, aspect="equal")
-    for name, row, column in names:
-        place = (1e3 * across[column], 1e3 * along[row])
-        style = {"color": "white", "fontsize": 8, "path_effects": outline}
-        plane.text(*place, name.replace("_", " "), ha="center", va="center", **style)
-    tip = made.stop_m - made.shift_m
-    plane.plot([0.0, 0.0], [-30.0, 1e3 * tip], color="0.9", linewidth=2.0)
-    plane.plot(
-        0.0, 1e3 * made.length_m, "o", mfc="none", mec="white", ms=11, label="target"
-    )
-    plane.plot(0.0, 1e3 * tip, "x", color="red", ms=8, mew=2, label="tip")
-    planned_mm = [1e3 * layer.exit_m for layer in made.plan[:-1]]
-    found_mm = [1e3 * (depth - made.shift_m) for depth, _ in made.states]
-    lines = (
-        (planned_mm, 8.0, "white", "planned boundary"),
-        (found_mm, 5.0, "cyan", "rupture"),
-    )
-    for places_mm, half_mm, color, label in lines:
-        style = {"color": color, "lw": 2.0, "label": label, "path_effects": outline}
-        plane.hlines(places_mm, -half_mm, half_mm, **style)
-    plane.set(
+    # Legible on the colour of any structure.
+    outline = [withStroke(linewidth=3.0, foreground="0.15")]
+    figure, axes = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
+    _draw_structures(axes, cut_plane(insertion), outline)
+    _draw_needle(axes, insertion, outline)
+    axes.set(
         xlabel="across the needle [mm]",
         ylabel="along the needle [mm]",
         title="Plan and insertion",
@@ -197,32 +270,93 @@ def draw_slice(made: Insertion, path: Path) -> Path:
     return path
 
 
-def _section(
-    made: Insertion, along: Any, across: Any
-) -> tuple[Any, list[tuple[str, int, int]]]:
-    """Colours in the needle's plane, and each large structure's name where it is
-    widest.
-    """
-    axis = (made.target_m - made.entry_m) / made.length_m
-    side = np.cross(axis, [0.0, 0.0, 1.0])
+def _draw_structures(axes: Any, plane: NeedlePlane, outline: Sequence[Any]) -> None:
+    """Draw the structures of a plane and their names."""
+    along_mm = M_TO_MM * plane.along_m
+    across_mm = M_TO_MM * plane.across_m
+    extent = (across_mm[0], across_mm[-1], along_mm[-1], along_mm[0])
+    axes.imshow(plane.colors, extent=extent, aspect="equal")
+    for name, row, column in plane.names:
+        axes.text(
+            across_mm[column],
+            along_mm[row],
+            name.replace("_", " "),
+            ha="center",
+            va="center",
+            color="white",
+            fontsize=8,
+            path_effects=outline,
+        )
+
+
+def _draw_needle(axes: Any, insertion: Insertion, outline: Sequence[Any]) -> None:
+    """Draw needle, target, planned boundaries and ruptures, less the true shift."""
+    followed = insertion.followed
+    shift_m = insertion.shift_m
+    tip_mm = M_TO_MM * (followed.stop_m - shift_m)
+    axes.plot(
+        [0.0, 0.0], [-M_TO_MM * BEFORE_ENTRY_M, tip_mm], color="0.9", linewidth=2.0
+    )
+    target_mm = M_TO_MM * insertion.path.length_m
+    axes.plot(0.0, target_mm, "o", mfc="none", mec="white", ms=11, label="target")
+    axes.plot(0.0, tip_mm, "x", color="red", ms=8, mew=2, label="tip")
+    boundaries_mm = [M_TO_MM * layer.exit_m for layer in insertion.layers[:-1]]
+    ruptures_mm = [
+        M_TO_MM * (rupture.depth_m - shift_m) for rupture in followed.ruptures
+    ]
+    style = {"lw": 2.0, "path_effects": outline}
+    axes.hlines(
+        boundaries_mm, -8.0, 8.0, color="white", label="planned boundary", **style
+    )
+    axes.hlines(ruptures_mm, -5.0, 5.0, color="cyan", label="rupture", **style)
+
+
+def cut_plane(insertion: Insertion) -> NeedlePlane:
+    """Return the segmentation in the plane of the needle and across the body."""
+    planned = insertion.path
+    labels = insertion.labels
+    along_m = np.arange(-BEFORE_ENTRY_M, planned.length_m + BEHIND_TARGET_M, PIXEL_M)
+    across_m = np.arange(-BESIDE_M, BESIDE_M, PIXEL_M)
+    axis = (planned.target_m - planned.entry_m) / planned.length_m
+    side = np.cross(axis, UP)
     side /= np.linalg.norm(side)
-    places = made.entry_m + along[:, None, None] * axis + across[None, :, None] * side
-    index = np.rint(made.labels.grid.indices(places)).astype(int)
-    valid: Any = ((index >= 0) & (index < made.labels.grid.shape)).all(axis=-1)
-    at = tuple(np.moveaxis(np.where(valid[..., None], index, 0), -1, 0))
-    ordered = sorted(made.labels.structures, key=lambda item: -item.voxels)
-    owner = np.full(valid.shape, -1)
-    colors = np.zeros((*valid.shape, 3))
-    names = []
-    for k, structure in enumerate(ordered):
-        owner[
-            valid & (made.labels.volumes[structure.volume][at] == structure.value)
-        ] = k
-    for k, structure in enumerate(ordered):
-        inside = owner == k
-        colors[inside] = structure.colour
-        if np.count_nonzero(inside) > LEAST_NAMED:
-            depth: Any = distance_transform_edt(np.pad(inside, 1))
-            row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
-            names.append((structure.name, int(row) - 1, int(column) - 1))
-    return colors, names
+    rows_m = along_m[:, None, None] * axis
+    columns_m = across_m[None, :, None] * side
+    # Small structures lie above large ones.
+    structures = sorted(labels.structures, key=lambda item: -item.voxels)
+    owners = _owners(labels, structures, planned.entry_m + rows_m + columns_m)
+    colors = np.zeros((*owners.shape, 3))
+    names: list[NamePlace] = []
+    for number, structure in enumerate(structures):
+        is_owned = owners == number
+        colors[is_owned] = structure.colour
+        if np.count_nonzero(is_owned) > MIN_NAMED_PIXELS:
+            names.append(_name_place(structure.name, is_owned))
+    return NeedlePlane(along_m, across_m, colors, names)
+
+
+def _owners(
+    labels: Labels, structures: Sequence[Structure], points_m: Array
+) -> np.ndarray:
+    """Return the number of the last structure that covers each point; -1 for none.
+
+    Args:
+        labels: The segmentation.
+        structures: Structures of it.
+        points_m: Places in the model, shape (m, n, 3) [m].
+    """
+    index = np.rint(labels.grid.indices(points_m)).astype(int)
+    is_valid: Any = ((index >= 0) & (index < labels.grid.shape)).all(axis=-1)
+    voxels = tuple(np.moveaxis(np.where(is_valid[..., None], index, 0), -1, 0))
+    owners = np.full(is_valid.shape, -1)
+    for number, structure in enumerate(structures):
+        is_inside = labels.volumes[structure.volume][voxels] == structure.value
+        owners[is_valid & is_inside] = number
+    return owners
+
+
+def _name_place(name: str, is_owned: np.ndarray) -> NamePlace:
+    """Return the pixel farthest from the edge of a structure, shape (m, n)."""
+    depth: Any = distance_transform_edt(np.pad(is_owned, 1))
+    row, column = np.unravel_index(int(np.argmax(depth)), depth.shape)
+    return NamePlace(name, int(row) - 1, int(column) - 1)

@@ -1,164 +1,219 @@
-"""A segmented torso, and a straight way into an organ of it."""
+"""A segmented torso, and a straight path into one of its organs."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
+from foundation.arrays import Array
 from groundtruth.torso import analytic_torso
 from needleforce import anatomy
-from needleforce.anatomy import (
-    Grid,
-    Labels,
-    Layer,
-    Structure,
-)
+from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.cli.terminal import CommandError
 
-Array = NDArray[np.float64]
+VOXEL_m = 2e-3
+"""Spacing of the analytic torso's scan [m]."""
 
-
-VOXEL_m = 2e-3  # Of the analytic torso's scan
-
+MARGIN_VOXELS = 4
+"""Voxels around the analytic torso."""
 
 FRONT = np.array([0.0, -1.0, 0.0])
+"""Direction out of the front of the body, in the model."""
 
-
-STEEPEST_deg = 35.0
-
+MAX_ANGLE_deg = 35.0
+"""Largest angle between the path and that direction, about two axes [deg]."""
 
 DRAWS = 1000
+"""Paths that are tried."""
 
+CORE_VOXELS = 3
+"""Targets lie so many voxels below the surface of the organ."""
 
 LENGTHS_m = (0.05, 0.1)
-
+"""Least and largest length of the path [m]."""
 
 CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
-"""What a needle may cross on its way into an organ: neither lung nor bowel nor large
-vessel."""
-
+"""What a needle may cross into an organ: neither lung nor bowel nor large vessel."""
 
 CLEARANCE_m = 6e-3
+"""So far beside the path nothing else may lie [m]."""
+
+MIN_LAYER_m = 6.5e-3
+"""Thinner layers are not simulated: they join the one before [m]."""
+
+MAX_DISTANCE_m = 0.3
+"""How far from a target the skin is sought [m]."""
 
 
-LEAST_LAYER_m = (
-    6.5e-3  # Thinner layers are no tissue of the simulation's: they join the one before
-)
+class PlannedPath(NamedTuple):
+    """A straight path of the needle, in the model.
+
+    Attributes:
+        entry_m: Where it meets the skin, shape (3,) [m].
+        target_m: Where it ends, shape (3,) [m].
+    """
+
+    entry_m: Array
+    target_m: Array
+
+    @property
+    def length_m(self) -> float:
+        """From entry to target [m]."""
+        return float(np.linalg.norm(self.target_m - self.entry_m))
+
+    @property
+    def axis(self) -> Array:
+        """Direction from entry to target, shape (3,)."""
+        return (self.target_m - self.entry_m) / np.linalg.norm(
+            self.target_m - self.entry_m
+        )
 
 
 def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
-    """A CT with labels from a folder, or a built-in analytic torso."""
+    """Return a CT with labels from a folder, or a built-in analytic torso.
+
+    Raises:
+        CommandError: The folder has no CT, or no labels beside it.
+    """
     if folder is None:
-        torso = analytic_torso(rng)
-        skin = torso["fat"]
-        half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4
-        shape = tuple((2 * half + 1).tolist())
-        corner_m = skin.centre_m - VOXEL_m * half
-        grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
-        structures = [
-            Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)
-        ]
-        return Labels.of(
-            [torso.voxels(grid.shape, grid.origin_m, grid.axes_m)], grid, structures
-        )
+        return _analytic_labels(rng)
     scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
     beside = scans[0].parent if scans else folder
     files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
     if not files or not scans:
-        what = "expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, there or one folder down"
-        raise CommandError(f"{folder}: {what}")
-    return anatomy.read_labels(files[0]).with_body(
-        anatomy.read_volume(scans[0]), fat=True
-    )
+        raise CommandError(
+            f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, "
+            "there or one folder down"
+        )
+    scan = anatomy.read_volume(scans[0])
+    return anatomy.read_labels(files[0]).with_body(scan, fat=True)
+
+
+def _analytic_labels(rng: np.random.Generator) -> Labels:
+    """Return the labels of an analytic torso drawn at random."""
+    torso = analytic_torso(rng)
+    skin = torso["fat"]
+    half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + MARGIN_VOXELS
+    shape = tuple((2 * half + 1).tolist())
+    corner_m = skin.centre_m - VOXEL_m * half
+    grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
+    structures = [
+        Structure.named(body.name, number)
+        for number, body in enumerate(torso.shapes, 1)
+    ]
+    voxels = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
+    return Labels.of([voxels], grid, structures)
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:
-    """Which voxels any structure covers."""
+    """Return which voxels any structure covers."""
     return np.any([volume != 0 for volume in labels.volumes], axis=0)
 
 
-def plan_path(
-    labels: Labels, organ: str, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Entry on the skin and a target inside an organ: the way through the most tissues.
+def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> PlannedPath:
+    """Return the path into an organ that crosses the most tissues.
 
-    Of straight ways through what is `CROSSABLE`, also so far aside as `CLEARANCE_m`,
-    and of `LENGTHS_m`; of as many tissues the shortest. `CommandError` if there is none
-    from the front.
+    It is the best of straight paths of `LENGTHS_m` through what is `CROSSABLE`, also
+    `CLEARANCE_m` beside them; of paths through as many tissues the shortest.
+
+    Args:
+        labels: The segmentation.
+        organ: Name of the structure in which the target lies.
+        rng: Draws targets and directions.
+
+    Raises:
+        CommandError: There is no such path from the front.
     """
-    organ_mask = labels.mask(organ)
-    corner = [part.start for part in labels[organ].box]
-    core = ndimage.binary_erosion(organ_mask, iterations=3)
-    places = labels.grid.points_m(
-        np.argwhere(core if core.any() else organ_mask) + corner
-    )
+    targets_m = _points_inside(labels, organ)
     body = inside_body(labels)
-    best: tuple[tuple[int, float], Array, Array] | None = None
+    best_path: PlannedPath | None = None
+    best_rank = (0, np.inf)
     for _ in range(DRAWS):
-        target = places[rng.integers(len(places))]
-        turn = np.radians(STEEPEST_deg) * rng.uniform(-1.0, 1.0, 2)
-        axis = Rotation.from_euler("xz", turn).apply(FRONT)
-        found = _skin_along(labels.grid, body, target, axis)
-        if found is None or not LENGTHS_m[0] < found < LENGTHS_m[1]:
+        target_m = targets_m[rng.integers(len(targets_m))]
+        angles = np.radians(MAX_ANGLE_deg) * rng.uniform(-1.0, 1.0, 2)
+        axis = Rotation.from_euler("xz", angles).apply(FRONT)
+        length_m = _distance_to_skin(labels.grid, body, target_m, axis)
+        if length_m is None or not LENGTHS_m[0] < length_m < LENGTHS_m[1]:
             continue
-        entry = target + found * axis
-        layers = thick_layers(labels.layers_along(entry, target))
-        rank = -len(layers), found
+        path = PlannedPath(target_m + length_m * axis, target_m)
+        layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
+        rank = (-len(layers), length_m)
         ends_inside = len(layers) > 1 and layers[-1].name == organ
-        is_better = best is None or rank < best[0]
-        if ends_inside and is_better and _is_clear(labels, entry, target, organ):
-            best = rank, entry, target
-    if best is None:
+        is_better = best_path is None or rank < best_rank
+        if ends_inside and is_better and _is_clear(labels, path, organ):
+            best_path = path
+            best_rank = rank
+    if best_path is None:
         raise CommandError(
             f"no straight way from the front into {organ!r} through soft tissue"
         )
-    return best[1], best[2]
+    return best_path
 
 
-def _is_clear(labels: Labels, entry: Array, target: Array, organ: str) -> bool:
-    """Whether a way, and those beside it, cross only what a needle may."""
-    axis = (target - entry) / np.linalg.norm(target - entry)
+def _points_inside(labels: Labels, organ: str) -> Array:
+    """Return places well inside an organ, shape (n, 3) [m]; of a thin one any."""
+    mask = labels.mask(organ)
+    corner = [extent.start for extent in labels[organ].box]
+    core = ndimage.binary_erosion(mask, iterations=CORE_VOXELS)
+    indices = np.argwhere(core if core.any() else mask) + corner
+    return labels.grid.points_m(indices)
+
+
+def _is_clear(labels: Labels, path: PlannedPath, organ: str) -> bool:
+    """Return whether a path, and those beside it, cross only what a needle may."""
+    axis = path.axis
     side = np.cross(axis, [0.0, 0.0, 1.0])
     side /= np.linalg.norm(side)
-    turns = np.radians(np.arange(0.0, 360.0, 60.0))[:, None]
-    around = np.cos(turns) * side + np.sin(turns) * np.cross(axis, side)
+    angles = np.radians(np.arange(0.0, 360.0, 60.0))[:, None]
+    around = np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
     return all(
         layer.name in (*CROSSABLE, organ)
-        for aside in (np.zeros(3), *(CLEARANCE_m * around))
-        for layer in labels.layers_along(entry + aside, target + aside)
+        for offset_m in (np.zeros(3), *(CLEARANCE_m * around))
+        for layer in labels.layers_along(
+            path.entry_m + offset_m, path.target_m + offset_m
+        )
     )
 
 
-def _skin_along(
-    grid: Grid, body: NDArray[np.bool_], start: Array, axis: Array
+def _distance_to_skin(
+    grid: Grid, body: NDArray[np.bool_], start_m: Array, axis: Array
 ) -> float | None:
-    """Distance at which a ray from inside leaves the body; None where the volume
-    ends first.
+    """Return how far away a ray leaves the body; None if the volume ends first.
+
+    Args:
+        grid: Grid of the volume.
+        body: Which voxels are inside the body.
+        start_m: Start of the ray, inside, shape (3,) [m].
+        axis: Its direction, shape (3,).
     """
-    step = 0.5 * float(grid.spacing_m.min())
-    distance = step * np.arange(1, int(0.3 / step))
-    index = np.rint(grid.indices(start + distance[:, None] * axis)).astype(int)
-    valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
-    is_body = valid & body[tuple(np.where(valid[:, None], index, 0).T)]
+    step_m = 0.5 * float(grid.spacing_m.min())
+    distances_m = step_m * np.arange(1, int(MAX_DISTANCE_m / step_m))
+    points_m = start_m + distances_m[:, None] * axis
+    index = np.rint(grid.indices(points_m)).astype(int)
+    is_valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)
+    is_body = is_valid & body[tuple(np.where(is_valid[:, None], index, 0).T)]
     outside = np.flatnonzero(~is_body)
-    return float(distance[outside[0]]) if len(outside) and valid[outside[0]] else None
+    if not len(outside) or not is_valid[outside[0]]:
+        return None
+    return float(distances_m[outside[0]])
 
 
 def thick_layers(layers: list[Layer]) -> list[Layer]:
-    """The same without layers thinner than `LEAST_LAYER_m`, and without gaps."""
-    found: list[Layer] = []
+    """Return layers without those thinner than `MIN_LAYER_m`, and without gaps."""
+    thick: list[Layer] = []
     for layer in layers:
-        is_thin = layer.exit_m - layer.entry_m < LEAST_LAYER_m
-        if found and (is_thin or layer.name == found[-1].name):
-            found[-1] = replace(
-                found[-1], exit_m=layer.exit_m, exit_std_m=layer.exit_std_m
+        is_thin = layer.exit_m - layer.entry_m < MIN_LAYER_m
+        if thick and (is_thin or layer.name == thick[-1].name):
+            thick[-1] = replace(
+                thick[-1], exit_m=layer.exit_m, exit_std_m=layer.exit_std_m
             )
+        elif not thick and not is_thin:
+            thick.append(replace(layer, entry_m=0.0, entry_std_m=0.0))
         elif not is_thin:
-            start = {"entry_m": 0.0, "entry_std_m": 0.0} if not found else {}
-            found.append(replace(layer, **start))
-    return found
+            thick.append(layer)
+    return thick

@@ -1,7 +1,5 @@
-"""`needleforce demo`: the needle moved in closed loop on the simulated arm, as a table
-and a page.
+"""`needleforce demo`: the needle moved in closed loop on the simulated arm.
 
-from needleforce.cli.terminal import Progress
 Simulation only; nothing here is a medical device or claimed of one.
 """
 
@@ -16,24 +14,38 @@ from needleforce.cli.demos.result_page import DemoResult
 from needleforce.cli.demos.teleoperation import teleoperate_needle
 from needleforce.cli.terminal import CommandError, Progress, progress_bar
 
-
-def run(kind: str, *, folder: Path | None, picture: Path | None) -> int:
-    """Run a demonstration, print its table, and write page and first figure."""
-    if folder is not None or picture is not None:
-        plots.require_matplotlib("demo")
-    if kind not in DEMOS:
-        raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
-    with progress_bar(f"demonstrating {kind}") as progress:
-        shown = DEMOS[kind](progress)
-    shown.write(kind, folder)
-    if picture is not None:
-        plots.save_figure(shown.charts[0][1], picture)
-    return 0
-
-
 DEMOS: dict[str, Callable[[Progress], DemoResult]] = {
     "guidance": guide_by_hand,
     "teleop": teleoperate_needle,
     "autonomous": stop_after_rupture,
     "rcm": turn_about_entry,
 }
+"""The demonstrations, by name."""
+
+
+def run(kind: str, *, folder: Path | None, picture: Path | None) -> int:
+    """Run a demonstration and print its table.
+
+    Args:
+        kind: One of `DEMOS`.
+        folder: Folder for a page, if any.
+        picture: File for the first chart, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: There is no such demonstration.
+    """
+    if folder is not None or picture is not None:
+        plots.require_matplotlib("demo")
+    if kind not in DEMOS:
+        raise CommandError(f"no demonstration {kind!r}; known: {', '.join(DEMOS)}")
+    with progress_bar(f"demonstrating {kind}") as progress:
+        result = DEMOS[kind](progress)
+    result.print_table()
+    if folder is not None:
+        result.write_page(kind, folder)
+    if picture is not None:
+        plots.save_figure(result.charts[0].chart, picture)
+    return 0

@@ -1,9 +1,8 @@
-"""Closed loops on the simulated arm that demonstrations and benchmarks share: a
-hand-driven needle.
+"""A hand drives the needle in closed loop on the simulated arm.
 
-The arm tares over a free stroke and stops above the tissue; then a hand takes over,
-whose wish goes inwards in strokes of what a haptic device reaches, with the clutch open
-while it goes back.
+Demonstrations and benchmarks share it. The arm tares over a free stroke and stops above
+the tissue; then a hand takes over, which moves inwards in strokes of what a haptic
+device reaches, with the clutch open while it goes back.
 """
 
 from collections.abc import Callable
@@ -12,11 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from groundtruth.rig_arm import ArmTruth, SimulatedArm
+from foundation.arrays import Array
+from groundtruth.rig_arm import ArmSample, ArmTruth, SimulatedArm
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
+from needleforce.cli.terminal import Progress
 from needleforce.control import (
     AxialSpeed,
     Controller,
@@ -28,37 +29,67 @@ from needleforce.control import (
 from needleforce.control.teleoperation import Shown
 from residual import DEFAULT, SensorConfig
 
+TICK_S = 1e-3
+"""Period of the simulated arm [s]."""
+
 TARE_STROKE_M = 60e-3
-
-
-GAP_M = 5e-3
-
+"""Free stroke over which the arm tares [m]."""
 
 TARE_SPEED_M_S = 20e-3
+"""Largest speed of that stroke [m/s]."""
 
+TARE_RAMP_S = 0.3
+"""Time in which the speed rises to it [s]."""
+
+TARE_SLOWING_PER_S = 8.0
+"""Speed over remaining way at the end of the stroke [1/s]."""
+
+TARE_TOLERANCE_M = 2e-4
+"""The stroke has ended when no more than this remains [m]."""
+
+TARE_REST_S = 0.4
+"""Rest between the stroke and the tare [s]."""
+
+GAP_M = 5e-3
+"""Distance to the tissue at the end of the stroke [m]."""
 
 STANDOFF_M = TARE_STROKE_M + GAP_M
-
+"""Distance to the tissue at the start [m]."""
 
 HAND_STROKE_M = 0.15
-
+"""Reach of a haptic device [m]."""
 
 BACK_S = 1.0
+"""Time in which the hand goes back between two strokes, clutch open [s]."""
 
+BACK_MOTION = 0.8
+"""Fraction of that time in which it moves."""
 
-JITTER_s = 5e-3
-
-
-TICK_s = 1e-3
-
+MAX_JITTER_S = 5e-3
+"""Jitter of the delay of the lines between hand and arm, if the delay is longer [s]."""
 
 SETTLE_S = 1.5
+"""Time after the last stroke until the end [s]."""
+
+
+class HandWish(NamedTuple):
+    """What the hand wants at an instant.
+
+    Attributes:
+        position_m: Where it wants to be along the needle [m].
+        pedal_down: Whether the pedal is down, so that the needle follows.
+    """
+
+    position_m: float
+    pedal_down: bool
 
 
 class HandPlan(NamedTuple):
     """Where the hand wants to be over time, and whether its pedal is down.
 
     Attributes:
+        needle_speed_m_s: Speed of the needle while the hand goes forward [m/s].
+        needle_travel_m: Travel of the needle over all strokes [m].
         scale: Needle travel per travel of the hand.
     """
 
@@ -73,33 +104,41 @@ class HandPlan(NamedTuple):
 
     @property
     def duration_s(self) -> float:
-        """Of all strokes and the ways back between them."""
+        """Time of all strokes and of the ways back between them [s]."""
         return (
             self.needle_travel_m / self.needle_speed_m_s + (self.strokes - 1) * BACK_S
         )
 
-    def at(self, t_s: float) -> tuple[float, bool]:
-        """Place of the wish [m] and the pedal, after a time."""
+    def at(self, t_s: float) -> HandWish:
+        """Return what the hand wants after a time [s]."""
         stroke_m = self.needle_travel_m / self.scale / self.strokes
         forward_s = stroke_m * self.scale / self.needle_speed_m_s
         stroke = min(int(t_s / (forward_s + BACK_S)), self.strokes - 1)
         within_s = max(t_s, 0.0) - stroke * (forward_s + BACK_S)
         if within_s <= forward_s or stroke == self.strokes - 1:
-            return stroke_m * min(within_s / forward_s, 1.0), True
-        back = min((within_s - forward_s) / (0.8 * BACK_S), 1.0)
-        return stroke_m * (0.5 + 0.5 * np.cos(np.pi * back)), False
+            position_m = stroke_m * min(within_s / forward_s, 1.0)
+            return HandWish(position_m, pedal_down=True)
+        back = min((within_s - forward_s) / (BACK_MOTION * BACK_S), 1.0)
+        position_m = stroke_m * (0.5 + 0.5 * np.cos(np.pi * back))
+        return HandWish(position_m, pedal_down=False)
 
 
 @dataclass(kw_only=True)
 class Teleinsertion:
-    """What happened while the hand drove the needle, one row per tick of 1 ms.
+    """What happened while the hand drove the needle; lists have one row per tick.
 
     Attributes:
-        tip_N: True.
-        raw_N: As the virtual sensor measures it.
-        shown_N: What is sent to be felt.
-        energy_J: true, at the hand's port.
-        is_open: The clutch: the hand goes back.
+        t_s: Time [s].
+        depth_m: Position of the true tip along the needle [m].
+        tip_N: True force at the tip [N].
+        raw_N: Axial force as the virtual sensor measures it [N].
+        shown_N: Force that is sent to be felt [N].
+        energy_J: True energy at the hand's port [J].
+        is_open: Whether the clutch is open: the hand goes back.
+        alarms_s: Times of the rupture alarms [s].
+        least_energy_J: The least of `energy_J`, at every instant of the device [J].
+        drift_m: Travel of the needle beyond what the hand asked for [m].
+        ruptures: The true ruptures.
     """
 
     t_s: list[float] = field(default_factory=list)
@@ -115,17 +154,17 @@ class Teleinsertion:
     ruptures: tuple[Rupture, ...] = ()
 
     def rows(self, name: str) -> np.ndarray:
-        """One column as an array."""
+        """Return one of the lists as an array."""
         return np.array(getattr(self, name))
 
-    def note(
+    def add(
         self,
         truth: ArmTruth,
         estimate: SessionEstimate,
         shown_N: float,
         master: HapticMaster,
     ) -> None:
-        """Take a row."""
+        """Add a row."""
         self.t_s.append(truth.t_s)
         self.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
         self.tip_N.append(truth.tissue.tip_N)
@@ -133,29 +172,101 @@ class Teleinsertion:
         self.shown_N.append(shown_N)
         self.energy_J.append(master.port_energy_J)
         self.is_open.append(not master.clutch)
-        if (
-            estimate.used_for_identification
-            and estimate.identification.rupture is not None
-        ):
+        has_alarm = estimate.identification.rupture is not None
+        if estimate.used_for_identification and has_alarm:
             self.alarms_s.append(truth.t_s)
 
 
-class _Approach:
-    """Tares over a free stroke; speed until it is done."""
+class _TareStroke:
+    """The free stroke over which a session is tared, and the tare at its end."""
 
     def __init__(self, session: InsertionSession) -> None:
         self._session = session
         self._rest_s = 0.0
 
     def speed_m_s(self, estimate: SessionEstimate, t_s: float) -> float:
-        """Speed along the needle until the session is tared."""
-        left_m = TARE_STROKE_M - estimate.depth_m
-        if left_m > 2e-4:
-            return float(min(TARE_SPEED_M_S * min(t_s / 0.3, 1.0), 8.0 * left_m))
-        self._rest_s += TICK_s
-        if self._rest_s >= 0.4:
+        """Return the speed along the needle [m/s]; tare after a rest at the end."""
+        remaining_m = TARE_STROKE_M - estimate.depth_m
+        if remaining_m > TARE_TOLERANCE_M:
+            rising = TARE_SPEED_M_S * min(t_s / TARE_RAMP_S, 1.0)
+            return float(min(rising, TARE_SLOWING_PER_S * remaining_m))
+        self._rest_s += TICK_S
+        if self._rest_s >= TARE_REST_S:
             self._session.tare()
-        return 0.0  # after a tare the estimate at hand still counts depth from before
+        return 0.0
+
+
+class _HandLoop:
+    """The closed loop of hand, delayed lines, session and controller."""
+
+    def __init__(
+        self,
+        arm: SimulatedArm,
+        hand: HandPlan,
+        master: HapticMaster,
+        teleoperation: Teleoperation,
+        sensor: SensorConfig,
+    ) -> None:
+        self.run = Teleinsertion()
+        self._arm = arm
+        self._hand = hand
+        self._master = master
+        self._teleoperation = teleoperation
+        self._session = InsertionSession(arm.robot, sensor)
+        self._stroke = _TareStroke(self._session)
+        self._controller = Controller(arm.robot, Limits(arm.robot))
+        self._controller.tool.update(arm.home_rad)
+        self._shaft = Fixture.here(self._controller.tool)
+        self._posture = Posture(arm.home_rad)
+        self._asked_m = 0.0
+        self._end_s = np.inf
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all strokes, and the time after them, have passed."""
+        return self._arm.time_s > self._end_s
+
+    @property
+    def fraction(self) -> float:
+        """Fraction of the hand's time that has passed; minus infinity before it."""
+        total_s = self._hand.duration_s + SETTLE_S
+        return 1.0 - (self._end_s - self._arm.time_s) / total_s
+
+    def update(self, sample: ArmSample) -> None:
+        """Do one tick: the tare stroke, then the hand."""
+        estimate = self._session.update(
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+        )
+        if self._session.tared:
+            speed_m_s = self._follow_hand(estimate, sample.dt_s)
+        else:
+            # After its tare the estimate at hand still counts depth from before.
+            speed_m_s = self._stroke.speed_m_s(estimate, self._arm.time_s)
+        tasks = [self._shaft, AxialSpeed(speed_m_s), self._posture]
+        self._arm.send(self._controller.update(sample, tasks).dq_rad_s)
+
+    def finish(self) -> Teleinsertion:
+        """Return what happened."""
+        run = self.run
+        run.least_energy_J = self._master.least_energy_J
+        run.drift_m = run.depth_m[-1] - run.depth_m[0] - self._asked_m
+        run.ruptures = self._arm.tissue_truth().ruptures
+        return run
+
+    def _follow_hand(self, estimate: SessionEstimate, dt_s: float) -> float:
+        """Return the speed that the hand asks for [m/s], and let it feel the force."""
+        master = self._master
+        end_s = self._arm.time_s + self._hand.duration_s + SETTLE_S
+        self._end_s = min(self._end_s, end_s)
+        master.clutch = self._hand.at(master.time_s).pedal_down
+        position_m = master.position_m[2]
+        command = self._teleoperation.update(master.read(), estimate, dt_s)
+        moved_m = master.position_m[2] - position_m
+        self._asked_m += self._hand.scale * moved_m * master.clutch
+        master.render(command.force_N)
+        shown_N = self._teleoperation.shown_N
+        self.run.add(self._arm.truth, estimate, shown_N, master)
+        return command.speed_m_s
 
 
 def teleoperate(
@@ -167,66 +278,49 @@ def teleoperate(
     delay_s: float = 0.0,
     operator: Callable[[Callable], Operator] = lambda wish: Operator(wish_m=wish),
     sensor: SensorConfig = DEFAULT,
-    progress: Callable[[float], None] = lambda _: None,
+    progress: Progress = lambda _: None,
 ) -> Teleinsertion:
-    """Tare over a stroke, then let a hand drive the needle; the arm starts
-    `STANDOFF_M` above.
+    """Tare over a stroke, then let a hand drive the needle.
+
+    Args:
+        arm: The arm; it starts `STANDOFF_M` above the tissue.
+        hand: Where the hand wants to be.
+        seed: Seed of the jitter of the lines.
+        shown: Which force is sent to be felt.
+        delay_s: Delay of the lines between hand and arm, each way [s].
+        operator: Makes a hand of its wish over time.
+        sensor: Settings of the virtual sensor.
+        progress: Takes the fraction of the hand's time that has passed.
     """
-    session = InsertionSession(arm.robot, sensor)
-    control = Controller(arm.robot, Limits(arm.robot))
-    control.tool.update(arm.home_rad)
-    shaft = Fixture.here(control.tool)
-    posture = Posture(arm.home_rad)
     rng = np.random.default_rng(seed)
-    jitter_s = min(JITTER_s, delay_s)
-    lag_s = 1.0 / sensor.slowest_gain_per_s
-    lines = DelayLine(delay_s, jitter_s, rng), DelayLine(delay_s, jitter_s, rng)
-    tele = Teleoperation(
-        motion_scale=hand.scale, shown=shown, force_lag_s=lag_s, lines=lines
+    jitter_s = min(MAX_JITTER_S, delay_s)
+    to_arm = DelayLine(delay_s, jitter_s, rng)
+    to_hand = DelayLine(delay_s, jitter_s, rng)
+    teleoperation = Teleoperation(
+        motion_scale=hand.scale,
+        shown=shown,
+        force_lag_s=1.0 / sensor.slowest_gain_per_s,
+        lines=(to_arm, to_hand),
     )
-    master = HapticMaster(operator(lambda t: (0.0, 0.0, hand.at(t)[0])))
-    approach = _Approach(session)
-    found = Teleinsertion()
-    wanted_m = 0.0
-    end_s = np.inf
+    master = HapticMaster(operator(lambda t_s: (0.0, 0.0, hand.at(t_s).position_m)))
+    loop = _HandLoop(arm, hand, master, teleoperation, sensor)
     for sample in arm:
-        estimate = session.update(
-            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
-        )
-        speed_m_s = (
-            approach.speed_m_s(estimate, arm.time_s) if not session.tared else None
-        )
-        if session.tared and speed_m_s is None:
-            end_s = min(end_s, arm.time_s + hand.duration_s + SETTLE_S)
-            master.clutch = hand.at(master.time_s)[1]
-            before_m = master.position_m[2]
-            move = tele.update(master.read(), estimate, sample.dt_s)
-            wanted_m += hand.scale * (master.position_m[2] - before_m) * master.clutch
-            master.render(move.force_N)
-            speed_m_s = move.speed_m_s
-            found.note(arm.truth, estimate, tele.shown_N, master)
-            progress(1.0 - (end_s - arm.time_s) / (hand.duration_s + SETTLE_S))
-        arm.send(
-            control.update(
-                sample, [shaft, AxialSpeed(speed_m_s or 0.0), posture]
-            ).dq_rad_s
-        )
-        if arm.time_s > end_s:
+        loop.update(sample)
+        if loop.run.t_s:
+            progress(loop.fraction)
+        if loop.is_over:
             break
-    found.least_energy_J = master.least_energy_J
-    found.drift_m = found.depth_m[-1] - found.depth_m[0] - wanted_m
-    found.ruptures = arm.tissue_truth().ruptures
-    return found
+    return loop.finish()
 
 
 class RuptureFelt(NamedTuple):
-    """One rupture as it was shown.
+    """One rupture as it was shown to the hand.
 
     Attributes:
-        shown_drop: Fall of the shown force / force before.
+        shown_drop: Fall of the shown force over the force before it.
         raw_drop: The same of the measured force.
-        error_N: Of the shown force before, against the true tip force.
-        delay_s: Until the alarm; nan without one.
+        error_N: Error of the shown force before it, against the true tip force [N].
+        delay_s: Time until the alarm [s]; nan without one.
     """
 
     shown_drop: float
@@ -236,43 +330,56 @@ class RuptureFelt(NamedTuple):
 
 
 BEFORE_TICKS = 100
-
+"""Ticks before a rupture over which forces are averaged."""
 
 AFTER_TICKS = 250
-
+"""Ticks after a rupture in which the least force is sought."""
 
 MEAN_TICKS = 20
+"""Ticks over which that force is averaged."""
 
+MIN_FORCE_N = 0.05
+"""A smaller force before a rupture counts as this, so that a drop is finite [N]."""
 
-LATEST_ALARM_s = 0.6
+MAX_ALARM_DELAY_S = 0.6
+"""An alarm later than this after the rupture is not of it [s]."""
 
 
 def ruptures_felt(run: Teleinsertion) -> list[RuptureFelt]:
-    """How each rupture inside the tissue was shown."""
-    felt = []
+    """Return how each rupture inside the tissue was shown to the hand."""
+    felt: list[RuptureFelt] = []
     t_s = run.rows("t_s")
-    alarms = run.rows("alarms_s")
+    shown_N = run.rows("shown_N")
+    raw_N = run.rows("raw_N")
+    error_N = shown_N - run.rows("tip_N")
     for rupture in run.ruptures:
         start = int(np.searchsorted(t_s, rupture.onset_s))
         if rupture.layer == 0 or not BEFORE_TICKS < start < len(t_s) - 1:
             continue
+        end = int(np.searchsorted(t_s, rupture.end_s)) + AFTER_TICKS
         before = slice(start - BEFORE_TICKS, start)
-        after = slice(start, int(np.searchsorted(t_s, rupture.end_s)) + AFTER_TICKS)
-        drops = []
-        for name in ("shown_N", "raw_N"):
-            force = run.rows(name)
-            smooth = np.convolve(
-                force[after], np.full(MEAN_TICKS, 1.0 / MEAN_TICKS), "valid"
+        after = slice(start, end)
+        felt.append(
+            RuptureFelt(
+                shown_drop=_drop(shown_N[before], shown_N[after]),
+                raw_drop=_drop(raw_N[before], raw_N[after]),
+                error_N=float(np.mean(error_N[before])),
+                delay_s=_alarm_delay_s(run.rows("alarms_s"), rupture.onset_s),
             )
-            drops.append(
-                float(1.0 - max(smooth.min(), 0.0) / max(force[before].mean(), 0.05))
-            )
-        error_N = float(
-            np.mean(run.rows("shown_N")[before] - run.rows("tip_N")[before])
         )
-        late = alarms[
-            (alarms >= rupture.onset_s) & (alarms < rupture.onset_s + LATEST_ALARM_s)
-        ]
-        delay_s = float(late[0] - rupture.onset_s) if len(late) else float("nan")
-        felt.append(RuptureFelt(drops[0], drops[1], error_N, delay_s))
     return felt
+
+
+def _drop(before_N: Array, after_N: Array) -> float:
+    """Return the fall of a force over its mean before a rupture."""
+    window = np.full(MEAN_TICKS, 1.0 / MEAN_TICKS)
+    least_N = np.convolve(after_N, window, "valid").min()
+    return float(1.0 - max(least_N, 0.0) / max(before_N.mean(), MIN_FORCE_N))
+
+
+def _alarm_delay_s(alarms_s: Array, onset_s: float) -> float:
+    """Return the time from a rupture to its alarm [s]; nan without one."""
+    is_of_rupture = (alarms_s >= onset_s) & (alarms_s < onset_s + MAX_ALARM_DELAY_S)
+    if not is_of_rupture.any():
+        return float("nan")
+    return float(alarms_s[is_of_rupture][0] - onset_s)

@@ -1,49 +1,60 @@
-"""What a demonstration has to show: a table, and a page with its figures."""
+"""What a demonstration shows: a table, and a page with its figures."""
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
+from foundation.arrays import Array
 from needleforce import plots
 from needleforce.cli.terminal import aligned, write_out
-from needleforce.plots import (
-    Chart,
-    Curve,
-    LineStyle,
-    PageFigure,
-    Panel,
-)
+from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel
 
-Drawn = Callable[[Path], list[PageFigure]]  # into a folder
+NOT_MEDICAL = "Simulation only: not a medical device."
 
 
-NEVER = "Simulation only: not a medical device."
+class NamedChart(NamedTuple):
+    """A chart of a page.
+
+    Attributes:
+        name: Name of its file, without the suffix.
+        chart: The chart.
+        caption: Its caption.
+    """
+
+    name: str
+    chart: Chart
+    caption: str
 
 
 class DemoResult(NamedTuple):
-    """What a demonstration has to show.
+    """What a demonstration shows.
 
     Attributes:
-        charts: Name of the file, the chart, its caption.
+        title: Title of the table, and of the section of the page.
+        rows: Label and text of every line of the table.
+        charts: Charts of the page.
     """
 
     title: str
     rows: tuple[tuple[str, str], ...]
-    charts: tuple[tuple[str, Chart, str], ...]
+    charts: tuple[NamedChart, ...]
 
-    def write(
-        self, kind: str, folder: Path | None, first: Drawn = lambda _: []
+    def print_table(self) -> None:
+        """Print the table."""
+        write_out(f"{self.title}\n{aligned(self.rows)}{NOT_MEDICAL}\n")
+
+    def write_page(
+        self, kind: str, folder: Path, pictures: Sequence[PageFigure] = ()
     ) -> None:
-        """Print the table, and write it with the figures as a page, if there is a
-        folder for it.
+        """Write a page with table and figures into a folder; print its name.
+
+        Args:
+            kind: The demonstration.
+            folder: Folder of the page.
+            pictures: Figures that stand before the charts.
         """
-        write_out(f"{self.title}\n{aligned(self.rows)}{NEVER}\n")
-        if folder is None:
-            return
         folder.mkdir(parents=True, exist_ok=True)
-        figures = first(folder)
+        figures = [*pictures]
         for name, chart, caption in self.charts:
             place = folder / f"{name}.svg"
             figures.append(
@@ -52,17 +63,22 @@ class DemoResult(NamedTuple):
         table = plots.PageTable(
             caption="Result", head=("what", "value"), rows=self.rows
         )
-        content = {"figures": tuple(figures), "tables": (table,)}
-        section = plots.Section(heading=self.title, anchor=kind, **content)
+        section = plots.Section(
+            heading=self.title, anchor=kind, figures=tuple(figures), tables=(table,)
+        )
         page = plots.Page(
-            title=f"needleforce demo {kind}", lead=(NEVER,), sections=(section,)
+            title=f"needleforce demo {kind}", lead=(NOT_MEDICAL,), sections=(section,)
         )
         write_out(f"{plots.write_page(folder / plots.PAGE, page)}\n")
 
 
-def panels_over_time(
-    t_s: np.ndarray, *rows: tuple[str, LineStyle, np.ndarray]
-) -> tuple[Panel, ...]:
-    """One panel for each label of the y axis, style and values over time."""
-    curves = ((label, Curve(style=style, x=t_s, y=y)) for label, style, y in rows)
-    return tuple(Panel(y_label=label, curves=(curve,)) for label, curve in curves)
+def panel_over_time(t_s: Array, y_label: str, style: LineStyle, y: Array) -> Panel:
+    """Return a panel with one curve over time.
+
+    Args:
+        t_s: Time [s], shape (n,).
+        y_label: Label of the y axis.
+        style: Line of the curve.
+        y: Values, shape (n,).
+    """
+    return Panel(y_label=y_label, curves=(Curve(style=style, x=t_s, y=y),))

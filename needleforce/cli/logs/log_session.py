@@ -21,22 +21,20 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping import parse_column_spec
 
-# The mapping, and the log read with it.
-
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
     """Return the mapping that options and mapping file give together; options win."""
-    base = (
-        recordings.load_mapping(columns.mapping) if columns.mapping else ColumnMapping()
-    )
-    given = {
+    base = ColumnMapping()
+    if columns.mapping:
+        base = recordings.load_mapping(columns.mapping)
+    from_options = {
         name: parse_column_spec(text, channel)
         for name, channel in CHANNELS.items()
         if (text := getattr(columns, name, None)) is not None
     }
-    channels = {**base.channels, **given}
+    channels = {**base.channels, **from_options}
     rate_hz = columns.rate
-    if "time" not in given:
+    if "time" not in from_options:
         if rate_hz is not None:
             channels.pop("time", None)
         else:
@@ -45,26 +43,54 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
 
 
 def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool:
-    """Return whether a recording has columns for all of these channels."""
+    """Return whether a recording has columns for all of these channels.
+
+    Args:
+        source: The recording as the command line names it.
+        columns: Which columns are which channels.
+        channels: Names of channels.
+
+    Raises:
+        CommandError: The recording is a pipe, which can be read only once.
+        ColumnError: It has columns for neither these channels nor depth and force.
+    """
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError(
             "a report needs a file, not a pipe; or give --report DIR to force"
         )
     table = next(recordings.stream_tables(source, FollowOptions()))
     mapping = mapping_from_options(columns)
-    asked = tuple(channels)
+    required = tuple(channels)
     try:
-        return ChannelRequest(mapping, asked).columns(table) is not None
+        return ChannelRequest(mapping, required).columns(table) is not None
     except recordings.ColumnError:
         layers = ChannelRequest(mapping, ("depth", "force"))
-        if mapping.channels.keys() & {*asked} or layers.columns(table) is None:
+        if mapping.channels.keys() & {*required} or layers.columns(table) is None:
             raise
-        return False  # `identify` asks for no joints, so it does not matter how many might fit
+        # `identify` asks for no joints, so it does not matter how many might fit.
+        return False
 
 
 class LogSession:
-    """Iterates over the log of the command line; reports on stderr what is wrong
-    with it.
+    """The log of the command line; iterating yields its rows.
+
+    What is wrong with the log is reported on stderr.
+
+    Args:
+        source: The log as the command line names it.
+        output: How long it is read.
+        request: Which channels are read.
+        is_stopped: Whether Ctrl-C has ended the log.
+
+    Attributes:
+        name: Name of the log in messages.
+        is_live: Rows come as they are recorded, and results must not wait for the end.
+        is_stopped: Whether Ctrl-C has ended the log.
+        warnings: What was wrong with the log so far.
+        start_ns: Start of the log's clock, see `Table`; known with the first rows.
+
+    Raises:
+        CommandError: The time of ``--idle`` is not positive.
     """
 
     def __init__(
@@ -78,28 +104,28 @@ class LogSession:
             raise CommandError(
                 f"--idle {output.idle:g}: expected a number of seconds > 0"
             )
+        is_piped = source == STANDARD_STREAM
+        self.name = "standard input" if is_piped else Path(source).name
+        self.is_live = output.follow or is_piped or Path(source).is_fifo()
+        self.is_stopped = is_stopped
+        self.warnings: list[str] = []
+        self.start_ns = 0
         self._source = source
         self._output = output
         self._request = request
-        is_piped = source == STANDARD_STREAM
-        self.name = "standard input" if is_piped else Path(source).name
-        # Rows come as they are recorded, and results must not wait for the end.
-        self.is_live = output.follow or is_piped or Path(source).is_fifo()
-        self.is_stopped = is_stopped  # whether Ctrl-C has ended the log
-        self.warnings: list[str] = []
-        self.start_ns = 0  # see `Table`; known when the first rows are
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command that has done its work: Ctrl-C is how following
-        ends.
+        """Exit code of a command that has done its work.
+
+        Ctrl-C is how following ends; else it is an interruption.
         """
-        return INTERRUPTED if self.is_stopped() and not self._output.follow else 0
+        was_interrupted = self.is_stopped() and not self._output.follow
+        return INTERRUPTED if was_interrupted else 0
 
     def __iter__(self) -> Iterator[LogChunk]:
         is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
         with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
-            request = self._request
             options = FollowOptions(
                 follow=self._output.follow,
                 idle_s=self._output.idle,
@@ -107,21 +133,24 @@ class LogSession:
                 progress=progress,
                 warn=self._warn,
             )
-            tables = recordings.stream_tables(self._source, options, request)
-            stream = LogStream(tables, request)
-            try:
-                for chunk in stream:
-                    self.start_ns = stream.start_ns
-                    self._warn(*stream.take_warnings())
-                    yield chunk
-            except RecordingError:
-                if self.is_stopped():
-                    raise KeyboardInterrupt from None
-                raise
-            finally:
-                self._warn(*stream.take_warnings())
+            tables = recordings.stream_tables(self._source, options, self._request)
+            yield from self._chunks(LogStream(tables, self._request))
         if self.exit_code:
             say("interrupted: the results are those of the rows read so far")
+
+    def _chunks(self, stream: LogStream) -> Iterator[LogChunk]:
+        """Yield the rows of a stream, and report its warnings."""
+        try:
+            for chunk in stream:
+                self.start_ns = stream.start_ns
+                self._warn(*stream.take_warnings())
+                yield chunk
+        except RecordingError:
+            if self.is_stopped():
+                raise KeyboardInterrupt from None
+            raise
+        finally:
+            self._warn(*stream.take_warnings())
 
     def _warn(self, *warnings: str) -> None:
         self.warnings += warnings

@@ -1,11 +1,11 @@
-"""The files that a command writes about a log, without harm to any other file."""
+"""Files that a command writes about a log, without harm to any other file."""
 
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from needleforce import plots, recordings
 from needleforce.cli.logs.log_session import LogSession
@@ -18,11 +18,20 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.output import OpenTable, open_table
 from needleforce.recordings.table import TableLabels
 
-# From a log to the files that options name.
+REPORT_FILES = (
+    plots.PAGE,
+    "forces-over-time.svg",
+    "forces-over-time-wide.svg",
+    "forces-over-depth.svg",
+    "forces-over-depth-wide.svg",
+    "layers.svg",
+    "layers-wide.svg",
+)
+"""Names of the files in the folder of a report."""
 
 
-class Result(Protocol):
-    """The outcome of a whole log, whatever was looked for in it."""
+class LogPage(Protocol):
+    """What is shown of the result of a whole log."""
 
     def text(self) -> str:
         """Return the summary that is printed."""
@@ -33,9 +42,7 @@ class Result(Protocol):
         ...
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
-        """Save the charts of a report in a folder and return the sections of its
-        page.
-        """
+        """Save the charts of a report in a folder; return the sections of its page."""
         ...
 
 
@@ -43,11 +50,18 @@ def run_log(
     source: str,
     output: Output,
     request: ChannelRequest,
-    estimate: Callable[[LogSession], Result],
+    estimate: Callable[[LogSession], LogPage],
 ) -> int:
-    """Read a log, write what was asked for, print the outcome and return the exit code.
+    """Read a log, write what was asked for, and print the result.
 
-    ``estimate`` reads the log to its end and writes the table, see `open_output`.
+    Args:
+        source: The log as the command line names it.
+        output: How long it is read, and which files are written.
+        request: Which channels are read.
+        estimate: Reads the log to its end and writes the table, see `open_output`.
+
+    Returns:
+        The exit code.
     """
     check_outputs(source, output)
     with (
@@ -55,68 +69,74 @@ def run_log(
         stop_request() as is_stopped,
     ):
         log = LogSession(source, output, request, is_stopped)
-        result = estimate(log)
+        page = estimate(log)
         if folder is not None:
-            first, *others = result.sections(folder)
-            notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
-            sections = (replace(first, notices=notices), *others)
-            title = f"{first.heading} from {log.name}"
-            plots.write_page(
-                folder / plots.PAGE, plots.Page(title=title, sections=sections)
-            )
+            _write_report(page, log, folder)
     try:
         if output.figure is not None:
-            plots.save_figure(
-                _in_window(result.chart(output.over), output), output.figure
-            )
+            chart = _cut_to_window(page.chart(output.over), output)
+            plots.save_figure(chart, output.figure)
     finally:  # a figure that cannot be drawn costs no result
-        write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
+        write_out(page.text(), to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
 
 
-def _window(output: Output) -> tuple[float, float]:
-    start = output.start
-    end = output.end
-    return -math.inf if start is None else start, math.inf if end is None else end
+def _write_report(page: LogPage, log: LogSession, folder: Path) -> None:
+    """Write the page of a log; its first section shows what was wrong with the log."""
+    first, *others = page.sections(folder)
+    notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
+    sections = (replace(first, notices=notices), *others)
+    title = f"{first.heading} from {log.name}"
+    plots.write_page(folder / plots.PAGE, plots.Page(title=title, sections=sections))
 
 
-def _in_window(chart: plots.Chart, output: Output) -> plots.Chart:
+class _Window(NamedTuple):
+    """What ``--from`` and ``--to`` say of the x axis, infinite where they do not."""
+
+    start: float
+    end: float
+
+
+def _window_of(output: Output) -> _Window:
+    start = -math.inf if output.start is None else output.start
+    end = math.inf if output.end is None else output.end
+    return _Window(start, end)
+
+
+def _cut_to_window(chart: plots.Chart, output: Output) -> plots.Chart:
     """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
-    start, end = _window(output)
+    window = _window_of(output)
     low, high = chart.x_limits or (-math.inf, math.inf)
-    if (low, high) == (-math.inf, math.inf) or (output.start, output.end) == (
-        None,
-        None,
-    ):
+    is_unlimited = math.isinf(low) and math.isinf(high)
+    if is_unlimited or (output.start is None and output.end is None):
         return chart
-    if not max(low, start) < min(high, end):
+    start = max(low, window.start)
+    end = min(high, window.end)
+    if not start < end:
         raise CommandError(
-            f"no figure from {start:g} to {end:g}: its axis, {chart.x_label}, runs from {low:g} "
-            f"to {high:g}; give --from and --to within that"
+            f"no figure from {window.start:g} to {window.end:g}: its axis, "
+            f"{chart.x_label}, runs from {low:g} to {high:g}; give --from and --to "
+            "within that"
         )
-    return chart.within(max(low, start), min(high, end))
-
-
-_CHARTS = ("forces-over-time", "forces-over-depth", "layers")
-
-
-_IN_REPORT = (
-    plots.PAGE,
-    *(f"{name}{end}.svg" for name in _CHARTS for end in ("", "-wide")),
-)
+    return chart.within(start, end)
 
 
 def check_outputs(source: str, output: Output) -> None:
-    """Refuse now what would fail, or destroy something, after the work is done."""
-    start, end = _window(output)
-    if not start < end:
+    """Refuse now what would fail, or destroy something, after the work is done.
+
+    Raises:
+        CommandError: The window of the figure is empty.
+        RecordingError: A file cannot be written, or is the log itself.
+    """
+    window = _window_of(output)
+    if not window.start < window.end:
         raise CommandError(
-            f"--from {start:g} --to {end:g}: expected --from before --to"
+            f"--from {window.start:g} --to {window.end:g}: expected --from before --to"
         )
     table = None if output.output == STANDARD_STREAM else output.output
     named: dict[str, Any] = {"-o": table, "--figure": output.figure}
     if output.report is not None:
-        named |= {f"--report ({name})": output.report / name for name in _IN_REPORT}
+        named |= {f"--report ({name})": output.report / name for name in REPORT_FILES}
     paths = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)
@@ -132,19 +152,24 @@ def check_outputs(source: str, output: Output) -> None:
 def open_output(
     output: Output, log: LogSession, labels: TableLabels
 ) -> Iterator[OpenTable | None]:
-    """Open the table that the command line names, on the log's clock; None if it
-    names none.
+    """Open the table that the command line names; None if it names none.
+
+    Args:
+        output: Which files are written.
+        log: The log, whose clock the table has.
+        labels: What goes with the columns.
     """
     path = output.output
     if path is None:
         yield None
         return
-    is_there = path != STANDARD_STREAM and Path(path).is_file()
+    replaces_table = path != STANDARD_STREAM and Path(path).is_file()
     with open_table(
         path, is_live=log.is_live, labels=lambda: replace(labels, start_ns=log.start_ns)
     ) as table:
         yield table
-    if is_there and log.exit_code:
+    if replaces_table and log.exit_code:
         say(
-            f"warning: {path} holds these rows only; the table that was there is replaced"
+            f"warning: {path} holds these rows only; the table that was there is "
+            "replaced"
         )

@@ -1,82 +1,108 @@
-"""The few rows of a long log that look the same in a figure, and their axis."""
+"""Few rows of a long log that look the same in a figure, and the figure's x axis."""
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-# Figures: their axis, and few rows of a log of any length that look the same.
+from foundation.arrays import Array
 
-LATE_CLOCK_S = 1e5  # seconds since 1970 would leave an axis no digits for what happened
+LATE_CLOCK_S = 1e5
+"""Beyond it, as in seconds since 1970, an axis has no digits for what happened [s]."""
 
+MAX_ROWS = 20_000
+"""Rows of a log that a figure shows; more are thinned."""
 
-MOST_ROWS = 20_000  # more rows than these are thinned for a figure
-
-
-def time_axis(t_s: np.ndarray) -> tuple[float, str]:
-    """Return the log time that is zero in a chart [s], and the label of its axis."""
-    first_s = float(t_s[0])
-    if abs(first_s) > LATE_CLOCK_S:
-        return first_s, "time since the first sample [s]"
-    return 0.0, "time of the log [s]"
-
-
-def span(x: np.ndarray) -> tuple[float, float] | None:
-    """Return the limits of an axis, None for one of nothing."""
-    x = x[np.isfinite(x)]
-    return (float(x.min()), float(x.max())) if len(x) else None
-
+MAX_KEPT = 10
+"""Rows that are kept between thinnings, in multiples of the rows that are shown."""
 
 _NUMBER = "number of the row"
 
 
-class RowOverview:
-    """Keeps rows for a figure: all of a short log, else those with the extremes of
-    each stretch.
+class TimeAxis(NamedTuple):
+    """The x axis of a chart over time.
+
+    Attributes:
+        start_s: Time of the log that is zero in the chart [s].
+        label: Label of the axis.
     """
 
-    def __init__(self, tracked: Sequence[str], most_rows: int = MOST_ROWS) -> None:
+    start_s: float
+    label: str
+
+
+def time_axis(t_s: Array) -> TimeAxis:
+    """Return the axis for time stamps of shape (n,) [s]."""
+    first_s = float(t_s[0])
+    if abs(first_s) > LATE_CLOCK_S:
+        return TimeAxis(first_s, "time since the first sample [s]")
+    return TimeAxis(0.0, "time of the log [s]")
+
+
+def axis_span(x: Array) -> tuple[float, float] | None:
+    """Return the limits of an axis for places of shape (n,), None without any."""
+    x = x[np.isfinite(x)]
+    return (float(x.min()), float(x.max())) if len(x) else None
+
+
+class RowOverview:
+    """Rows for a figure: all of a short log, else those with extremes of each stretch.
+
+    Args:
+        tracked: Columns whose extremes are kept.
+        max_rows: Rows that are kept at most in the end.
+    """
+
+    def __init__(self, tracked: Sequence[str], max_rows: int = MAX_ROWS) -> None:
         self._tracked = tuple(tracked)
-        self._most_rows = most_rows
-        self._parts: list[dict[str, np.ndarray]] = []
-        self._seen = self._kept = 0
+        self._max_rows = max_rows
+        self._tables: list[dict[str, np.ndarray]] = []
+        self._rows_seen = 0
+        self._rows_kept = 0
 
     def add(self, columns: Mapping[str, np.ndarray]) -> None:
-        """Take further rows, columns of shape (n,) or (n, k); the same in every
-        call.
+        """Take further rows.
+
+        Args:
+            columns: Of shape (n,) or (n, k), the same columns in every call.
         """
         rows = len(next(iter(columns.values())))
-        self._parts.append(
-            {_NUMBER: np.arange(self._seen, self._seen + rows), **columns}
-        )
-        self._seen = self._seen + rows
-        self._kept = self._kept + rows
-        if self._kept > 10 * self._most_rows:
-            self._parts = [self.columns()]
-            self._kept = len(self._parts[0][_NUMBER])
+        numbers = np.arange(self._rows_seen, self._rows_seen + rows)
+        self._tables.append({_NUMBER: numbers, **columns})
+        self._rows_seen += rows
+        self._rows_kept += rows
+        if self._rows_kept > MAX_KEPT * self._max_rows:
+            self._tables = [self.columns()]
+            self._rows_kept = len(self._tables[0][_NUMBER])
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return the rows kept, in order; empty before the first `add`."""
-        names = self._parts[0] if self._parts else ()
+        names = self._tables[0] if self._tables else ()
         whole = {
-            name: np.concatenate([part[name] for part in self._parts]) for name in names
+            name: np.concatenate([table[name] for table in self._tables])
+            for name in names
         }
-        if self._kept <= self._most_rows:
+        if self._rows_kept <= self._max_rows:
             return whole
-        values = np.column_stack([whole[name] for name in self._tracked]).astype(
-            np.float64
-        )
-        # In stretches of equal length of the log: the first row, and every least and
-        # largest value.
-        stretches = max(self._most_rows // (2 * values.shape[1] + 1), 1)
-        numbers = np.arange(stretches) * self._seen // stretches
-        edges = np.unique(np.searchsorted(whole[_NUMBER], numbers))
-        kept = [edges := edges[edges < self._kept]]
-        for first, stretch in zip(edges, np.split(values, edges[1:]), strict=True):
-            kept.append(
-                first + np.where(np.isnan(stretch), np.inf, stretch).argmin(axis=0)
-            )
-            kept.append(
-                first + np.where(np.isnan(stretch), -np.inf, stretch).argmax(axis=0)
-            )
-        chosen = np.unique(np.concatenate(kept))
+        chosen = self._rows_with_extremes(whole)
         return {name: column[chosen] for name, column in whole.items()}
+
+    def _rows_with_extremes(self, columns: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return indices of the first row and the extremes of every stretch.
+
+        The stretches are equally long parts of the log.
+        """
+        values = np.column_stack([columns[name] for name in self._tracked])
+        values = values.astype(np.float64)
+        rows_per_stretch = 2 * values.shape[1] + 1
+        stretches = max(self._max_rows // rows_per_stretch, 1)
+        first_numbers = np.arange(stretches) * self._rows_seen // stretches
+        starts = np.unique(np.searchsorted(columns[_NUMBER], first_numbers))
+        starts = starts[starts < self._rows_kept]
+        chosen = [starts]
+        for start, stretch in zip(starts, np.split(values, starts[1:]), strict=True):
+            is_missing = np.isnan(stretch)
+            lowest = np.where(is_missing, np.inf, stretch).argmin(axis=0)
+            highest = np.where(is_missing, -np.inf, stretch).argmax(axis=0)
+            chosen += [start + lowest, start + highest]
+        return np.unique(np.concatenate(chosen))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.arrays import Array
 from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
 from needleforce.cli.shared_options import SensorOptions
 from needleforce.cli.terminal import CommandError
@@ -17,47 +18,130 @@ from residual.estimate import WrenchEstimate
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-# The sensor over the rows of a log, of which any number may come at a time.
+STATUS_CODES = {status: code for code, status in enumerate(Status)}
+"""Numbers of the states in files."""
 
-STATUS_CODES = {
-    status: code for code, status in enumerate(Status)
-}  # As files of numbers have it
+MAX_REASONS = 50
+"""Different reasons of rejection that are counted; the others are counted together."""
 
+ForceRows = dict[str, NDArray]
+"""Estimates of the rows of a log, by column; numbers are NaN where a row was rejected.
 
-_MOST_REASONS = 50
-
-
-Rows = dict[str, NDArray]
-"""One estimate per row of the log; numbers are NaN where a row was rejected.
-
-`t_s` [s] as in the log, `travel_m` of the tool along the needle [m], `axial_N`,
-`axial_std_N` and `axial_unsmoothed_N` [N], `force_N` and `torque_Nm` on the tool [N,
-Nm] of shape (n, 3), `std` of the components that the mode estimates of shape (n, 1),
-(n, 3) or (n, 6), `model_mismatch`, `force_warnings` (see `residual.WrenchEstimate`),
-`force_status` (`STATUS_CODES`) and `after_gap`, whether the filters restarted after a
-gap in time; of shape (n,) but where stated.
+- `t_s`: time stamp as in the log [s], shape (n,).
+- `travel_m`: travel of the tool along the needle [m], shape (n,).
+- `axial_N`, `axial_std_N`, `axial_unsmoothed_N`: force along the needle [N], (n,).
+- `force_N`, `torque_Nm`: force and torque on the tool [N, Nm], shape (n, 3).
+- `std`: standard deviations of the components that the mode estimates [N, Nm], shape
+  (n, 1), (n, 3) or (n, 6).
+- `model_mismatch`, `force_warnings`: see `residual.WrenchEstimate`, shape (n,).
+- `force_status`: one of `STATUS_CODES`, shape (n,).
+- `after_gap`: whether the filters restarted after a gap in time, shape (n,).
 """
 
 
-def has_status(rows: Rows, status: Status) -> NDArray[np.bool_]:
+def has_status(rows: ForceRows, status: Status) -> NDArray[np.bool_]:
     """Return which rows have a status, shape (n,)."""
     return rows["force_status"] == STATUS_CODES[status]
 
 
-def require_joints(q_rad: NDArray[np.float64], robot: Robot, choice: str = "") -> None:
-    """Refuse a log of other joints; it has the same number in every channel."""
+def require_joints(q_rad: Array, robot: Robot, choice: str = "") -> None:
+    """Refuse a log whose channels have another number of joints than the robot.
+
+    Args:
+        q_rad: Joint positions of the log, shape (m, n).
+        robot: The robot that the options describe.
+        choice: What else a user may choose, at the end of the message.
+
+    Raises:
+        CommandError: The numbers differ.
+    """
     columns = q_rad.shape[1]
     names = robot.joint_names
     if columns != len(names):
         raise CommandError(
-            f"the log has {columns} columns per joint signal, the robot has {len(names)} "
-            f"joints: {', '.join(names)}. Name another robot with --robot or --urdf FILE, where "
-            f"--lock holds joints that are not in the log{choice}"
+            f"the log has {columns} columns per joint signal, the robot has "
+            f"{len(names)} joints: {', '.join(names)}. Name another robot with --robot "
+            "or --urdf FILE, where --lock holds joints that are not in the "
+            f"log{choice}"
         )
 
 
+class SteadyClock:
+    """A clock that runs on when the log's clock is set back.
+
+    Attributes:
+        first_s: Time of the first row [s].
+        latest_s: Time of the latest row that advanced [s].
+    """
+
+    def __init__(self, first_s: float) -> None:
+        self.first_s = first_s
+        self.latest_s = -math.inf
+        self._shift_s = 0.0
+
+    def update(self, stamp_s: float, dt_s: float) -> float:
+        """Return the time of a row on this clock [s].
+
+        Args:
+            stamp_s: Time stamp of the row [s].
+            dt_s: Time since the latest row that advanced, zero or less for a row that
+                does not advance [s].
+        """
+        time_s = stamp_s + self._shift_s
+        if not dt_s > 0.0:
+            return time_s
+        if time_s <= self.latest_s:
+            self._shift_s += self.latest_s + dt_s - time_s
+            time_s = self.latest_s + dt_s
+        self.latest_s = time_s
+        return time_s
+
+
+class ToolTravel:
+    """Travel of the tool along the insertion axis as it stood in the first finite row.
+
+    Args:
+        tool: Kinematics of the tool, which are updated.
+    """
+
+    def __init__(self, tool: ToolKinematics) -> None:
+        self._tool = tool
+        self._start_m: Array | None = None
+        self._axis = tool.axis_in_base
+
+    def of_rows(self, q_rad: Array) -> Array:
+        """Return the travel at joint positions of shape (m, n) [m], shape (m,)."""
+        positions_m = np.full((len(q_rad), 3), np.nan)
+        for row in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
+            self._tool.update(q_rad[row])
+            positions_m[row] = self._tool.pose[:3, 3]
+            if self._start_m is None:
+                self._start_m = positions_m[row].copy()
+                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
+        if self._start_m is None:
+            return positions_m[:, 0]
+        # Not a matrix product, whose rounding may depend on how many rows come at a
+        # time.
+        x, y, z = (positions_m - self._start_m).T * self._axis[:, None]
+        return 0.0 + x + y + z
+
+
 class SensorReplay:
-    """Runs the sensor over a log."""
+    """The virtual sensor, run over a log of which any number of rows may come at once.
+
+    Attributes:
+        sensor: The sensor.
+        robot: Its robot.
+        config: Its settings.
+        is_external: The log has the external torque that the robot estimates itself.
+        frame: Link at which forces are estimated.
+        tare: The tare that was taken; None before `finish`, or without one.
+        rejected: How many samples were rejected, by reason.
+        velocity_fault: Latest message about velocities that are no rates, or empty.
+        question: Latest message about signals that may be missing or in degrees.
+        gaps: Gaps in time after which the filters restarted.
+        longest_gap_s: The longest time between two valid samples [s].
+    """
 
     def __init__(
         self, robot: Robot, config: SensorConfig, options: SensorOptions
@@ -67,151 +151,146 @@ class SensorReplay:
         self.config = config
         self.is_external = options.external_torque
         self.frame = config.frame if config.frame is not None else robot.tool_frame
-        self._options = options
-        self._has_velocity = False
-        self._tool = ToolKinematics(robot, config.frame, config.insertion_axis)
-        self._start_m: NDArray[np.float64] | None = None
-        self._axis = self._tool.axis_in_base
-        self._taring: TareSchedule | None = None
-        self.tare: TareWindow | None = None  # once finished: the tare, if one was taken
-        # Of the clock of the first rows, which runs on when the log's clock is set
-        # back.
-        self._first_s = 0.0
-        self._latest_s = -math.inf
-        self._shift_s = 0.0
-        self.rejected: Counter[str] = Counter()  # reasons
-        self.velocity_fault = ""  # the last message about velocities that are no rates
-        self.question = (
-            ""  # the last one about signals that may be missing or in degrees
-        )
-        # in time, after which the filters restarted
+        self.tare: TareWindow | None = None
+        self.rejected: Counter[str] = Counter()
+        self.velocity_fault = ""
+        self.question = ""
         self.gaps = 0
         self.longest_gap_s = 0.0
+        self._options = options
+        self._has_velocity = False
+        self._travel = ToolTravel(
+            ToolKinematics(robot, config.frame, config.insertion_axis)
+        )
+        self._schedule: TareSchedule | None = None
+        self._clock = SteadyClock(0.0)
 
     @property
     def description(self) -> str:
-        """What is estimated from what."""
+        """What is estimated from what, in words."""
         config = self.config
-        what = "wrench" if config.mode == "full" else f"{config.mode} force"
-        what = f"{what} at {self.frame}"
+        estimated = "wrench" if config.mode == "full" else f"{config.mode} force"
+        estimated = f"{estimated} at {self.frame}"
         if self.is_external:
-            return f"{what}, from the robot's own external torque"
-        velocity = (
-            "velocity from the log" if self._has_velocity else "velocity estimated"
-        )
-        return f"{what}, K = {config.slowest_gain_per_s:g} 1/s, {velocity}"
-
-    def run(self, chunk: LogChunk) -> Rows:
-        """Return the estimates of further rows, at least one."""
-        q_rad = chunk.channels["q_rad"]
-        dq_rad_s = chunk.channels.get("dq_rad_s")
-        torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        t_s = chunk.t_s.tolist()
-        self._has_velocity = dq_rad_s is not None
-        if self._taring is None:
-            require_joints(
-                q_rad, self.robot, ", or choose columns with --q, --tau and so on"
-            )
-            self._first_s = t_s[0]
-            self._taring = TareSchedule(
-                self.sensor, self.rejected, self._options, t_s[0]
-            )
-        sensor = self.sensor
-        taring = self._taring
-        estimates = []
-        elapsed_s = []
-        update = sensor.update_external_torque if self.is_external else sensor.update
-        for k, (stamp_s, dt_s) in enumerate(zip(t_s, chunk.dt_s.tolist(), strict=True)):
-            now_s = self._running_s(stamp_s, dt_s)
-            advances = dt_s > 0.0
-            if advances:
-                taring.before(now_s)
-            # The sensor reads no time step of the first sample.
-            step_s = dt_s if advances else 0.0
-            dq = None if dq_rad_s is None or self.is_external else dq_rad_s[k]
-            found = update(q_rad[k], dq, torque_Nm[k], step_s)
-            estimates.append(found)
-            is_rejected = found.status is Status.REJECTED
-            elapsed_s.append(0.0 if is_rejected else sensor.elapsed_s)
-            if is_rejected:
-                reason = (
-                    found.message.split(";")[0] if advances else "time does not advance"
-                )
-                is_known = reason in self.rejected or len(self.rejected) < _MOST_REASONS
-                self.rejected[reason if is_known else "other reasons"] += 1
-            else:
-                taring.after(now_s, found.status)
-                is_settled = found.status is not Status.INITIALIZING
-                if is_settled and found.warnings & SensorWarning.VELOCITY:
-                    self.velocity_fault = found.message
-                elif is_settled and found.message:
-                    self.question = sensor.question or self.question
-        after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
-        self.gaps += np.count_nonzero(after_gap)
-        self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
-        rows = {
-            "t_s": chunk.t_s,
-            "travel_m": self._travel_m(q_rad),
-            **_columns(estimates),
-        }
-        return {**rows, "after_gap": after_gap}
+            return f"{estimated}, from the robot's own external torque"
+        origin = "from the log" if self._has_velocity else "estimated"
+        gain = f"K = {config.slowest_gain_per_s:g} 1/s"
+        return f"{estimated}, {gain}, velocity {origin}"
 
     @property
     def duration_s(self) -> float:
-        """From the first row to the latest [s], on a clock that was never set back."""
-        return self._latest_s - self._first_s
+        """Time from the first row to the latest [s], on a clock never set back."""
+        return self._clock.latest_s - self._clock.first_s
+
+    def run(self, chunk: LogChunk) -> ForceRows:
+        """Return the estimates of further rows, at least one.
+
+        Raises:
+            CommandError: The log has other joints than the robot, or the tare fails.
+        """
+        q_rad = chunk.channels["q_rad"]
+        dq_rad_s = chunk.channels.get("dq_rad_s")
+        torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
+        self._has_velocity = dq_rad_s is not None
+        if self._schedule is None:
+            self._schedule = self._start(q_rad, float(chunk.t_s[0]))
+        estimates: list[WrenchEstimate] = []
+        elapsed_s: list[float] = []
+        steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
+        for row, (stamp_s, dt_s) in enumerate(steps):
+            time_s = self._clock.update(stamp_s, dt_s)
+            advances = dt_s > 0.0
+            if advances:
+                self._schedule.before(time_s)
+            velocity = None if dq_rad_s is None else dq_rad_s[row]
+            estimate = self._update(q_rad[row], velocity, torque_Nm[row], dt_s)
+            estimates.append(estimate)
+            if estimate.status is Status.REJECTED:
+                elapsed_s.append(0.0)
+                self._count_rejection(estimate, advances=advances)
+            else:
+                elapsed_s.append(self.sensor.elapsed_s)
+                self._schedule.after(time_s, estimate.status)
+                self._keep_messages(estimate)
+        after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
+        self.gaps += np.count_nonzero(after_gap)
+        self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
+        return {
+            "t_s": chunk.t_s,
+            "travel_m": self._travel.of_rows(q_rad),
+            **_columns(estimates),
+            "after_gap": after_gap,
+        }
 
     def finish(self, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log, which was read to its end or
-        not.
+        """Take a tare whose window ends with the log.
+
+        Args:
+            is_whole: The log was read to its end.
+
+        Raises:
+            CommandError: The tare fails, or a whole log has no room for its window.
         """
-        if self._taring is not None:
-            self._taring.finish(self._latest_s, is_whole=is_whole)
-            self.tare = self._taring.done
+        if self._schedule is not None:
+            self._schedule.finish(self._clock.latest_s, is_whole=is_whole)
+            self.tare = self._schedule.done
 
-    def _travel_m(self, q_rad: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the travel along the insertion axis as it stood in the first finite
-        row [m].
-        """
-        positions = np.full((len(q_rad), 3), np.nan)
-        for k in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
-            self._tool.update(q_rad[k])
-            positions[k] = self._tool.pose[:3, 3]
-            if self._start_m is None:
-                self._start_m = positions[k].copy()
-                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
-        if self._start_m is None:
-            return positions[:, 0]
-        # Not a matrix product, whose rounding may depend on how many rows come at a
-        # time.
-        x, y, z = (positions - self._start_m).T * self._axis[:, None]
-        return 0.0 + x + y + z
+    def _start(self, q_rad: Array, first_s: float) -> TareSchedule:
+        """Check the joints of the first rows, start the clock, and plan the tare."""
+        choice = ", or choose columns with --q, --tau and so on"
+        require_joints(q_rad, self.robot, choice)
+        self._clock = SteadyClock(first_s)
+        return TareSchedule(self.sensor, self.rejected, self._options, first_s)
 
-    def _running_s(self, stamp_s: float, dt_s: float) -> float:
-        """Return the time of a row [s] on a clock that never goes back."""
-        now_s = stamp_s + self._shift_s
-        if dt_s > 0.0:
-            if now_s <= self._latest_s:
-                self._shift_s += self._latest_s + dt_s - now_s
-                now_s = self._latest_s + dt_s
-            self._latest_s = now_s
-        return now_s
+    def _update(
+        self, q_rad: Array, dq_rad_s: Array | None, torque_Nm: Array, dt_s: float
+    ) -> WrenchEstimate:
+        """Return the sensor's estimate after a sample; it reads no first time step."""
+        step_s = dt_s if dt_s > 0.0 else 0.0
+        if self.is_external:
+            return self.sensor.update_external_torque(q_rad, None, torque_Nm, step_s)
+        return self.sensor.update(q_rad, dq_rad_s, torque_Nm, step_s)
+
+    def _count_rejection(self, estimate: WrenchEstimate, *, advances: bool) -> None:
+        """Count a rejected sample under its reason, the part before a semicolon."""
+        reason = "time does not advance"
+        if advances:
+            reason = estimate.message.split(";")[0]
+        if reason not in self.rejected and len(self.rejected) >= MAX_REASONS:
+            reason = "other reasons"
+        self.rejected[reason] += 1
+
+    def _keep_messages(self, estimate: WrenchEstimate) -> None:
+        """Keep the latest messages about velocities and doubtful signals."""
+        if estimate.status is Status.INITIALIZING:
+            return
+        if estimate.warnings & SensorWarning.VELOCITY:
+            self.velocity_fault = estimate.message
+        elif estimate.message:
+            self.question = self.sensor.question or self.question
 
 
-def _columns(estimates: Sequence[WrenchEstimate]) -> Rows:
-    fields = {
-        f"{field}_N": field
-        for field in ("axial", "axial_std", "axial_unsmoothed", "force")
+_FIELD_OF_COLUMN = {
+    "axial_N": "axial",
+    "axial_std_N": "axial_std",
+    "axial_unsmoothed_N": "axial_unsmoothed",
+    "force_N": "force",
+    "torque_Nm": "torque",
+    "model_mismatch": "model_mismatch",
+}
+"""Fields of `residual.WrenchEstimate` that are columns as they are."""
+
+
+def _columns(estimates: Sequence[WrenchEstimate]) -> ForceRows:
+    """Return estimates as columns, NaN where a sample was rejected."""
+    columns = {
+        name: np.array([getattr(estimate, field) for estimate in estimates])
+        for name, field in _FIELD_OF_COLUMN.items()
     }
-    fields |= {"torque_Nm": "torque", "model_mismatch": "model_mismatch"}
-    numbers = {
-        name: np.array([getattr(found, field) for found in estimates])
-        for name, field in fields.items()
-    }
-    covariances = np.array([found.covariance for found in estimates])
-    numbers["std"] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    status = np.array([STATUS_CODES[found.status] for found in estimates])
-    for values in numbers.values():
+    covariances = np.array([estimate.covariance for estimate in estimates])
+    columns["std"] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    status = np.array([STATUS_CODES[estimate.status] for estimate in estimates])
+    for values in columns.values():
         values[status == STATUS_CODES[Status.REJECTED]] = np.nan
-    warnings = np.array([int(found.warnings) for found in estimates])
-    return {**numbers, "force_warnings": warnings, "force_status": status}
+    warnings = np.array([int(estimate.warnings) for estimate in estimates])
+    return {**columns, "force_warnings": warnings, "force_status": status}

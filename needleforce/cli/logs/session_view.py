@@ -1,7 +1,8 @@
-"""`needleforce view`: a recording in the scene, with anatomy and plan."""
+"""`needleforce view`: a session over a recording, in the scene."""
 
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from pathlib import Path
 from time import sleep
@@ -9,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from foundation.arrays import Array
 from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.logs.sensor_replay import require_joints
-from needleforce.cli.logs.tare_schedule import rejections
-from needleforce.cli.plan_file import Planned, read_plan
+from needleforce.cli.logs.tare_schedule import describe_rejections
+from needleforce.cli.plan_file import LoadedPlan, read_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 from needleforce.cli.terminal import (
@@ -22,15 +24,24 @@ from needleforce.cli.terminal import (
     stop_request,
     write_out,
 )
-from needleforce.recordings import load_mapping, read_log
+from needleforce.recordings import Log, load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Viewer, view_row
 from needleforce.scene.nodes import EMPTY
 from needleforce.scene.viewer import check_address
-from needleforce.session import InsertionSession
+from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status
 from urdf import Robot
+
+ROW_TICKS = 10
+"""Every so many samples become a row of the scene, beside those of events."""
+
+PROGRESS_TICKS = 1000
+"""Samples between two updates of the progress bar."""
+
+POLL_S = 0.2
+"""Time between two looks at whether Ctrl-C came [s]."""
 
 
 class ScenePage(NamedTuple):
@@ -47,7 +58,11 @@ class ScenePage(NamedTuple):
     export: Path | None = None
 
     def check(self, recording: Path) -> None:
-        """Refuse now what would fail, or harm the recording, after minutes of work."""
+        """Refuse now what would fail, or harm the recording, after minutes of work.
+
+        Raises:
+            CommandError: The name of the file does not end in .html.
+        """
         check_address(self.host, self.port)
         if self.export is None:
             return
@@ -55,6 +70,16 @@ class ScenePage(NamedTuple):
             raise CommandError(f"--export {self.export}: its name must end in .html")
         require_place(self.export)
         check_outputs({"--export": self.export}, readable_path(recording))
+
+    def show(self, viewer: Viewer) -> None:
+        """Write the page into the file, or serve it until Ctrl-C."""
+        if self.export is not None:
+            write_out(f"{viewer.export(self.export)}\n")
+            return
+        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
+        with stop_request() as is_asked:
+            while not is_asked():
+                sleep(POLL_S)
 
 
 def view_recording(
@@ -89,16 +114,29 @@ def view_recording(
         viewer = Viewer(model, scene, urdf_path=shapes, host=page.host, port=page.port)
     viewer.append(rows)
     viewer.show()
-    if page.export is not None:
-        write_out(f"{viewer.export(page.export)}\n")
-    else:
-        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
-        with stop_request() as is_asked:
-            while not is_asked():
-                sleep(0.2)
+    page.show(viewer)
     with redirect_stdout(sys.stderr):
         viewer.stop()
     return 0
+
+
+class _Sample(NamedTuple):
+    """Joint signals of one sample, as a session takes them."""
+
+    q_rad: Array
+    dq_rad_s: Array | None
+    tau_Nm: Array
+    dt_s: float
+
+
+def _samples_of(log: Log) -> Iterator[_Sample]:
+    """Yield the samples of a log; the first has the time step of the second."""
+    q_rad = log["q_rad"]
+    dq_rad_s = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q_rad)
+    steps_s = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1]).tolist()
+    signals = zip(q_rad, dq_rad_s, log["tau_Nm"], steps_s, strict=True)
+    for position, velocity, torque, step_s in signals:
+        yield _Sample(position, velocity, torque, step_s)
 
 
 def replay_session(
@@ -107,43 +145,68 @@ def replay_session(
     *,
     tare_s: float = TARE_S,
     mapping: str | None = None,
-    plan: Planned | None = None,
-) -> np.ndarray:
-    """Rows of the session over a recording of joint signals; says what is wrong with
-    it.
+    plan: LoadedPlan | None = None,
+) -> Array:
+    """Run a session over a recording; what is wrong with it is said on stderr.
+
+    Args:
+        recording: File of joint signals.
+        model: The robot.
+        tare_s: Motion without contact before a tare [s].
+        mapping: File that says which columns are which, if any.
+        plan: Plan to match ruptures with, if any.
+
+    Returns:
+        Rows of the scene, see `needleforce.scene.view_row`.
     """
     tare = SessionTare(tare_s)
     session = InsertionSession(model)
-    rows = []
-    rejected = Counter[str]()
     columns = load_mapping(mapping) if mapping else None
-    joints = model.joint_names
-    known = (recording, columns)
-    log = read_log(*known, required=["q", "tau"], optional=["dq"], joints=joints)
+    log = read_log(
+        recording,
+        columns,
+        required=["q", "tau"],
+        optional=["dq"],
+        joints=model.joint_names,
+    )
     require_joints(log["q_rad"], model)
     if plan is not None:
         session.follow(plan.match, plan.entry_in_base_m)
-    q = log["q_rad"]
-    tau = log["tau_Nm"]
-    dq = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q)
-    steps = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1])
+    rows: list[tuple[float, ...]] = []
+    rejected = Counter[str]()
+    duration_s = 0.0
     with progress_bar("estimating") as progress:
-        for k, dt_s in enumerate(steps.tolist()):
-            now = session.update(q[k], dq[k], tau[k], dt_s)
-            tare.after(session, now)
-            if now.status is Status.REJECTED:
-                rejected[now.wrench.message.split(";")[0]] += 1
-            found = now.identification
-            if k % 10 == 0 or found.rupture is not None or found.retracted is not None:
-                rows.append(view_row(now, q[k]))
-            if k % 1000 == 0:
-                progress(k / len(q))
-    warnings = [f"samples rejected, {rejections(rejected)}"] * bool(rejected)
+        for tick, sample in enumerate(_samples_of(log)):
+            estimate = session.update(
+                sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+            )
+            duration_s += sample.dt_s
+            tare.after(session, estimate)
+            if estimate.status is Status.REJECTED:
+                rejected[estimate.wrench.message.split(";")[0]] += 1
+            if tick % ROW_TICKS == 0 or _has_event(estimate):
+                rows.append(view_row(estimate, sample.q_rad))
+            if tick % PROGRESS_TICKS == 0:
+                progress(tick / len(log.t_s))
+    for warning in log.warnings:
+        say(f"warning: {warning}")
+    _report_rejections(rejected)
     if not session.tared:
-        warnings.append(
-            f"no tare in {steps.sum():.4g} s (--tare {tare_s:g} asks for so many seconds of "
-            "motion without contact): forces carry errors of the model and of the torque sensors"
+        say(
+            f"warning: no tare in {duration_s:.4g} s (--tare {tare_s:g} asks for so "
+            "many seconds of motion without contact): forces carry errors of the model "
+            "and of the torque sensors"
         )
-    for text in (*log.warnings, *warnings):
-        say(f"warning: {text}")
     return np.array(rows)
+
+
+def _report_rejections(rejected: Counter[str]) -> None:
+    """Say on stderr how many samples were rejected, if any were."""
+    if rejected:
+        say(f"warning: samples rejected, {describe_rejections(rejected)}")
+
+
+def _has_event(estimate: SessionEstimate) -> bool:
+    """Return whether a rupture was detected or retracted at this sample."""
+    identification = estimate.identification
+    return identification.rupture is not None or identification.retracted is not None

@@ -1,6 +1,4 @@
-"""`needleforce simulate`: a simulated insertion as a recording, and its ground truth
-beside it.
-"""
+"""`needleforce simulate`: a simulated insertion as a recording."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -83,69 +81,72 @@ def _check_simulation(
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:
-    """Return what the robot and its F/T sensor gave: one row per sample, units in the
-    names.
+    """Return what the robot and its F/T sensor measured, one row per sample.
 
-    Time stamps begin at zero at the earliest; an arm that reports no velocities has
-    none.
+    Names carry the unit. Time stamps begin at zero at the earliest; an arm that reports
+    no velocities has no column of them.
     """
     signals = run.signals
-    columns = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
-    columns |= {} if signals.dq_rad_s is None else {"dq_rad_s": signals.dq_rad_s}
-    wrench = {
-        "ft_force_N": signals.ft_wrench[:, :3],
-        "ft_torque_Nm": signals.ft_wrench[:, 3:],
-    }
-    return {**columns, "tau_Nm": signals.tau_Nm, **wrench}
+    table = {"t_s": signals.t_s + _shift_s(run), "q_rad": signals.q_rad}
+    if signals.dq_rad_s is not None:
+        table["dq_rad_s"] = signals.dq_rad_s
+    table["tau_Nm"] = signals.tau_Nm
+    table["ft_force_N"] = signals.ft_wrench[:, :3]
+    table["ft_torque_Nm"] = signals.ft_wrench[:, 3:]
+    return table
 
 
 def truth_table(run: Run) -> dict[str, NDArray]:
-    """Return the ground truth at the same samples; see `groundtruth.Truth` for the
-    meaning.
+    """Return the ground truth at the same samples; see `groundtruth.Truth`.
 
     `rupture` is the number of the layer that the tip begins to leave at a row, counted
     from 1, else 0; of two that rupture within one row the second stands in the next.
     `surface_rupture` is 1 where a membrane on the surface ruptures.
     """
     truth = run.truth
-    names = ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer")
-    columns: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
-    columns |= {name: getattr(truth, name) for name in names}
-    columns["rupture"] = _ruptures(run, on_surface=False)
-    columns["surface_rupture"] = _ruptures(run, on_surface=True)
-    columns["tau_ext_Nm"] = truth.external_torque_Nm
+    table: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
+    for name in ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer"):
+        table[name] = getattr(truth, name)
+    table["rupture"] = _rupture_marks(run, on_surface=False)
+    table["surface_rupture"] = _rupture_marks(run, on_surface=True)
+    table["tau_ext_Nm"] = truth.external_torque_Nm
     if truth.layer_friction_N.shape[1]:
-        columns["layer_friction_N"] = truth.layer_friction_N
-    return columns
+        table["layer_friction_N"] = truth.layer_friction_N
+    return table
 
 
 def _shift_s(run: Run) -> float:
-    """Return what makes the first stamp of a clock with jitter no less than zero, as
-    bags want.
+    """Return what makes the first time stamp zero or more [s], as bags need.
+
+    A clock with jitter may begin below zero.
     """
     return max(0.0, -float(run.signals.t_s[0]))
 
 
-def _ruptures(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
-    marks = np.zeros(len(run.truth.t_s), dtype=np.int64)
-    for rupture in (
-        item for item in run.truth.ruptures if (item.layer == 0) is on_surface
-    ):
-        row = int(np.searchsorted(run.truth.t_s, rupture.onset_s))
+def _rupture_marks(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
+    """Return the number of the layer on the row where its rupture begins, else 0."""
+    t_s = run.truth.t_s
+    marks = np.zeros(len(t_s), dtype=np.int64)
+    for rupture in run.truth.ruptures:
+        if (rupture.layer == 0) is not on_surface:
+            continue
+        row = int(np.searchsorted(t_s, rupture.onset_s))
         while row < len(marks) and marks[row]:
             row += 1
         marks[row : row + 1] = rupture.layer or 1
     return marks
 
 
-def _summary(run: Run, output: Path | None) -> str:
+def _summary(run: Run, recording: Path | None) -> str:
+    """Return what was simulated, and the command for the recording, if there is one."""
     end_s = f"{run.tare_end_s:.4g}"
+    t_s = run.signals.t_s
     text = (
-        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, seed {run.seed}\n"
-        f"{len(run.signals.t_s)} samples in {run.signals.t_s[-1]:.4g} s, without contact until "
-        f"{end_s} s\n"
+        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, "
+        f"seed {run.seed}\n"
+        f"{len(t_s)} samples in {t_s[-1]:.4g} s, without contact until {end_s} s\n"
     )
-    if output is not None:
-        forces = f"forces{''.join(output.suffixes)}"
-        text += f"next: needleforce force {output} --tare 0:{end_s} -o {forces}\n"
+    if recording is not None:
+        forces = f"forces{''.join(recording.suffixes)}"
+        text += f"next: needleforce force {recording} --tare 0:{end_s} -o {forces}\n"
     return text

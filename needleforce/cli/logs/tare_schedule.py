@@ -12,25 +12,28 @@ from residual.advice import TareAdvice
 from residual.bias.model import Tare
 from residual.errors import VelocityError
 
-# When the sensor is tared.
-
 AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free
 motion [s]: whoever records an insertion starts before contact, but not long before."""
 
+MAX_LISTED_REASONS = 4
+"""Reasons of rejection that a message lists."""
 
 _WINDOW = (
     "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
 )
+"""How a window of ``--tare`` is written."""
 
-
-_CHOICES = "choose where the needle is free with --tare START:END, or go without with --no-tare"
-
+_CHOICES = (
+    "choose where the needle is free with --tare START:END, or go without with "
+    "--no-tare"
+)
+"""What a user may do where the automatic tare fails."""
 
 _UNITS = (
     "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
 )
-
+"""What a user may do where velocities are not the rate of the positions."""
 
 _ADVICES: dict[Advice, str] = {
     TareAdvice.IGNORE_CONTACT: ", or --force-tare if you know better",
@@ -49,8 +52,12 @@ _ADVICES: dict[Advice, str] = {
 
 
 class TareWindow(NamedTuple):
-    """A stretch of motion without contact, in seconds of the log's clock, and its
-    tare if taken.
+    """A stretch of motion without contact, and its tare once it was taken.
+
+    Attributes:
+        start_s: Start on the log's clock [s].
+        end_s: End on the log's clock [s].
+        tare: The tare; None before it was taken.
     """
 
     start_s: float
@@ -61,40 +68,58 @@ class TareWindow(NamedTuple):
         return f"{self.start_s:.12g} to {self.end_s:.12g} s"
 
 
-def tare_window(text: str, first_s: float) -> TareWindow:
-    """Return the window of ``--tare`` in a log that starts at ``first_s`` [s]."""
+def parse_tare_window(text: str, first_s: float) -> TareWindow:
+    """Return the window that ``--tare`` names.
+
+    Args:
+        text: Value of the option, START:END.
+        first_s: Time of the log's first row [s].
+
+    Raises:
+        CommandError: The text names no window.
+    """
     start, colon, end = text.partition(":")
     if not colon:
         raise CommandError(f"--tare {text}: {_WINDOW}")
-    start_s = _log_time(text, start, first_s) if start.strip() else first_s
-    return TareWindow(start_s, _log_time(text, end, first_s))
+    start_s = _parse_log_time(text, start, first_s) if start.strip() else first_s
+    return TareWindow(start_s, _parse_log_time(text, end, first_s))
 
 
-def _log_time(option: str, text: str, first_s: float) -> float:
-    """Return a time on the log's clock [s]; after a + it counts from the log's
-    start.
-    """
+def _parse_log_time(option: str, text: str, first_s: float) -> float:
+    """Return a time on the log's clock [s]; after a + it counts from the first row."""
     try:
-        value = float(text)
+        time_s = float(text)
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+        time_s = math.nan
+    if not math.isfinite(time_s):
         raise CommandError(f"--tare {option}: {text!r} is no time; {_WINDOW}")
-    return first_s + value if text.strip().startswith("+") else value
+    return first_s + time_s if text.strip().startswith("+") else time_s
 
 
-def rejections(rejected: Counter[str]) -> str:
-    """Return how many samples were rejected, and how often for which reasons; empty
-    if none.
-    """
-    reasons = [f"{count} x {reason}" for reason, count in rejected.most_common(4)]
+def describe_rejections(rejected: Counter[str]) -> str:
+    """Return how many samples were rejected, and for which reasons; empty if none."""
+    common = rejected.most_common(MAX_LISTED_REASONS)
+    reasons = [f"{count} x {reason}" for reason, count in common]
     if others := len(rejected) - len(reasons):
         reasons.append(f"{others} other reasons")
     return f"{rejected.total()}: {'; '.join(reasons)}" if reasons else ""
 
 
 class TareSchedule:
-    """Starts the tare recording and takes the tare when their times come."""
+    """Starts the tare recording and takes the tare when their times come.
+
+    Args:
+        sensor: The sensor that is tared.
+        rejected: Reasons for which samples were rejected, counted by the caller.
+        options: Whether and when a tare is wanted.
+        first_s: Time of the log's first row [s].
+
+    Attributes:
+        done: The window whose tare was taken; None before.
+
+    Raises:
+        CommandError: The window lies outside the log, or the tare is refused.
+    """
 
     def __init__(
         self,
@@ -103,35 +128,36 @@ class TareSchedule:
         options: SensorOptions,
         first_s: float,
     ) -> None:
+        self.done: TareWindow | None = None
         self._sensor = sensor
         self._options = options
         self._first_s = first_s
-        self._rejected_before = Counter[str]()
         self._rejected = rejected
+        self._rejected_at_start = Counter[str]()
         self._window: TareWindow | None = None
         if options.tare is not None:
-            window = tare_window(options.tare, first_s)
+            window = parse_tare_window(options.tare, first_s)
             self._require_inside(window, math.inf)
             self._window = window._replace(start_s=max(window.start_s, first_s))
         self._must_start = self._window is not None
         self._has_settled = False
-        self.done: TareWindow | None = None
 
     def before(self, t_s: float) -> None:
-        """Act before the sample of time ``t_s`` [s] is given to the sensor."""
+        """Start the recording or take the tare, before the sample of this time [s]."""
         window = self._window
         if window is None or self.done is not None:
             return
         if self._must_start and t_s >= window.start_s:
             self._sensor.start_tare_recording()
-            self._rejected_before = self._rejected.copy()
+            self._rejected_at_start = self._rejected.copy()
             self._must_start = False
         if t_s > window.end_s:
-            self._tare(window)
+            self._take_tare(window)
 
     def after(self, t_s: float, status: Status) -> None:
-        """Learn from the status of the sample of time ``t_s`` [s] when the filters
-        have settled.
+        """Note whether the filters have settled, after the sample of this time [s].
+
+        Without a window of the user's, the automatic one begins then.
         """
         if status is not Status.NOT_TARED or self._must_start:
             return
@@ -140,53 +166,61 @@ class TareSchedule:
             self._window = TareWindow(t_s, t_s + AUTOMATIC_S)
 
     def finish(self, last_s: float, *, is_whole: bool) -> None:
-        """Take a tare whose window ends with the log; one that was broken off may
-        end before.
+        """Take a tare whose window ends with the log.
+
+        Args:
+            last_s: Time of the log's last row [s].
+            is_whole: The log was read to its end; one that was broken off may end
+                before the window.
         """
         window = self._window
         if self._options.no_tare or self.done is not None:
             return
         if window is not None and last_s >= window.end_s:
-            self._tare(window)
+            self._take_tare(window)
         elif is_whole:
             if self._options.tare is not None and window is not None:
                 self._require_inside(window, last_s)
             raise CommandError(
-                f"the log ends before the filters have settled and {AUTOMATIC_S:g} s of free "
-                f"motion were seen, so it cannot be tared{self._rejections}; {_CHOICES}"
+                f"the log ends before the filters have settled and {AUTOMATIC_S:g} s "
+                "of free motion were seen, so it cannot be tared"
+                f"{self._rejections_since_start}; {_CHOICES}"
             )
 
     @property
-    def _rejections(self) -> str:
-        text = rejections(self._rejected - self._rejected_before)
+    def _rejections_since_start(self) -> str:
+        text = describe_rejections(self._rejected - self._rejected_at_start)
         return f"; samples were rejected, {text}" if text else ""
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
-        is_inside = self._first_s < window.end_s <= last_s and window.start_s < last_s
-        if is_inside and window.start_s < window.end_s:
-            return
+        """Refuse a window that ends before it starts, or lies outside the log."""
         first = f"{self._first_s:.12g} s"
-        last = f"{last_s:.12g} s"
-        log = (
-            f"starts at {first}"
-            if math.isinf(last_s)
-            else f"runs from {first} to {last}"
-        )
-        what = f"lies outside the log, which {log}"
         if not window.start_s < window.end_s:
-            what = f"START must come before END in a log whose first stamp is {first}; "
-            what += "if the unit is wrong, say --time COLUMN:UNIT"
-        raise CommandError(f"--tare {self._options.tare}: {what}; {_WINDOW}")
+            problem = (
+                "START must come before END in a log whose first stamp is "
+                f"{first}; if the unit is wrong, say --time COLUMN:UNIT"
+            )
+            raise CommandError(f"--tare {self._options.tare}: {problem}; {_WINDOW}")
+        if self._first_s < window.end_s <= last_s and window.start_s < last_s:
+            return
+        log = f"runs from {first} to {last_s:.12g} s"
+        if math.isinf(last_s):
+            log = f"starts at {first}"
+        raise CommandError(
+            f"--tare {self._options.tare}: lies outside the log, which {log}; {_WINDOW}"
+        )
 
-    def _tare(self, window: TareWindow) -> None:
-        what = f"no tare from {window}"
+    def _take_tare(self, window: TareWindow) -> None:
+        """Tare the sensor on what was recorded in a window."""
         if not self._has_settled:
-            why = self._rejections or "; choose a window that ends later"
-            raise CommandError(f"{what}: the filters had not settled by then{why}")
+            reason = self._rejections_since_start or "; choose a window that ends later"
+            raise CommandError(
+                f"no tare from {window}: the filters had not settled by then{reason}"
+            )
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
             reason = Message.of(error).in_words(_ADVICES)
             choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
-            raise CommandError(f"{what}: {reason}. {choices}") from error
+            raise CommandError(f"no tare from {window}: {reason}. {choices}") from error
         self.done = window._replace(tare=tare)

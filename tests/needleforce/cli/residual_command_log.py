@@ -54,11 +54,14 @@ def refusal(argv, capsys):
 SMALL_ARM = """<robot name="arm">
   <link name="base"/>
   <link name="upper"><inertial><origin xyz="0 0 0.2"/><mass value="2"/>
-    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/></inertial></link>
+    <inertia ixx="0.02" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.01"/>
+  </inertial></link>
   <link name="tip"><inertial><origin xyz="0 0 0.2"/><mass value="1"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/>
+  </inertial></link>
   <link name="finger"><inertial><origin xyz="0 0 0"/><mass value="0.1"/>
-    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/></inertial></link>
+    <inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>
+  </inertial></link>
   <joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/>
     <axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="50" velocity="2"/></joint>
   <joint name="elbow" type="revolute"><origin xyz="0 0 0.4"/><parent link="upper"/>

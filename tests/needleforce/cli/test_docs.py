@@ -13,7 +13,7 @@ import pytest
 
 from groundtruth import insert_needle
 from needleforce.cli import main
-from needleforce.cli.logs.row_overview import MOST_ROWS
+from needleforce.cli.logs.row_overview import MAX_ROWS
 from needleforce.cli.logs.sensor_replay import STATUS_CODES
 from needleforce.cli.logs.tare_schedule import AUTOMATIC_S
 from needleforce.cli.terminal import FAILED, INTERRUPTED, READER_GONE, TERMINATED
@@ -23,10 +23,8 @@ from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertio
 from urdf import MissingPackageError, example_robot_path, load_urdf
 
 ROOT = Path(__file__).parents[3]
-FORCE, IDENTIFY = (
-    (ROOT / "docs" / name).read_text(encoding="utf-8")
-    for name in ("force.md", "identify.md")
-)
+IDENTIFY = (ROOT / "docs" / "identify.md").read_text(encoding="utf-8")
+FORCE = (ROOT / "docs" / "force.md").read_text(encoding="utf-8")
 FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
 FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
 FILES = dict(
@@ -72,32 +70,28 @@ def test_every_command_of_the_page_runs(command, capsys):
     assert all("--ignore-status takes them" in line for line in said)
 
 
-def test_the_pipe_of_the_page_runs_to_its_end():
+def test_pipe_of_the_page_runs():
     (line,) = re.findall(r"^cat .*$", FORCE, re.MULTILINE)
     line = line.replace(
         "needleforce ", f"{shlex.quote(sys.executable)} -m needleforce "
     )
     where = os.environ | {"PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
+    process = subprocess.run(
         line, shell=True, capture_output=True, text=True, check=False, env=where
     )
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     assert len(read_table("layers.csv").columns["t_s"]) == 4000
 
 
-def test_files_codes_and_numbers_of_the_page_are_the_codes():
+def test_numbers_of_the_page_match_the_code():
     assert len(COMMANDS) == 12
     assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
     codes = FORCE.split("## Exit codes")[1]
     assert [int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)] == [
         *(0, FAILED, INTERRUPTED, READER_GONE, TERMINATED)
     ]
-    assert f"at most {MOST_ROWS // 1000} {MOST_ROWS % 1000:03d}" in FORCE
-    words = {
-        "settling": "filters settle",
-        "initializing": "filters settle",
-        "skipped": "rejected",
-    }
+    assert f"at most {MAX_ROWS // 1000} {MAX_ROWS % 1000:03d}" in FORCE
+    words = {"initializing": "filters settle"}
     for status, code in STATUS_CODES.items():
         assert f"{code} {words.get(status.value, status.value)}" in FORCE
     for warning in SensorWarning:
@@ -108,7 +102,7 @@ def test_files_codes_and_numbers_of_the_page_are_the_codes():
     assert set(re.findall(r"^(\w+) =", settings, re.MULTILINE)) <= known
 
 
-def test_the_summary_has_the_lines_that_the_page_shows(capsys):
+def test_summary_has_the_lines_of_the_page(capsys):
     pytest.importorskip("matplotlib")
     main(shlex.split(COMMANDS[0]))
     shown = FORCE.split("```text\n")[1].split("```")[0].splitlines()
@@ -120,7 +114,7 @@ def test_the_summary_has_the_lines_that_the_page_shows(capsys):
 
 
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
-def test_the_table_of_forces_is_the_codes(mode):
+def test_table_of_forces_matches_the_code(mode):
     main(["force", "insertion.csv", "--mode", mode, "--no-tare", "-o", "table.csv"])
     table = FORCE.split("## The table of forces")[1].split("\n## ")[0]
     shown = []
@@ -133,9 +127,7 @@ def test_the_table_of_forces_is_the_codes(mode):
     assert shown == list(read_table("table.csv").columns)
 
 
-def test_the_page_on_identification_runs_and_names_the_columns(
-    tmp_path, monkeypatch, capsys
-):
+def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
     columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
@@ -147,7 +139,7 @@ def test_the_page_on_identification_runs_and_names_the_columns(
     cells = [row.split("|")[1] for row in table.splitlines()[2:]]
     names = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
     assert names == list(read_table("estimates.csv").columns)
-    found = {}
-    exec(IDENTIFY.split("```python\n")[1].split("```")[0], found)
-    assert found["estimate"].status.is_used
-    assert found["identifier"].layers == ()
+    namespace = {}
+    exec(IDENTIFY.split("```python\n")[1].split("```")[0], namespace)
+    assert namespace["estimate"].status.is_used
+    assert namespace["identifier"].layers == ()

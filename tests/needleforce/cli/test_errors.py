@@ -51,7 +51,9 @@ FILES = {
     "range.toml": "gain_per_s = -5.0\n",
     "frame.toml": 'frame = "nowhere"\n',
     "given_friction.toml": "[friction]\na = 1\n",
-    "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
+    "part.toml": (
+        "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n"
+    ),
     "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "three.toml": "payload = 3",
     "sub/map.toml": 'payload = "heavy.toml"',
@@ -64,46 +66,67 @@ LOGS = {
     "cut.csv": "the log ends before",
     "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
     "early.npz": "no tare from .*needle.*--force-tare.*--tare START:END.*--no-tare",
-    "milli.npz": "2 s of free motion .* samples were rejected, .* x tau .* seems to be in mNm",
+    "milli.npz": (
+        "2 s of free motion .* samples were rejected, .* x tau .* seems to be in mNm"
+    ),
     "transposed.npz": "q_rad has 7 rows of 4000: is it transposed?",
-    "six.csv": "6 columns per joint signal, the robot has 7 joints: lwr_joint_1.*lwr_joint_7.*--q",
+    "six.csv": (
+        "6 columns per joint signal, the robot has 7 joints: "
+        "lwr_joint_1.*lwr_joint_7.*--q"
+    ),
     "n" * 300 + ".csv": "name too long",
 }
 
 OPTIONS = {
     "--tau effort": "no column 'effort'.*Columns are",
-    "--q q_rad_{1..6}": "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS",
+    "--q q_rad_{1..6}": (
+        "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS"
+    ),
     "--mapping missing.toml": "cannot read the mapping",
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
     "--mapping sub/map.toml": "cannot read the payload file sub/heavy.toml",
     "--rate -5": "rate_hz = -5",
-    "--robot pandas": "no example robot 'pandas'; robots: panda.*; --urdf FILE loads any other",
+    "--robot pandas": (
+        "no example robot 'pandas'; robots: panda.*; --urdf FILE loads any other"
+    ),
     "--robot ur5e --urdf arm.urdf": "--robot and --urdf name two robots",
-    "--urdf arm.urdf": "7 columns per joint signal, the robot has 3 joints: .*, gripper",
+    "--urdf arm.urdf": (
+        "7 columns per joint signal, the robot has 3 joints: .*, gripper"
+    ),
     "--urdf arm.urdf --tool-frame nowhere": "no frame 'nowhere'.*frames: .*tip",
-    "--urdf arm.urdf --tool-frame tip --lock wrist": "cannot lock 'wrist'.*shoulder, elbow",
+    "--urdf arm.urdf --tool-frame tip --lock wrist": (
+        "cannot lock 'wrist'.*shoulder, elbow"
+    ),
     "--urdf arm.urdf --tool-frame tip --lock gripper=open": "'open' is no number",
-    "--urdf arm.urdf --tool-frame tip --lock gripper": "robot has 2 joints: shoulder, elbow",
+    "--urdf arm.urdf --tool-frame tip --lock gripper": (
+        "robot has 2 joints: shoulder, elbow"
+    ),
     "--tool-frame flange": "--urdf FILE",
     "--lock lwr_joint_3": "--urdf FILE",
     "--payload missing.toml": "cannot read the payload file missing.toml: No such file",
     "--payload broken.toml": "payload file broken.toml is not valid TOML",
     "--payload blank.toml": "is empty",
     "--payload negative.toml": "negative.toml: .*mass",
-    "--config key.toml": "unknown key 'gian_per_s'; did you mean gain_per_s. known are: gain_per_s",
+    "--config key.toml": (
+        "unknown key 'gian_per_s'; did you mean gain_per_s. known are: gain_per_s"
+    ),
     "--config choice.toml": "mode: .* 'axail', expected 'axial' or 'point' or 'full'",
     "--config range.toml": "range.toml: gain_per_s is -5.0",
     "--config frame.toml": "no frame 'nowhere'",
     "--config given_friction.toml": "give joint friction with --friction FILE",
     "--gain inf": "gain_per_s is inf, expected a finite number",
-    "--insertion-axis 0 0 0": "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero",
+    "--insertion-axis 0 0 0": (
+        "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero"
+    ),
     "--friction part.toml": r"\[viscous_coulomb\]: .*missing required field coulomb_Nm",
     "--friction rotor_sign.toml": "must not be negative",
     "--tare 4": "expected START:END",
     "--tare 0:60": "outside the log, which runs from 0 s to 1.199 s",
     "--tare=-3:-1": "outside the log, which starts at 0 s; expected",
     "--tare 0.1:0.11": "0.1 to 0.11 s: the filters had not settled by then",
-    "": "the log ends before the filters have settled and 2 s of free motion.*--no-tare",
+    "": (
+        "the log ends before the filters have settled and 2 s of free motion.*--no-tare"
+    ),
     "-o forces.xlsx": "known are: .csv",
     "--figure .": "cannot write",
     "--figure forces.gif": "forces.gif: its name must end in one of",
@@ -116,10 +139,18 @@ USAGE = {
     "force good.csv --mode axail": 'Did you mean "axial"',
     "force good.csv --gian 4": "Unknown option: --gian. Did you mean --gain",
     "force good.csv --tare 0:1 --no-tare": "--tare and --no-tare contradict each other",
-    "force good.csv --force-tare --no-tare": "--force-tare and --no-tare contradict each other",
-    "force good.csv --no-tare --figure a.png --from 3 --to 1": "--from 3 --to 1: expected --from",
-    "force good.csv --no-tare --figure a.png --from nan": "--from nan --to inf: expected --from",
-    "identify no.csv --figure a.png --to=-inf": "--from -inf --to -inf: expected --from",
+    "force good.csv --force-tare --no-tare": (
+        "--force-tare and --no-tare contradict each other"
+    ),
+    "force good.csv --no-tare --figure a.png --from 3 --to 1": (
+        "--from 3 --to 1: expected --from"
+    ),
+    "force good.csv --no-tare --figure a.png --from nan": (
+        "--from nan --to inf: expected --from"
+    ),
+    "identify no.csv --figure a.png --to=-inf": (
+        "--from -inf --to -inf: expected --from"
+    ),
     "force good.csv --from soon": 'unable to convert "soon" into float',
     "identify good.csv --method ferro": 'Choose from: "multilayer", "published"',
     "identify empty.csv": "it is empty",
@@ -152,19 +183,19 @@ EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--rep
     ],
     ids=lambda value: " ".join(value)[-60:] if isinstance(value, list) else "",
 )
-def test_what_cannot_be_used_is_one_line_and_leaves_nothing(
+def test_bad_input_is_one_line_and_leaves_nothing(
     folder, monkeypatch, capsys, argv, message
 ):
     monkeypatch.chdir(folder)
-    before = sorted(path.name for path in folder.iterdir())
+    files = sorted(path.name for path in folder.iterdir())
     line = refusal(argv, capsys)
     assert re.search(message, line), line
-    assert sorted(path.name for path in folder.iterdir()) == before
+    assert sorted(path.name for path in folder.iterdir()) == files
 
 
 @pytest.mark.parametrize("command", ["force", "identify"])
 @pytest.mark.parametrize("output", [["--figure", "f.png"], ["--report", "page"]])
-def test_a_figure_without_matplotlib_is_refused_before_the_work(
+def test_missing_matplotlib_is_refused_before_the_work(
     folder, monkeypatch, capsys, command, output
 ):
     def missing(name, *more, before=builtins.__import__, **named):
@@ -178,9 +209,7 @@ def test_a_figure_without_matplotlib_is_refused_before_the_work(
     assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
-def test_a_failed_command_leaves_no_folder_and_one_that_cannot_be_made_is_named(
-    tmp_path, capsys
-):
+def test_failed_command_leaves_no_report_folder(tmp_path, capsys):
     (tmp_path / "file").touch()
     for command in ("force", "identify"):
         assert "no.csv" in refusal(
@@ -210,7 +239,7 @@ def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
-def test_a_name_that_is_no_text_is_read_drawn_and_printed(folder, tmp_path, capsys):
+def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")
     name.write_bytes((folder / "good.csv").read_bytes())
     page = tmp_path / "page"

@@ -54,7 +54,7 @@ def run(tmp_path, capsys):
     ],
     ids=" ".join,
 )
-def test_axial_force_is_the_true_one_with_its_standard_deviation(log, run, options):
+def test_axial_force_matches_truth_within_its_std(log, run, options):
     columns, _ = run(log, *TARE, *options)
     contact = columns["t_s"] > CONTACT_S + 0.3
     error = columns["axial_N"][contact] - AXIAL_N
@@ -67,7 +67,7 @@ def test_axial_force_is_the_true_one_with_its_standard_deviation(log, run, optio
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
-def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run, lwr):
+def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
     columns, printed = run(log, *TARE, "--published")
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
     assert "K = 5 1/s" in printed
@@ -82,9 +82,7 @@ def test_the_published_method_and_a_log_without_velocity_find_the_force(log, run
 @pytest.mark.parametrize(
     ("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)]
 )
-def test_every_column_says_its_unit_vector_and_travel_are_right(
-    log, run, lwr, mode, components
-):
+def test_columns_name_units_and_travel_is_true(log, run, lwr, mode, components):
     columns, _ = run(log, *TARE, "--mode", mode)
     assert len(columns) == 8 + components
     plain = ("model_mismatch", "force_warnings", "force_status")
@@ -97,12 +95,12 @@ def test_every_column_says_its_unit_vector_and_travel_are_right(
     assert status[0] == 2
     assert set(status[columns["t_s"] > 2.5]) == {0}
     assert 1 in status[columns["t_s"] < 2.5]
-    first, last = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
-    travel = first.rotation[:, 2] @ (last.translation - first.translation)
+    start, end = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
+    travel = start.rotation[:, 2] @ (end.translation - start.translation)
     assert columns["travel_m"][[0, -1]] == pytest.approx([0.0, travel], abs=1e-12)
 
 
-def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
+def test_automatic_tare_is_chosen_and_reported(log, run):
     columns, printed = run(log)
     (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
     start_s = float(line.split()[1])
@@ -115,7 +113,7 @@ def test_a_tare_is_chosen_and_reported_when_none_was_given(log, run):
     assert "tare         none" in printed
 
 
-def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr):
+def test_tare_counts_from_the_first_stamp(run, lwr):
     late = insertion(lwr, start_s=1000.0)
     relative, _ = run(late, "--tare", "+0:+2.5")
     absolute, _ = run(late, "--tare", ":1002.5")
@@ -126,21 +124,21 @@ def test_a_tare_may_be_counted_from_the_first_stamp(run, lwr):
     assert "  0 to 2.5 s of the log" in run(insertion(lwr), "--tare", "-100:2.5")[1]
 
 
-def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr):
+def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
     columns["tau_Nm"][3300] = np.inf
     columns["t_s"][1500] = columns["t_s"][1490]
     keep = np.r_[0:2600, 2750:4000]
-    found, printed = run(
+    forces, printed = run(
         {name: values[keep] for name, values in columns.items()}, *TARE
     )
-    rejected = np.flatnonzero(found["force_status"] == 3)
+    rejected = np.flatnonzero(forces["force_status"] == 3)
     np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
-    assert np.isnan(found["axial_N"][rejected]).all()
-    valid = found["force_status"] != 3
-    assert np.isfinite(np.stack([found[n][valid] for n in found])).all()
-    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+    assert np.isnan(forces["axial_N"][rejected]).all()
+    valid = forces["force_status"] != 3
+    assert np.isfinite(np.stack([forces[n][valid] for n in forces])).all()
+    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
     assert "12: 10 x q is not finite" in printed
     assert "1 x time does not advance" in printed
     assert "1 longer than 0.1 s (longest 0.151 s)" in printed
@@ -152,7 +150,8 @@ def test_bad_rows_are_rejected_counted_and_leave_the_rest_right(run, lwr):
         (0.1, "none longer than 0.1 s"),  # but for rounding
         (
             0.10002,
-            "longer than 0.1 s (longest 0.10002 s): filters restart after each; too few",
+            "longer than 0.1 s (longest 0.10002 s): filters restart after each; "
+            "too few",
         ),
     ],
 )
@@ -162,38 +161,34 @@ def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
     assert gaps in run({"t_s": np.arange(400) * step_s, **thinned}, "--no-tare")[1]
 
 
-def test_what_may_be_wrong_beyond_the_standard_deviation_is_reported(run, lwr):
+def test_warnings_beyond_the_std_are_reported(run, lwr):
     columns = insertion(lwr)
     columns["tau_Nm"][3500, 2] += 80.0
     columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
-    found, printed = run(columns, *TARE)
-    warnings = found["force_warnings"].astype(int)
+    forces, printed = run(columns, *TARE)
+    warnings = forces["force_warnings"].astype(int)
     assert warnings[3500] & SensorWarning.SPIKE
-    assert found["force_status"][3500] == 3
+    assert forces["force_status"][3500] == 3
     assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
     assert not warnings[:3000].any()
     assert "x saturated" in printed
-    assert 0.3 < np.median(found["model_mismatch"][found["force_status"] == 0]) < 3.0
-    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
+    assert 0.3 < np.median(forces["model_mismatch"][forces["force_status"] == 0]) < 3.0
+    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
-def test_a_clock_that_was_set_back_costs_a_few_rows_and_neither_force_nor_duration(
-    run, lwr
-):
+def test_clock_set_back_costs_few_rows_only(run, lwr):
     columns = insertion(lwr)
     columns["t_s"][2600:] -= columns["t_s"][2600]
-    found, printed = run(columns, *TARE)
+    forces, printed = run(columns, *TARE)
     assert "samples      4000 in 3.998 s at 1000 Hz" in printed
-    rejected = np.flatnonzero(found["force_status"] == 3)
+    rejected = np.flatnonzero(forces["force_status"] == 3)
     assert 2600 in rejected
     assert 3 <= len(rejected) <= 110
-    np.testing.assert_array_equal(found["t_s"], columns["t_s"])
-    assert found["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+    np.testing.assert_array_equal(forces["t_s"], columns["t_s"])
+    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
-def test_velocities_in_degrees_are_refused_by_joint_and_reason(
-    run, lwr, tmp_path, capsys
-):
+def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsys):
     columns = insertion(lwr)
     columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
     log = str(tmp_path / "log.npz")
@@ -208,13 +203,13 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
     assert "velocity" not in printed.replace("velocity from the log", "")
-    found, printed = run(log, *TARE, "--force-tare")
+    forces, printed = run(log, *TARE, "--force-tare")
     lines = printed.splitlines()
     assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
     assert any(
         line.startswith("velocity ") and "is it in deg/s?" in line for line in lines
     )
-    assert (found["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
+    assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
 @pytest.mark.parametrize(
@@ -226,19 +221,18 @@ def test_velocities_in_degrees_are_refused_by_joint_and_reason(
         ),
         (
             "0:2.5 --external-torque --tau-ext tau_Nm:Nm:-1",
-            "torque; leave --external-torque out and negate it, as in --tau tau_*:Nm:-1. Tare",
+            "torque; leave --external-torque out and negate it, as in --tau "
+            "tau_*:Nm:-1. Tare",
         ),
         ("1:1.01", "s of it); choose a longer window, without gaps in time. Or"),
     ],
 )
-def test_a_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
+def test_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
     said = refusal(["force", log, "--tare", *options.split()], capsys)
     assert (advice in said, "update()" in said) == (True, False), said
 
 
-def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
-    run, lwr, tmp_path, capsys
-):
+def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, capsys):
     columns = insertion(lwr)
     gravity = gravity_of(lwr, columns["q_rad"])
     expected, _ = run(columns, *TARE)
@@ -253,11 +247,11 @@ def test_torque_without_gravity_or_negated_is_named_and_an_option_cures_it(
         log = str(tmp_path / "wrong.npz")
         write_table(log, columns | {"tau_Nm": tau_Nm})
         assert advice in refusal(["force", log, *TARE], capsys)
-        found, _ = run(log, *TARE, *cure)
-        np.testing.assert_allclose(found["axial_N"], expected["axial_N"], atol=0.02)
+        forces, _ = run(log, *TARE, *cure)
+        np.testing.assert_allclose(forces["axial_N"], expected["axial_N"], atol=0.02)
 
 
-def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tmp_path):
+def test_urdf_with_locks_or_missing_link_gives_forces(lwr, run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
     arm = insertion(
@@ -279,9 +273,7 @@ def test_any_urdf_with_locked_joints_or_without_a_link_gives_forces(lwr, run, tm
     assert "6 joints, payload 0 kg" in run(six, "--robot", "ur10e", "--no-tare")[1]
 
 
-def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(
-    log, run, tmp_path
-):
+def test_missing_payload_reads_as_its_weight(log, run, tmp_path):
     light = tmp_path / "light.toml"
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
     options = ("--no-tare", "--mode", "full")
@@ -306,7 +298,7 @@ def test_a_payload_that_the_model_lacks_reads_as_its_weight_downward(
     ],
     ids=str,
 )
-def test_a_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix):
+def test_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix):
     start_s = 0.0 if suffix == "png" else 1.7e9
     columns = insertion(lwr, seconds=3.0, start_s=start_s)
     columns["tau_Nm"][2600:2650] = np.nan
@@ -321,7 +313,7 @@ def test_a_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix)
     assert len(content) > 5_000
 
 
-def test_a_log_without_a_valid_row_still_has_figures(lwr, tmp_path, capsys):
+def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
     columns = insertion(lwr, seconds=0.1)
     columns["q_rad"][:, 0] = np.nan
     write_table(tmp_path / "$\\frac{$.npz", columns)

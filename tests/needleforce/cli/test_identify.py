@@ -23,11 +23,11 @@ def needle():
     """Columns of an insertion from the end of the free motion until it has left the
     gel."""
     run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
-    part = slice(
+    rows = slice(
         *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0))
     )
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
-    return {name: getattr(run, name)[part] for name in names}
+    return {name: getattr(run, name)[rows] for name in names}
 
 
 @pytest.fixture
@@ -53,7 +53,7 @@ def identify(needle, tmp_path, capsys):
     return run
 
 
-def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_path):
+def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path):
     png = tmp_path / "o.png"
     pdf = tmp_path / "depth.pdf"
     table, (layer,), _ = identify("--png", str(png))
@@ -71,16 +71,14 @@ def test_layers_are_printed_and_table_and_figure_written(needle, identify, tmp_p
     ("method", "start_s"),
     [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
 )
-def test_every_method_gives_the_instant_of_the_alarm_on_the_logs_clock(
-    needle, identify, method, start_s
-):
+def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
     rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)
     assert float(layer["alarm s"]) == pytest.approx(
         rows["t_s"][rows["rupture"] > 0][0], abs=0.006
     )
 
 
-def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_path):
+def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     force_N = needle["force_N"]
     *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
     assert "flip its sign; a factor of -1 after the unit does" in said
@@ -100,7 +98,7 @@ def test_a_wrong_sign_or_unit_of_the_force_gets_a_hint(needle, identify, tmp_pat
     assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
 
 
-def test_a_clock_that_was_set_back_hides_no_layer(needle, identify):
+def test_clock_set_back_hides_no_layer(needle, identify):
     whole_s = needle["t_s"]
     t_s = needle["t_s"].copy()
     half = int(np.searchsorted(needle["depth_m"], 0.004))
@@ -114,16 +112,14 @@ def test_a_clock_that_was_set_back_hides_no_layer(needle, identify):
     assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
 
 
-def test_the_codes_are_those_of_the_virtual_sensor_and_of_a_session():
+def test_codes_match_sensor_and_session():
     assert tuple(status.value for status in Status) == FORCE_STATUS
     for word, bit in WORTHLESS.items():
         assert SensorWarning[word.upper().replace(" ", "_")] == bit
     assert sum(WORTHLESS.values()) == session.UNUSABLE
 
 
-def test_marked_rows_are_left_out_and_counted_and_a_users_own_status_is_none(
-    needle, identify
-):
+def test_marked_rows_are_counted_and_ignored(needle, identify):
     count = len(needle["t_s"])
     status, warnings = np.zeros((2, count))
     status[:4] = [0.0, 1.0, 2.0, 3.0]
@@ -165,7 +161,7 @@ def insertion(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["a/log", "layers"])
-def test_no_figure_takes_the_place_of_a_chart_of_the_report(insertion, capsys, name):
+def test_figure_never_replaces_a_chart_of_the_report(insertion, capsys, name):
     charts = sorted((insertion / name).glob("*.svg"))
     assert len(charts) == {"a/log": 6, "layers": 2}[name]
     for chart in charts:
@@ -184,7 +180,7 @@ def test_no_figure_takes_the_place_of_a_chart_of_the_report(insertion, capsys, n
         )
 
 
-def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
+def test_report_shows_forces_and_their_layers(insertion):
     page, alone = (
         (insertion / name / "index.html").read_text(encoding="utf-8")
         for name in ("a/log", "layers")
@@ -221,10 +217,10 @@ def test_a_report_shows_the_forces_and_the_layers_in_them(insertion):
 def test_pages_open_on_a_phone(insertion):
     for page in (insertion / name / "index.html" for name in ("a/log", "layers")):
         assert logged(page) == []
-        found = measured(page, PHONE)
-        assert found["content"] <= PHONE[0]
-        assert found["wide"] == []
-        assert len(found["images"]) == page.read_text(encoding="utf-8").count(
+        sizes = measured(page, PHONE)
+        assert sizes["content"] <= PHONE[0]
+        assert sizes["wide"] == []
+        assert len(sizes["images"]) == page.read_text(encoding="utf-8").count(
             "<figcaption>"
         )
-        assert min(found["images"]) > 150
+        assert min(sizes["images"]) > 150

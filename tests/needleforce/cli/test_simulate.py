@@ -43,9 +43,7 @@ def quick(run, monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
-def test_every_format_goes_through_both_commands_without_an_option(
-    quick, capsys, suffix, run
-):
+def test_every_format_passes_both_commands_without_options(quick, capsys, suffix, run):
     assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
     assert quick == [(ID, "clean", 0)]
     printed = capsys.readouterr().out
@@ -65,7 +63,7 @@ def test_every_format_goes_through_both_commands_without_an_option(
     assert len(err.splitlines()) == 1
 
 
-def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
+def test_recording_holds_the_robots_signals_alone(quick, run):
     assert main(["simulate", ID, "-o", "x.mcap"]) == 0
     log = read_log("x.mcap", required=["q", "tau"], optional=["dq"])
     np.testing.assert_array_equal(log["q_rad"], run.signals.q_rad)
@@ -84,7 +82,7 @@ def test_the_recording_holds_what_a_robot_gives_and_nothing_else(quick, run):
     np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
 
 
-def test_the_truth_goes_into_a_file_of_its_own(quick, run):
+def test_ground_truth_has_its_own_file(quick, run):
     assert main(["simulate", ID, "--truth", "truth.npz"]) == 0
     columns = read_table("truth.npz").columns
     np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
@@ -98,7 +96,7 @@ def test_the_truth_goes_into_a_file_of_its_own(quick, run):
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
-def test_a_membrane_on_the_surface_is_told_and_no_rupture_hides_another(run):
+def test_surface_rupture_is_marked_and_none_hides_another(run):
     first = run.truth.ruptures[0]
     together = tuple(replace(first, layer=number) for number in (0, 1, 2))
     truth = replace(run.truth, ruptures=together)
@@ -133,9 +131,7 @@ def test_list_names_every_scenario(capsys):
         (f"{ID} -o x.csv --truth hard.csv", "-o and --truth both write to x.csv"),
     ],
 )
-def test_bad_requests_are_one_line_before_anything_is_simulated(
-    quick, capsys, options, said
-):
+def test_bad_requests_are_one_line_before_simulation(quick, capsys, options, said):
     if "hard.csv" in options:
         Path("x.csv").touch()
         Path("hard.csv").hardlink_to("x.csv")
@@ -143,7 +139,7 @@ def test_bad_requests_are_one_line_before_anything_is_simulated(
     assert quick == []
 
 
-def test_without_mujoco_the_command_says_what_to_install(capsys, monkeypatch, tmp_path):
+def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path):
     monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
     message = refusal(
         ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys

@@ -37,10 +37,10 @@ def logs(lwr, tmp_path_factory):
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
     names = ("t_s", "depth_m", "force_N", "speed_m_s")
     whole = {name: getattr(run, name) for name in names}
-    part = slice(
+    rows = slice(
         *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 4.0))
     )
-    columns = {name: values[part] for name, values in whole.items()}
+    columns = {name: values[rows] for name, values in whole.items()}
     write_table(folder / "whole.csv", whole)
     write_table(folder / "identify.csv", columns)
     write_table(folder / "derived.csv", {name: columns[name] for name in names[:3]})
@@ -82,36 +82,34 @@ def piped(name, data):
     return subprocess.run(argv, input=data, capture_output=True, check=False)
 
 
-def test_a_pipe_in_and_out_gives_the_bytes_of_the_file(case, tmp_path):
+def test_pipes_give_the_bytes_of_the_file(case, tmp_path):
     name, path, expected = case
-    done = piped(name, path.read_bytes())
-    assert (done.returncode, done.stdout) == (0, expected), done.stderr
-    assert SUMMARY[name].encode() in done.stderr
+    process = piped(name, path.read_bytes())
+    assert (process.returncode, process.stdout) == (0, expected), process.stderr
+    assert SUMMARY[name].encode() in process.stderr
     (tmp_path / "table.csv").write_bytes(expected)
-    found, logged = (
+    written_s, logged_s = (
         read_table(p).columns["t_s"] for p in (tmp_path / "table.csv", path)
     )
-    np.testing.assert_array_equal(found, logged)
+    np.testing.assert_array_equal(written_s, logged_s)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
-def test_a_log_on_standard_input_is_not_replaced_by_its_output(logs, tmp_path, suffix):
+def test_output_never_replaces_its_own_standard_input(logs, tmp_path, suffix):
     log = tmp_path / f"log.{suffix}"
     write_table(log, read_table(logs / "force.csv").columns)
-    before = log.read_bytes()
+    content = log.read_bytes()
     argv = ["force", "-", *OPTIONS["force"], "-o", str(log)]
     with log.open("rb") as stream:
-        done = subprocess.run(
+        process = subprocess.run(
             [*PROGRAM, *argv], stdin=stream, capture_output=True, check=False
         )
-    assert (done.returncode, log.read_bytes() == before) == (2, True)
-    assert (
-        done.stderr
-        == f"error: cannot write {log}: it is the log itself; give another name\n".encode()
-    )
+    assert (process.returncode, log.read_bytes() == content) == (2, True)
+    message = f"cannot write {log}: it is the log itself; give another name"
+    assert process.stderr.decode() == f"error: {message}\n"
 
 
-def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
+def test_bag_may_grow_or_come_piped(logs, tmp_path):
     log, expected, out = (
         tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv")
     )
@@ -119,8 +117,10 @@ def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
     write_table(log, dict(sorted(columns.items(), key=lambda item: -item[1].ndim)))
     assert main(["identify", str(log), "-o", str(expected)]) == 0
     data = log.read_bytes()
-    done = piped("identify", data)
-    assert (done.returncode, done.stdout) == (0, expected.read_bytes()), done.stderr
+    process = piped("identify", data)
+    assert (process.returncode, process.stdout) == (0, expected.read_bytes()), (
+        process.stderr
+    )
     writer = grow(tmp_path / "growing.mcap", in_pieces(data, 20), pause_s=0.05)
     argv = ["identify", str(tmp_path / "growing.mcap"), "--follow", "-o", str(out)]
     assert main(argv) == 0
@@ -128,7 +128,7 @@ def test_a_bag_may_grow_or_come_through_a_pipe(logs, tmp_path):
     assert out.read_bytes() == expected.read_bytes()
 
 
-def test_a_growing_file_gives_rows_at_once_and_all_of_them_in_the_end(logs, tmp_path):
+def test_growing_file_gives_rows_at_once(logs, tmp_path):
     log = logs / "force.csv"
     growing = tmp_path / "growing.csv"
     out = tmp_path / "out.csv"
@@ -184,7 +184,7 @@ def interrupted(monkeypatch):
 @pytest.mark.usefixtures("interrupted")
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 @pytest.mark.parametrize("name", ["force", "identify"])
-def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(
+def test_ctrl_c_keeps_rows_and_names_replaced_table(
     logs, tmp_path, capsys, name, suffix
 ):
     log = logs / {"force": "force.csv", "identify": "whole.csv"}[name]
@@ -208,7 +208,7 @@ def test_ctrl_c_keeps_what_was_done_and_says_what_it_replaced(
     ("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 )
 @pytest.mark.parametrize("has_writer", [True, False])
-def test_a_signal_before_there_is_a_log_ends_the_command(
+def test_signal_before_any_log_ends_the_command(
     tmp_path, capsys, kind, code, has_writer
 ):
     pipe = tmp_path / "pipe.csv"
@@ -230,7 +230,7 @@ def test_a_signal_before_there_is_a_log_ends_the_command(
         assert "it is empty" in refusal(argv, capsys)
 
 
-def test_ctrl_c_ends_the_wait_for_the_reader_of_a_pipe(tmp_path):
+def test_ctrl_c_ends_waiting_for_a_pipes_reader(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with stop_request() as is_asked:
         threading.Timer(0.5, os.kill, (os.getpid(), signal.SIGINT)).start()
@@ -247,7 +247,7 @@ def _is_open(pid, path):
     return False
 
 
-def test_sigterm_counts_where_a_library_makes_another_error_of_it(capsys):
+def test_sigterm_counts_whatever_error_a_library_raises(capsys):
     def work():
         with contextlib.suppress(BaseException):
             signal.raise_signal(signal.SIGTERM)
@@ -258,9 +258,9 @@ def test_sigterm_counts_where_a_library_makes_another_error_of_it(capsys):
 
 
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
-def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix):
+def test_sigterm_leaves_only_the_older_table(logs, tmp_path, suffix):
     out = tmp_path / f"out.{suffix}"
-    before = [out]
+    files = [out]
     for _ in range(5):  # on a busy machine it may be done before it is seen at work
         write_table(out, {"t_s": [1.0, 2.0], "force_N": [3.0, 4.0]})
         with start(
@@ -268,7 +268,7 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
         ) as process:
             wait_for(
                 lambda: (
-                    sorted(tmp_path.iterdir()) != before or process.poll() is not None
+                    sorted(tmp_path.iterdir()) != files or process.poll() is not None
                 )
             )
             process.send_signal(signal.SIGTERM)
@@ -278,13 +278,11 @@ def test_sigterm_leaves_the_older_table_and_nothing_else(logs, tmp_path, suffix)
     # The compiler may say before that it ignores what a signal raised in a callback of
     # its own.
     assert (process.returncode, said[-11:]) == (143, b"terminated\n")
-    assert sorted(tmp_path.iterdir()) == before
+    assert sorted(tmp_path.iterdir()) == files
     assert len(read_table(out).columns["t_s"]) == 2
 
 
-def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(
-    lwr, tmp_path, capsys
-):
+def test_failing_log_leaves_older_table_or_streamed_rows(lwr, tmp_path, capsys):
     early = write_insertion(tmp_path / "early.csv", lwr, contact_s=1.0)
     out = tmp_path / "out.csv"
     out.write_text("old\n1\n")
@@ -298,7 +296,7 @@ def test_a_log_that_fails_leaves_the_older_table_a_stream_what_it_gave(
     assert columns["force_status"].min() == 1
 
 
-def test_a_reader_that_goes_away_ends_the_command_quietly(case):
+def test_vanished_reader_ends_the_command_quietly(case):
     name, path, _ = case
     with start(name, path, "-o", "-") as process:
         assert process.stdout.readline().startswith(FIRST_COLUMNS[name])
@@ -315,12 +313,12 @@ def test_a_reader_that_goes_away_ends_the_command_quietly(case):
     not Path("/dev/full").exists(), reason="the system has no /dev/full"
 )
 @pytest.mark.parametrize("output", [[], ["-o", "-"], ["--help"]])
-def test_a_full_disk_is_reported(logs, output):
+def test_full_disk_is_reported(logs, output):
     argv = [*PROGRAM, "force", str(logs / "force.csv"), "--no-tare", *output]
     with open("/dev/full", "wb") as full:
-        done = subprocess.run(argv, stdout=full, stderr=subprocess.PIPE, check=False)
-    assert done.returncode == 2
-    (line,) = done.stderr.splitlines()
+        process = subprocess.run(argv, stdout=full, stderr=subprocess.PIPE, check=False)
+    assert process.returncode == 2
+    (line,) = process.stderr.splitlines()
     assert line == b"error: cannot write standard output: No space left on device"
 
 
@@ -337,7 +335,7 @@ def test_a_full_disk_is_reported(logs, output):
         ("identify", b"\x89MCAP0\r\n", "standard input holds no messages"),
     ],
 )
-def test_standard_input_without_a_log_is_one_clear_line(
+def test_standard_input_without_log_is_one_line(
     command, data, message, monkeypatch, tmp_path, capsys
 ):
     (tmp_path / "data").write_bytes(data)

@@ -60,12 +60,12 @@ def _open_output(monkeypatch):
         ),
     ],
 )
-def test_a_foreseen_failure_is_one_line_and_a_code(capsys, error, code, said):
+def test_foreseen_failure_is_one_line_and_code(capsys, error, code, said):
     assert run_command(failing(error)) == code
     assert capsys.readouterr().err == said
 
 
-def test_what_was_not_foreseen_is_not_hidden_and_the_code_of_the_work_handed_on(capsys):
+def test_unforeseen_error_is_raised_and_code_returned(capsys):
     for error in (ZeroDivisionError(), PermissionError(13, "forbidden", "some.file")):
         with pytest.raises(type(error)):
             run_command(failing(error))
@@ -78,9 +78,9 @@ def test_what_was_not_foreseen_is_not_hidden_and_the_code_of_the_work_handed_on(
     assert printed.out == "result\n"
 
 
-def test_the_first_ctrl_c_asks_and_the_second_interrupts():
+def test_first_ctrl_c_asks_second_interrupts():
     # A job in the background of a shell starts with it ignored.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    handler = signal.signal(signal.SIGINT, signal.default_int_handler)
     with stop_request() as stop:
         assert not stop()
         os.kill(os.getpid(), signal.SIGINT)
@@ -89,10 +89,10 @@ def test_the_first_ctrl_c_asks_and_the_second_interrupts():
             os.kill(os.getpid(), signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)
-    signal.signal(signal.SIGINT, before)
+    signal.signal(signal.SIGINT, handler)
 
 
-def test_what_the_terminal_cannot_write_is_an_escape(monkeypatch):
+def test_unwritable_characters_become_escapes(monkeypatch):
     stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", stream)
     write_out("0.3±0.1 \udcff\n")
@@ -105,19 +105,19 @@ def test_help_and_version_answer_without_the_estimators(capsys):
         assert name in capsys.readouterr().out or main([name, "--help"]) == 0
     code = "import sys; from needleforce.cli import main; main(['force', '--help']); "
     code += "print({'pinocchio', 'numba', 'numpy'} & set(sys.modules))"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    assert done.stdout.splitlines()[-1] == "set()"
-    assert "--external-torque" in done.stdout
-    assert "START:END" in done.stdout
+    assert process.stdout.splitlines()[-1] == "set()"
+    assert "--external-torque" in process.stdout
+    assert "START:END" in process.stdout
 
 
-def test_the_packages_forward_to_their_command_and_shells_complete_its_options():
+def test_packages_forward_to_the_command_shells_complete_it():
     for package in ("residual", "identification", "groundtruth"):
         argv = [sys.executable, "-m", package, "--help"]
-        done = subprocess.run(argv, capture_output=True, text=True, check=True)
-        assert done.stdout.startswith("Usage: needleforce ")
+        process = subprocess.run(argv, capture_output=True, text=True, check=True)
+        assert process.stdout.startswith("Usage: needleforce ")
     for shell in ("bash", "zsh", "fish"):
         script = app.generate_completion(shell=shell)
         for word in ("force", "identify", "external-torque", "published-kv"):
@@ -168,7 +168,7 @@ def check(source, **outputs):
     ],
     ids=str,
 )
-def test_an_output_that_would_harm_something_is_refused(source, outputs, message):
+def test_harmful_output_is_refused(source, outputs, message):
     pytest.importorskip("matplotlib")
     with pytest.raises((FileAccessError, CommandError, FiguresError), match=message):
         check(source, **outputs)
@@ -181,17 +181,17 @@ def test_outputs_side_by_side_are_fine():
 
 
 @pytest.mark.parametrize("pieces", [1, 90])
-def test_of_a_long_table_few_rows_stay_and_the_extremes(pieces):
+def test_overview_keeps_few_rows_and_all_extremes(pieces):
     x = np.random.default_rng(0).normal(size=5_000)
     x[::7] = np.nan
-    overview = RowOverview(("x",), most_rows=200)
+    overview = RowOverview(("x",), max_rows=200)
     for numbers in np.array_split(np.arange(len(x)), pieces):
         overview.add({"n": numbers, "x": x[numbers]})
-    kept = overview.columns()
-    assert 50 < len(kept["n"]) <= 200
-    assert 0 < np.diff(kept["n"]).min() <= np.diff(kept["n"]).max() < 500
-    np.testing.assert_array_equal(kept["x"], x[kept["n"]])
-    assert (np.nanmin(kept["x"]), np.nanmax(kept["x"])) == (np.nanmin(x), np.nanmax(x))
+    rows = overview.columns()
+    assert 50 < len(rows["n"]) <= 200
+    assert 0 < np.diff(rows["n"]).min() <= np.diff(rows["n"]).max() < 500
+    np.testing.assert_array_equal(rows["x"], x[rows["n"]])
+    assert (np.nanmin(rows["x"]), np.nanmax(rows["x"])) == (np.nanmin(x), np.nanmax(x))
 
 
 @pytest.fixture
@@ -211,7 +211,7 @@ def written(text):
     return "map.toml"
 
 
-def test_what_options_say_already_stands_in_the_mapping(run, capsys):
+def test_printed_mapping_holds_the_options(run, capsys):
     Path("log.csv").write_text("Zeit;Weg;fz [mN]\n0;1;2\n1;2;3\n", encoding="utf-8")
     columns = ["--time", "Zeit:ms", "--depth", "Weg:mm:-1", "--force", "fz [mN]"]
     mapping = load_mapping(
@@ -229,7 +229,7 @@ def test_what_options_say_already_stands_in_the_mapping(run, capsys):
     assert "no column 'nothing'" in capsys.readouterr().err
 
 
-def test_the_commands_print_edit_and_read_it(run, lwr):
+def test_mapping_is_printed_edited_and_read_back(run, lwr):
     columns = insertion(lwr)
     table = {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
     turned = {k: v[..., ::-1] if v.ndim == 2 else v for k, v in table.items()}
@@ -294,7 +294,7 @@ class Terminal(io.StringIO):
 
 
 @pytest.mark.parametrize("is_terminal", [False, True])
-def test_a_bar_is_drawn_on_a_terminal_only(monkeypatch, is_terminal):
+def test_progress_bar_needs_a_terminal(monkeypatch, is_terminal):
     stream = Terminal() if is_terminal else io.StringIO()
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.setenv("TERM", "xterm")
@@ -308,9 +308,7 @@ def test_a_bar_is_drawn_on_a_terminal_only(monkeypatch, is_terminal):
     assert "other.csv" not in stream.getvalue()
 
 
-def test_a_command_draws_it_and_prints_what_it_prints_without(
-    tmp_path, monkeypatch, capsys
-):
+def test_progress_bar_leaves_the_result_unchanged(tmp_path, monkeypatch, capsys):
     path = tmp_path / "log.csv"
     write_table(path, LONG_COLUMNS)
     assert main(["identify", str(path)]) == 0

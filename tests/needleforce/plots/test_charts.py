@@ -18,7 +18,9 @@ from needleforce.plots import (
     require_matplotlib,
     save_figure,
 )
-from needleforce.plots.chart import STYLE, ChartError, WriteError, draw, limits_of
+from needleforce.plots.chart import limits_of
+from needleforce.plots.drawing import STYLE, draw
+from needleforce.plots.errors import ChartError, WriteError
 
 pytest.importorskip("matplotlib")
 
@@ -45,8 +47,8 @@ def places(path, color):
     upper left."""
     text = path.read_text(encoding="utf-8")
     drawn = re.findall(rf'<path d="([^"]*)" clip-path[^>]*stroke: {color}', text)
-    found = re.findall(r"[ML] ?(-?[\d.]+) (-?[\d.]+)", " ".join(drawn))
-    return np.array(found, dtype=float)
+    points = re.findall(r"[ML] ?(-?[\d.]+) (-?[\d.]+)", " ".join(drawn))
+    return np.array(points, dtype=float)
 
 
 def drawn_axes(chart):
@@ -69,7 +71,7 @@ def test_labels_units_and_legend_are_in_the_figure(tmp_path):
         x_ticks=((0.0, "25 %"), (1e-3, "50 %")),
     )
     path = save_figure(full, tmp_path / "a.svg")
-    found = words(path)
+    texts = words(path)
     expected = [
         "Force",
         "a run",
@@ -80,7 +82,7 @@ def test_labels_units_and_legend_are_in_the_figure(tmp_path):
         "tare",
     ]
     for text in (*expected, "rupture", "rejected", "gel", "25 %"):
-        assert found.count(text) == 1, "once, also where it stands for several marks"
+        assert texts.count(text) == 1, "once, also where it stands for several marks"
     assert ElementTree.parse(path).getroot().tag.endswith("svg")
 
 
@@ -97,9 +99,7 @@ def test_a_legend_ends_within_the_figure(name):
 @pytest.mark.parametrize(
     ("suffix", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")]
 )
-def test_the_ending_gives_the_format_and_equal_charts_give_equal_bytes(
-    tmp_path, suffix, start
-):
+def test_format_follows_name_and_equal_charts_equal_bytes(tmp_path, suffix, start):
     paths = [
         save_figure(chart(curve([0.0, 2.0])), tmp_path / f"{name}.{suffix}")
         for name in "ab"
@@ -124,7 +124,7 @@ def test_any_file_name_can_stand_in_a_title(tmp_path, name, suffix, recwarn):
         assert readable in words(path) or "--" in name
 
 
-def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
+def test_long_curve_keeps_peaks_in_small_file(tmp_path):
     noise = np.random.default_rng(0).normal(size=1_000_000)
     path = save_figure(chart(curve(noise)), tmp_path / "a.svg")
     assert path.stat().st_size < 100_000
@@ -149,7 +149,7 @@ def test_a_long_curve_makes_a_small_file_that_keeps_peaks_and_gaps(tmp_path):
     )
 
 
-def test_room_is_made_for_nearly_everything_and_what_is_cut_is_marked_also_in_a_window():
+def test_cut_curves_are_marked_also_in_a_window():
     y = np.ones(10_000)
     y[77] = 1e6
     low, high = limits_of([curve(y)], None)

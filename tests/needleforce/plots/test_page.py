@@ -5,7 +5,7 @@ import re
 import pytest
 
 from needleforce.plots import Page, PageFigure, PageTable, Section, write_page
-from needleforce.plots.chart import ChartError, WriteError
+from needleforce.plots.errors import ChartError, WriteError
 
 pytest.importorskip("matplotlib")
 
@@ -33,7 +33,7 @@ def page(dot):
     return Page(title="A & B", lead=("Lead.",), sections=tuple(sections))
 
 
-def test_everything_is_there_and_nothing_comes_from_outside(page):
+def test_page_is_complete_and_needs_nothing_outside(page):
     html = page.html()
     counts = {
         "section": 3,
@@ -49,20 +49,24 @@ def test_everything_is_there_and_nothing_comes_from_outside(page):
     assert '<html lang="en">' in html
     assert '<meta name="viewport"' in html
     assert "content=\"default-src 'none';" in html
-    found = re.findall(r' (?:src|srcset|href)="([^"]*)"', html)
-    assert len(found) == len(re.findall(r"(?:src|srcset|href)=", html)) == 6 + 6 + 3 + 1
-    assert all(place.startswith(("data:", "#")) for place in found)
+    addresses = re.findall(r' (?:src|srcset|href)="([^"]*)"', html)
+    assert (
+        len(addresses)
+        == len(re.findall(r"(?:src|srcset|href)=", html))
+        == 6 + 6 + 3 + 1
+    )
+    assert all(place.startswith(("data:", "#")) for place in addresses)
     assert not re.search(r"url\(|@import", html)
     boxes = re.findall(
         r'<div class=scroll role=region tabindex=0 aria-label="[^"]+">', html
     )
     assert len(boxes) == 3, "keys reach them"
-    links = {place[1:] for place in found if place.startswith("#")}
+    links = {place[1:] for place in addresses if place.startswith("#")}
     assert links == set(re.findall(r'<section id="(.*?)">', html))
     assert "<nav" not in Page(title="a", sections=page.sections[:2]).html()
 
 
-def test_text_and_names_that_are_not_utf_8_are_never_taken_for_markup(page, tmp_path):
+def test_odd_text_is_never_taken_for_markup(page, tmp_path):
     path = write_page(tmp_path / "index.html", Page(title="Forces from a\udcff.csv"))
     assert r"<h1>Forces from a\udcff.csv</h1>" in path.read_text(encoding="utf-8")
     html = page.html()
@@ -76,7 +80,7 @@ def test_text_and_names_that_are_not_utf_8_are_never_taken_for_markup(page, tmp_
     assert "From <code>a</code><br>and b" in html
 
 
-def test_what_cannot_be_written_or_read_or_is_ragged_is_refused(page, tmp_path):
+def test_unwritable_unreadable_and_ragged_are_refused(page, tmp_path):
     with pytest.raises(WriteError, match="cannot write"):
         write_page(tmp_path / "none" / "index.html", page)
     with pytest.raises(ChartError, match="a row of 1 cells under 2 heads"):

@@ -1,0 +1,155 @@
+"""`needleforce force`: from options and a log to forces, and layers if asked for."""
+
+from dataclasses import replace
+
+from needleforce.cli.logs.force_page import ForcePage
+from needleforce.cli.logs.force_result import ForceResult, force_table
+from needleforce.cli.logs.layer_page import LayerPage
+from needleforce.cli.logs.layer_result import identify_layers
+from needleforce.cli.logs.log_session import LogSession, mapping_from_options
+from needleforce.cli.logs.outputs import open_output, run_log
+from needleforce.cli.logs.row_overview import RowOverview
+from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
+from needleforce.cli.logs.tare_schedule import parse_tare_window
+from needleforce.cli.robot import (
+    payload_from_options,
+    payload_lines,
+    robot_from_options,
+    sensor_config,
+    with_friction,
+)
+from needleforce.cli.shared_options import (
+    IdentificationOptions,
+    JointColumns,
+    Output,
+    RobotOptions,
+    SensorOptions,
+)
+from needleforce.cli.terminal import CommandError, write_out
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.mapping_suggestion import suggest_mapping
+from needleforce.recordings.table import TableLabels
+from residual import SensorConfig, Status
+
+
+def run(
+    source: str,
+    output: Output,
+    robot_options: RobotOptions,
+    sensor: SensorOptions,
+    columns: JointColumns,
+    layers: IdentificationOptions | None = None,
+) -> int:
+    """Estimate the forces of a log, and the layers in them if asked for.
+
+    Args:
+        source: The log as the command line names it.
+        output: How long it is read, and which files are written.
+        robot_options: The robot.
+        sensor: How joint signals become a force.
+        columns: Which columns are which channels.
+        layers: How forces become layers; None for forces alone.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: Options contradict each other, or the log does not fit the robot.
+    """
+    robot = robot_from_options(robot_options, columns.mapping)
+    mapping = mapping_from_options(columns)
+    torque = "tau_ext" if sensor.external_torque else "tau"
+    joints = robot.joint_names
+    if columns.print_config:
+        payload = payload_lines(payload_from_options(robot_options, columns.mapping))
+        channels = ("q", torque, "dq")
+        text = suggest_mapping(
+            source, channels, mapping=mapping, joints=joints, payload=payload
+        )
+        write_out(text)
+        return 0
+    _check_tare_options(sensor)
+    robot, friction = with_friction(robot, sensor.friction)
+    config = sensor_config(sensor, friction)
+    request = ChannelRequest(
+        mapping=mapping, required=("q", torque), optional=("dq",), joints=joints
+    )
+
+    def estimate(log: LogSession) -> ForcePage:
+        return estimate_forces(log, SensorReplay(robot, config, sensor), output, layers)
+
+    return run_log(source, output, request, estimate)
+
+
+def _check_tare_options(sensor: SensorOptions) -> None:
+    """Refuse options on the tare that are wrong, before a log is waited for."""
+    if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
+        option = "--tare" if sensor.tare is not None else "--force-tare"
+        raise CommandError(
+            f"{option} and --no-tare contradict each other; give one of them"
+        )
+    if sensor.tare is not None:
+        parse_tare_window(sensor.tare, 0.0)
+
+
+def estimate_forces(
+    log: LogSession,
+    replay: SensorReplay,
+    output: Output,
+    layers: IdentificationOptions | None = None,
+) -> ForcePage:
+    """Run the sensor over a log and write its forces into the table of the output.
+
+    Args:
+        log: The log, which is read to its end.
+        replay: The sensor.
+        output: Which files are written.
+        layers: How forces become layers; None for forces alone.
+    """
+    config = replay.config
+    result = ForceResult(log.name, replay)
+    overview = RowOverview(_tracked_columns(config))
+    chunks: list[LogChunk] = []
+    # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
+    frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
+    with open_output(output, log, TableLabels(frame=frame)) as table:
+        for chunk in log:
+            rows = replay.run(chunk)
+            result.add(rows)
+            overview.add(rows)
+            if table is not None:
+                table.append(force_table(rows, config))
+            if layers is not None:
+                chunks.append(_as_depth_log(chunk, rows))
+        replay.finish(is_whole=not log.is_stopped())
+    result.rows = overview.columns()
+    if layers is None or not result.counts[Status.OK]:
+        return ForcePage(result)
+    return ForcePage(result, LayerPage(identify_layers(chunks, log.name, layers)))
+
+
+def _tracked_columns(config: SensorConfig) -> list[str]:
+    """Return the columns whose extremes a figure must show."""
+    tracked = ["axial_N", "axial_std_N", "force_status", "after_gap"]
+    if config.mode != "axial":
+        tracked += ["force_N", "std"]
+    if config.mode == "full":
+        tracked += ["torque_Nm"]
+    return tracked
+
+
+_COLUMN_OF_CHANNEL = {
+    "depth_m": "travel_m",
+    "force_N": "axial_unsmoothed_N",
+    "force_std_N": "axial_std_N",
+    "force_status": "force_status",
+    "force_warnings": "force_warnings",
+}
+"""Columns of the forces that are the channels of the identification."""
+
+
+def _as_depth_log(chunk: LogChunk, rows: ForceRows) -> LogChunk:
+    """Return forces as `needleforce identify` would read them from their table."""
+    channels = {name: rows[column] for name, column in _COLUMN_OF_CHANNEL.items()}
+    return replace(chunk, channels=channels)

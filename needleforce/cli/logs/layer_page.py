@@ -1,0 +1,183 @@
+"""Layers of a log in words, in a chart, and as sections of a page."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce import plots
+from needleforce.cli.logs.layer_result import (
+    HEADER,
+    METHODS,
+    IdentificationResult,
+    LayerRows,
+    layer_cells,
+    layer_text,
+)
+from needleforce.cli.logs.row_overview import axis_span, time_axis
+from needleforce.cli.shared_options import Over
+from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
+
+M_TO_MM = 1e3
+FORCES_HEIGHT = 2.0
+"""Height of the panel of the forces, in heights of the other panels."""
+CHART_HEIGHT_IN = 6.4
+
+_FORCE_LABELS = {
+    "force_N": "axial force, as recorded",
+    "predicted_force_N": "predicted",
+    "tip_force_N": "tip force",
+    "enhanced_force_N": "enhanced force",
+}
+_FORCE_STYLES: dict[str, LineStyle] = {
+    "force_N": palette.READING,
+    "predicted_force_N": palette.PREDICTED,
+    "tip_force_N": palette.TIP,
+    "enhanced_force_N": palette.OURS,
+}
+_PARAMETERS = {
+    "stiffness_N_per_m": palette.STIFFNESS,
+    "friction_Ns_per_m2": palette.FRICTION,
+    "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
+}
+"""Labels of the y axes of the parameters' panels, by column."""
+
+_KELVIN_VOIGT_FRICTION = "friction B\n[Ns/m]"
+"""Label of the friction of the Kelvin-Voigt model, which is not one per depth."""
+
+_CAPTION = (
+    "Above, the axial force as it was recorded, the force that the model predicts, the "
+    "enhanced force (less the force in free air and the friction of the layers "
+    "traversed) and the force at the tip. Below, stiffness and friction of the layer "
+    "the tip is in, and the friction of all layers traversed; the band, where the "
+    "method states one, is two standard deviations wide to either side. Marks below: "
+    "estimated rupture times, and where friction was identified."
+)
+
+_TABLE_NOTE = (
+    "Times on the log's clock. A ? marks what the data do not identify. Where a "
+    "membrane is pushed in before it ruptures, layers overlap."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayerPage:
+    """What is shown of the layers of a log.
+
+    Attributes:
+        result: The layers.
+    """
+
+    result: IdentificationResult
+
+    def text(self) -> str:
+        """Return a text table, one line per layer."""
+        return layer_text(self.result.layers)
+
+    def chart(self, over: Over = "time") -> Chart:
+        """Return forces above, parameters below, as in Figure 8 of Ferro et al."""
+        result = self.result
+        rows = _drawn_rows(result.rows)
+        start_s, x_label = time_axis(rows["t_s"])
+        x = rows["t_s"] - start_s
+        events = self._events(rows, start_s)
+        if over == "depth":
+            x = M_TO_MM * rows["depth_m"]
+            x_label = "depth [mm]"
+            events = ()
+        panels = [_force_panel(rows, x)]
+        panels += [self._parameter_panel(name, rows, x) for name in _PARAMETERS]
+        return Chart(
+            title="Forces and identified parameters\n"
+            f"{result.log}, method {result.method}",
+            x_label=x_label,
+            panels=tuple(panels),
+            instants=events,
+            x_limits=axis_span(x),
+            height_in=CHART_HEIGHT_IN,
+        )
+
+    def sections(self, folder: Path) -> tuple[plots.Section, ...]:
+        """Save the chart of a report in a folder.
+
+        Returns:
+            The sections of its page.
+        """
+        result = self.result
+        figure = plots.save_page_figure(
+            self.chart(),
+            folder / "layers.svg",
+            alt=f"Forces and identified parameters of {result.log} over time",
+            caption=_CAPTION,
+            is_alone=True,
+        )
+        table = plots.PageTable(
+            caption="Layers traversed" if result.layers else "No rupture detected.",
+            head=HEADER,
+            rows=tuple(map(layer_cells, result.layers)),
+            numeric=frozenset(range(len(HEADER))),
+            note=_TABLE_NOTE,
+        )
+        layers = plots.Section(
+            heading="Layers",
+            anchor="layers",
+            paragraphs=(f"Made by `needleforce identify`, method {result.method}.",),
+            notices=tuple(f"Warning: {text}" for text in result.warnings),
+            figures=(figure,),
+            tables=(table,),
+        )
+        settings = plots.settings_table(
+            METHODS[result.method], f"Method {result.method}, SI units"
+        )
+        identification = plots.Section(
+            heading="Settings of the identification",
+            anchor="identification",
+            tables=(settings,),
+        )
+        return layers, identification
+
+    def _parameter_panel(self, name: str, rows: LayerRows, x: Array) -> Panel:
+        """Return a parameter with its band, where the method states one."""
+        std = rows[name.replace("_N", "_std_N", 1)]
+        has_band = bool(np.isfinite(std).any())
+        curve = Curve(
+            style=palette.OURS,
+            x=x,
+            y=rows[name],
+            std=std if has_band else None,
+            band_label="± 2 std" if has_band else None,
+        )
+        label = _PARAMETERS[name]
+        if name == "friction_Ns_per_m2" and self.result.method.endswith("kv"):
+            label = _KELVIN_VOIGT_FRICTION
+        return Panel(y_label=label, curves=(curve,))
+
+    def _events(self, rows: LayerRows, start_s: float) -> tuple[plots.Instants, ...]:
+        """Return when layers ruptured and when their friction was identified."""
+        ruptures = tuple(layer.rupture.time_s - start_s for layer in self.result.layers)
+        identified = tuple(
+            rows["t_s"][self.result.rows["identified_layer"] > 0] - start_s
+        )
+        return (
+            plots.Instants("estimated rupture time", palette.RUPTURE, ruptures),
+            plots.Instants("friction identified", palette.COMPENSATION, identified),
+        )
+
+
+def _drawn_rows(rows: LayerRows) -> LayerRows:
+    """Return the rows without estimates before the first row that was used."""
+    is_unknown = np.cumsum(rows["used"]) == 0
+    drawn = {
+        name: np.where(is_unknown, np.nan, column) for name, column in rows.items()
+    }
+    return drawn | {name: rows[name] for name in ("t_s", "depth_m", "force_N")}
+
+
+def _force_panel(rows: LayerRows, x: Array) -> Panel:
+    """Return the recorded force and its parts."""
+    curves = tuple(
+        Curve(style=_FORCE_STYLES[name], x=x, y=rows[name], label=_FORCE_LABELS[name])
+        for name in _FORCE_LABELS
+    )
+    return Panel(y_label=palette.FORCE, curves=curves, height=FORCES_HEIGHT)
