@@ -269,7 +269,7 @@ def solved_levels(stack: Stack, velocity: Array) -> Iterator[Level]:
     end = np.clip(0.0, *stack.bounds)
     free = np.eye(velocity.size)
     all_met = np.linalg.norm(stack.rows @ velocity - stack.rates) < 1e-9
-    for rows, rates in (*stack.levels, (np.eye(velocity.size), stack.wish)):
+    for rows, rates in (*stack.levels, (np.eye(velocity.size), stack.joint_velocity)):
         length = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
         level = rows / length[:, None], rates / length
         if free.size and not all_met:

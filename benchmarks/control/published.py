@@ -20,9 +20,9 @@ def solve_published(stack: Stack) -> tuple[Array, bool]:
     The authors' code adds 0.5 to the diagonal of A A^T where its determinant is below
     1e-10.
     """
-    wish = stack.wish
-    velocity = np.zeros_like(wish)
-    projector = np.eye(wish.size)
+    joint_velocity = stack.joint_velocity
+    velocity = np.zeros_like(joint_velocity)
+    projector = np.eye(joint_velocity.size)
     for rows, rates in stack.levels:
         free = rows @ projector
         square = free @ free.T
@@ -31,7 +31,7 @@ def solve_published(stack: Stack) -> tuple[Array, bool]:
         inverse = free.T @ np.linalg.inv(square)
         velocity = velocity + inverse @ (rates - rows @ velocity)
         projector = projector - inverse @ free
-    velocity = velocity + projector @ (wish - velocity)
+    velocity = velocity + projector @ (joint_velocity - velocity)
     if not np.isfinite(velocity).all():
         raise ControlError("positions or goals are not finite")
     return velocity, False

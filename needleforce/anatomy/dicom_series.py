@@ -66,8 +66,8 @@ def read_series(folder: Path) -> Any:
     series = reader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
         raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one; put each into its "
-            "own folder"
+            f"{folder} holds {len(series)} DICOM series: expected one; put each into "
+            "its own folder"
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
     _require_one_scan(folder, files)

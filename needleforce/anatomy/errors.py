@@ -6,7 +6,7 @@ class AnatomyError(Exception):
 
 
 class VolumeError(AnatomyError, ValueError):
-    """A volume, a segmentation or a path that cannot be read, or contradicts another."""
+    """A volume, a segmentation or a path that cannot be read or contradicts another."""
 
 
 class RegistrationError(AnatomyError, ValueError):

@@ -72,8 +72,8 @@ def require_whole_nifti(
     has_matrix = header["sform_code"] != "0"
     if not has_matrix and header["qform_code"] == "0":
         raise VolumeError(
-            f"{path} does not say how it lies (neither qform nor sform): left and right "
-            "are unknown; export it again"
+            f"{path} does not say how it lies (neither qform nor sform): left and "
+            "right are unknown; export it again"
         )
     stated_mm = _stated_spacing_mm(start)
     matrix_mm = _matrix_spacing_mm(header) if has_matrix else spacing_mm
@@ -82,8 +82,8 @@ def require_whole_nifti(
     ):
         raise VolumeError(
             f"{path}: its header states a spacing of {stated_mm.tolist()} mm (pixdim), "
-            f"and its matrix (sform) one of {np.round(matrix_mm, 4).tolist()}: expected "
-            "the same; export it again"
+            f"and its matrix (sform) one of {np.round(matrix_mm, 4).tolist()}: "
+            "expected the same; export it again"
         )
 
 

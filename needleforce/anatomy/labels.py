@@ -194,8 +194,8 @@ def _find_body(scan: Volume) -> NDArray[np.bool_]:
     if not count or body.sum() - inner.sum() == outer_voxels:
         raise VolumeError(
             f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
-            f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around the "
-            "patient"
+            f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
+            "the patient"
         )
     # Lungs are open at the top of a scan, so holes are filled section by section.
     head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())

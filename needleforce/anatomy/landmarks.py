@@ -160,7 +160,8 @@ def _explanations(landmarks: _Landmarks) -> Iterator[_Explanation]:
         order = np.arange(count)
         order[[i, j]] = j, i
         yield _Explanation(
-            f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's order",
+            f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's "
+            "order",
             _Landmarks(model_m, robot_m[order]),
         )
     yield _Explanation(

@@ -7,6 +7,7 @@ gaps or overlaps, which rays through the surfaces of neighbouring structures do 
 grant.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,7 +28,8 @@ WIDTH_VOXELS = 1.2
 """Standard deviation of the kernel."""
 
 REACH_VOXELS = 3
-"""Half the side of the cube in which voxels vote: two and a half standard deviations."""
+"""Half the side of the cube in which voxels vote: two and a half standard
+deviations."""
 
 STEP_VOXELS = 0.5
 """Distance of points on the path."""
@@ -102,15 +104,15 @@ class _Boundaries(NamedTuple):
 
     Attributes:
         depth_m: Of each boundary.
-        before: Rank of the winner before it.
-        behind: Rank of the winner behind it.
+        rank_before: Of the winner before it.
+        rank_behind: Of the winner behind it.
         step_m: Distance of the points on the path beside it.
         fall: By how many votes the lead of the winner falls between them.
     """
 
     depth_m: Array
-    before: NDArray[np.intp]
-    behind: NDArray[np.intp]
+    rank_before: NDArray[np.intp]
+    rank_behind: NDArray[np.intp]
     step_m: Array
     fall: Array
 
@@ -132,22 +134,28 @@ def find_layers(
     winners = votes.argmax(axis=1)
     boundaries = _find_boundaries(path, fractions, votes, winners)
     std_m = _boundary_std_m(labels, path, boundaries, boundary_std_m)
-    depths_m = [0.0, *boundaries.depth_m.tolist(), path.length_m]
-    stds_m = [0.0, *np.minimum(std_m, path.length_m).tolist(), 0.0]
+    holders = [candidates[rank] for rank in (winners[0], *boundaries.rank_behind)]
+    return _stack_layers(
+        holders,
+        depths_m=[0.0, *boundaries.depth_m.tolist(), path.length_m],
+        stds_m=[0.0, *np.minimum(std_m, path.length_m).tolist(), 0.0],
+    )
+
+
+def _stack_layers(
+    holders: Sequence[_Candidate], depths_m: Sequence[float], stds_m: Sequence[float]
+) -> list[Layer]:
+    """Return layers between depths that follow each other.
+
+    Args:
+        holders: What each layer belongs to.
+        depths_m: Where the first layer begins, and where each ends.
+        stds_m: Standard deviations of these depths.
+    """
     return [
-        Layer(
-            name=candidates[rank].name,
-            entry_m=layer_entry_m,
-            exit_m=layer_exit_m,
-            entry_std_m=entry_std_m,
-            exit_std_m=exit_std_m,
-            is_obstacle=candidates[rank].is_obstacle,
-        )
-        for rank, (layer_entry_m, layer_exit_m), (entry_std_m, exit_std_m) in zip(
-            [winners[0], *boundaries.behind],
-            pairwise(depths_m),
-            pairwise(stds_m),
-            strict=True,
+        Layer(holder.name, entry_m, exit_m, entry_std_m, exit_std_m, holder.is_obstacle)
+        for holder, (entry_m, exit_m), (entry_std_m, exit_std_m) in zip(
+            holders, pairwise(depths_m), pairwise(stds_m), strict=True
         )
     ]
 
@@ -181,14 +189,14 @@ def _find_boundaries(
 ) -> _Boundaries:
     """Return where the winner changes: it leads before a boundary, trails behind it."""
     (index,) = np.nonzero(np.diff(winners))
-    before = winners[index]
-    behind = winners[index + 1]
+    rank_before = winners[index]
+    rank_behind = winners[index + 1]
     step_m = np.diff(fractions)[index] * path.length_m
-    lead = votes[index, before] - votes[index, behind]
-    trail = votes[index + 1, behind] - votes[index + 1, before]
+    lead = votes[index, rank_before] - votes[index, rank_behind]
+    trail = votes[index + 1, rank_behind] - votes[index + 1, rank_before]
     fall = np.maximum(lead + trail, MIN_FALL)
     depth_m = fractions[index] * path.length_m + step_m * lead / fall
-    return _Boundaries(depth_m, before, behind, step_m, fall)
+    return _Boundaries(depth_m, rank_before, rank_behind, step_m, fall)
 
 
 def _boundary_std_m(
@@ -281,7 +289,9 @@ def _votes_per_m(labels: "Labels", indices: Array, boundaries: _Boundaries) -> A
     votes, candidates = _count_votes(labels, around.reshape(-1, 3))
     votes = votes.reshape(len(indices), 6, len(candidates))
     rows = np.arange(len(indices))
-    lead = votes[rows, :, boundaries.before] - votes[rows, :, boundaries.behind]
+    lead = (
+        votes[rows, :, boundaries.rank_before] - votes[rows, :, boundaries.rank_behind]
+    )
     gradient = lead[:, :3] - lead[:, 3:]  # votes per voxel along each axis
     per_voxel = np.maximum(np.linalg.norm(gradient, axis=1), MIN_FALL)
     gradient_per_m = gradient @ np.linalg.inv(labels.grid.axes_m)

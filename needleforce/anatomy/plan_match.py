@@ -16,7 +16,12 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy.errors import PlanError, require_deviation
 from needleforce.anatomy.path_layers import UNLABELLED, Layer
-from needleforce.anatomy.rupture_model import RuptureModel, join, match_last_rupture
+from needleforce.anatomy.rupture_model import (
+    Match,
+    RuptureModel,
+    join,
+    match_last_rupture,
+)
 from needleforce.anatomy.structures import words_of
 
 SKIN = frozenset(("body", "skin", "lean", "fat"))
@@ -70,6 +75,18 @@ class PlanState(NamedTuple):
     matched_name: str
     matched_probability: float
     is_obstacle_next: bool
+
+
+class _Posterior(NamedTuple):
+    """What is known of the plan.
+
+    Attributes:
+        joint: Probability of each number of boundaries passed (rows) and offset.
+        match: The boundary that the last rupture most likely was.
+    """
+
+    joint: Array
+    match: Match
 
 
 class PlanMatch:
@@ -143,19 +160,15 @@ class PlanMatch:
                 the one before.
         """
         _require_finite(depth_m, deepest_m, contact_m, entry_depth_m)
+        model = self._model
         tip_m = float(depth_m) - entry_depth_m
         lowest_m = tip_m
         if deepest_m is not None:
             lowest_m = max(float(deepest_m) - entry_depth_m, tip_m)
-        model = self._model
-        expected = model.expect(
-            None if contact_m is None else contact_m - entry_depth_m
-        )
-        ahead = model.look_ahead(expected, lowest_m)
-        weights = model.weigh(
-            expected, [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        )
-        joint = join(ahead, weights)
+        if contact_m is not None:
+            contact_m = contact_m - entry_depth_m
+        ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
+        joint, match = self._infer(lowest_m, ruptures, contact_m)
         is_withdrawn = tip_m < lowest_m - WITHDRAWN_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
@@ -163,7 +176,6 @@ class PlanMatch:
         offset_m = model.quantile_m(joint, 0.5)
         variance_m2 = model.variance_m2(joint, offset_m)
         next_layer = (*self.layers, BEHIND_ALL)[layer + 1]
-        match = match_last_rupture(ahead, weights)
         matched = match.boundary + self._first * (match.boundary >= 0)
         return PlanState(
             layer=layer,
@@ -175,13 +187,22 @@ class PlanMatch:
             next_m=float(next_layer.entry_m + offset_m + entry_depth_m),
             next_std_m=float(np.sqrt(variance_m2 + next_layer.entry_std_m**2)),
             matched=matched,
-            matched_name=self._name(matched, FALSE_ALARM) if ruptures_m else "",
+            matched_name=self._name(matched, FALSE_ALARM) if ruptures else "",
             matched_probability=match.probability,
             is_obstacle_next=next_layer.is_obstacle,
         )
 
+    def _infer(
+        self, deepest_m: float, ruptures_m: Sequence[float], contact_m: float | None
+    ) -> _Posterior:
+        """Return what contact, ruptures and the deepest point of the tip say."""
+        expected = self._model.expect(contact_m)
+        ahead = self._model.look_ahead(expected, deepest_m)
+        weights = self._model.weigh(expected, ruptures_m)
+        return _Posterior(join(ahead, weights), match_last_rupture(ahead, weights))
+
     def _name(self, layer: int, none: str = OUTSIDE) -> str:
-        """Return the name of a layer by its index; `OUTSIDE` for air, or none for -1."""
+        """Return the name of a layer; `OUTSIDE` for air, ``none`` for -1."""
         if layer < 0:
             return none
         return OUTSIDE if layer < self._first else self.layers[layer].name
@@ -211,9 +232,7 @@ class PlanMatch:
                 "expected finite depths, and a level between 0 and 1"
             )
         model = self._model
-        expected = model.expect(contact_m)
-        ahead = model.look_ahead(expected, depth_m)
-        joint = join(ahead, model.weigh(expected, ruptures_m))
+        joint, _ = self._infer(depth_m, ruptures_m, contact_m)
         beyond = 0.5 - 0.5 * level
         return model.quantile_m(joint, beyond), model.quantile_m(joint, 1.0 - beyond)
 
@@ -233,9 +252,9 @@ def _require_boundaries(depths_m: Array, stds_m: Array) -> None:
     )
     if not is_ordered or not np.all((stds_m >= 0.0) & (stds_m < MAX_DEPTH_m)):
         raise PlanError(
-            f"boundaries at {depths_m.tolist()} m, deviations {stds_m.tolist()}: expected "
-            f"depths that grow, in metres and below {MAX_DEPTH_m:g}, and no negative "
-            "deviation"
+            f"boundaries at {depths_m.tolist()} m, deviations {stds_m.tolist()}: "
+            f"expected depths that grow, in metres and below {MAX_DEPTH_m:g}, and no "
+            "negative deviation"
         )
 
 
@@ -249,6 +268,6 @@ def _require_finite(
     depths_m = [depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]
     if not np.isfinite(depths_m).all():
         raise PlanError(
-            f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} m, "
-            f"entry at {entry_depth_m!r} m: expected finite depths"
+            f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} "
+            f"m, entry at {entry_depth_m!r} m: expected finite depths"
         )

@@ -180,8 +180,8 @@ def _read_segments(header: Mapping[str, str], volumes: int) -> list[Structure]:
         place = (segment.volume, segment.value)
         if place in structures:
             raise VolumeError(
-                f"segment {segment.name} has the label {segment.value} of another: give "
-                "it its own"
+                f"segment {segment.name} has the label {segment.value} of another: "
+                "give it its own"
             )
         structure = Structure.named(segment.name, segment.value, segment.volume)
         structures[place] = replace(
@@ -226,7 +226,7 @@ def _read_colour(text: str) -> tuple[float, ...]:
 
 
 def _read_image(path: Path) -> _Image:
-    """Read a file or a folder, and refuse what is not whole or does not say where it is."""
+    """Read a file or a folder; refuse what is damaged or does not say how it lies."""
     image = _open_image(path)
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise VolumeError(
@@ -248,9 +248,9 @@ def _read_image(path: Path) -> _Image:
         require_placed_nrrd(path)
     elif not path.is_dir():
         raise VolumeError(
-            f"{path}: whether a file of this kind says how it lies, and is whole, is not "
-            "known; export it as .nii, .nii.gz or .nrrd, or give the folder of a DICOM "
-            "series"
+            f"{path}: whether a file of this kind says how it lies, and is whole, is "
+            "not known; export it as .nii, .nii.gz or .nrrd, or give the folder of a "
+            "DICOM series"
         )
     return _Image(_components(image), grid, header)
 
@@ -259,7 +259,8 @@ def _open_image(path: Path) -> Any:
     """Return the image of SimpleITK in a file or folder."""
     import SimpleITK
 
-    SimpleITK.ProcessObject.GlobalWarningDisplayOff()  # what it warns of is refused here
+    # What it warns of is refused here.
+    SimpleITK.ProcessObject.GlobalWarningDisplayOff()
     language = locale.setlocale(locale.LC_CTYPE)
     try:
         return read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))

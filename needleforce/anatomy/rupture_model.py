@@ -71,7 +71,8 @@ ALARM_m = 0.5e-3
 0.15 to 0.9 mm."""
 
 ORDER_TOLERANCE_m = 1e-3
-"""A rupture may lie so far above the one before it: depths of ruptures are estimates."""
+"""A rupture may lie so far above the one before it: depths of ruptures are
+estimates."""
 
 MIN_LIKELIHOOD = 1e-300
 """Keeps a probability finite where nothing explains a rupture."""
@@ -246,7 +247,7 @@ class RuptureModel:
         return densities.sum(axis=0)
 
     def look_ahead(self, expected: Expectation, depth_m: float) -> Ahead:
-        """Return how likely boundaries wait, or were passed, with the tip at a depth."""
+        """Return how likely boundaries wait or were passed, with the tip at a depth."""
         later = ndtr((expected.rupture_m - depth_m + ALARM_m) / expected.std_m)
         waiting = (self._at_once_and_late * later).sum(axis=0)
         unnoticed = self._missed * (expected.rupture_m[0] <= depth_m)

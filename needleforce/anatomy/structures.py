@@ -103,7 +103,7 @@ class Structure:
         return cls(
             name=name,
             value=value,
-            colour=tuple(part / MAX_COLOUR for part in colour),
+            colour=tuple(number / MAX_COLOUR for number in colour),
             is_obstacle=bool(words & OBSTACLES),
             volume=volume,
         )

@@ -81,7 +81,8 @@ SMALL_HOLD = 1e-6
 sphere has a solution too."""
 
 PUSH_m = 6e-3
-"""How far a solution is pushed along its weakest directions, measured at the touches."""
+"""How far a solution is pushed along its weakest directions, measured at the
+touches."""
 
 WEAK_DIRECTIONS = 3
 """Number of these: a sphere spins about three axes, a plane slides and spins along
@@ -169,14 +170,14 @@ def fit_surface(
     outliers = float(np.mean(fit.weights == 0.0))
     if outliers > MAX_OUTLIERS:
         raise RegistrationError(
-            f"{100.0 * outliers:.0f} % of the touches do not lie on the surface: another "
-            "organ, or a start too far away; register by landmarks again"
+            f"{100.0 * outliers:.0f} % of the touches do not lie on the surface: "
+            "another organ, or a start too far away; register by landmarks again"
         )
     if fit.median_m > noise_m:
         raise RegistrationError(
             f"half of the touches lie {1e3 * fit.median_m:.1f} mm or more from the "
-            f"surface, expected {1e3 * noise_m:.1f} at most: the patient has moved, it is "
-            "another organ, or touch_std_m is too small"
+            f"surface, expected {1e3 * noise_m:.1f} at most: the patient has moved, it "
+            "is another organ, or touch_std_m is too small"
         )
     if check:
         _require_no_sliding(surface, fit, noise_m)
@@ -201,8 +202,8 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     is_too_large = max(spread_m, extent_m) > MAX_SPREAD_m
     if is_too_large or spread_m / extent_m > MAX_LENGTH_RATIO:
         raise RegistrationError(
-            f"the touches spread over {spread_m:.3g} m, the surface over {extent_m:.3g} m:"
-            " millimetres for metres? Give both in metres"
+            f"the touches spread over {spread_m:.3g} m, the surface over "
+            f"{extent_m:.3g} m: millimetres for metres? Give both in metres"
         )
     _, width_m, _ = rms_extents_m(touches)
     if width_m < MIN_WIDTH_m:
@@ -303,9 +304,9 @@ def _require_no_sliding(surface: Surface, fit: _Fit, noise_m: float) -> None:
         max_median_m = SAME_FIT * max(fit.median_m, FINE_FIT * noise_m)
         if away_m > MAX_STAY * PUSH_m and other.median_m < max_median_m:
             raise RegistrationError(
-                f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm along "
-                f"its weakest direction, the solution stays {1e3 * away_m:.1f} mm away and "
-                "fits as well; touch a part with edges or another shape"
+                f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm "
+                f"along its weakest direction, the solution stays {1e3 * away_m:.1f} "
+                "mm away and fits as well; touch a part with edges or another shape"
             )
 
 

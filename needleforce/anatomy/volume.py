@@ -22,7 +22,8 @@ class Grid:
     Attributes:
         shape: Voxels along each of three axes.
         origin_m: Centre of voxel 0, 0, 0 in LPS, shape (3,).
-        axes_m: Steps from a voxel to the next along each axis, in columns, shape (3, 3).
+        axes_m: Steps from a voxel to the next along each axis, in columns, shape
+            (3, 3).
     """
 
     shape: tuple[int, ...]

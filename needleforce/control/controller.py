@@ -22,7 +22,7 @@ from needleforce.control.joint_limits import (
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.setting_checks import as_vector
-from needleforce.control.tasks import JointVelocity, MAX_STEP_s, Task, ToolState
+from needleforce.control.tasks import JointTask, MAX_STEP_s, Task, ToolState
 from urdf import Robot
 
 FIRST_STEP_s = 1e-3
@@ -143,8 +143,8 @@ class Controller:
         """
         if len(tasks) == len(self._tasks) and all(map(is_, tasks, self._tasks)):
             return
-        has_wish = bool(tasks) and isinstance(tasks[-1], JointVelocity)
-        key = (has_wish, *[task.size for task in tasks])
+        has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
+        key = (has_joint_task, *[task.size for task in tasks])
         if key not in self._stacks:
             self._stacks[key] = Stack(tasks, self._joints)
         self._tasks = list(tasks)

@@ -1,4 +1,4 @@
-"""Errors of `needleforce.control`: one base, and one error that is a `ValueError` too."""
+"""Errors of `needleforce.control`: one base, and one that is also a `ValueError`."""
 
 
 class ControlError(Exception):

@@ -12,7 +12,7 @@ A stiff hand makes a loop with the arm that swings unless the damping is high, t
 so the later the torques come; and a hand that leads wants it low. So the damping grows
 while what is felt swings (compare Landi et al., IROS 2017), and decays:
 
-    d ln c / dt = a max(1 - q / q_0, 0) - b ln c,     q = m^T D m / p,     1 <= c <= c_max
+    d ln c / dt = a max(1 - q / q_0, 0) - b ln c,   q = m^T D m / p,   1 <= c <= c_max
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
 
 Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that
@@ -36,19 +36,22 @@ LAG_s = 0.02
 """T: shorter lets the noise of the torques through, longer makes the arm feel soft."""
 
 DEAD_ZONE_FRACTION = 1.6e-3
-"""f. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on FRI."""
+"""f. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on
+FRI."""
 
 DEAD_ZONE_SIGMAS = 4.0
 """s: noise alone passes it once in 16,000 samples of a joint."""
 
 FELT_ZONE = 0.15
-"""z while a hand is felt: the whole dead zone would take 3 N at the hub of a moving arm."""
+"""z while a hand is felt: the whole dead zone would take 3 N at the hub of a moving
+arm."""
 
 ZONE_OPENS_s = 0.05
 """Time constant with which z falls: a hand that begins to push is not held up."""
 
 ZONE_CLOSES_s = 0.5
-"""Time constant with which z returns: a hand that turns round does not meet it again."""
+"""Time constant with which z returns: a hand that turns round does not meet it
+again."""
 
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
@@ -60,7 +63,8 @@ STEADY_RATIO = 0.9
 """q_0. A hand that begins to lead stays above it, if not by much."""
 
 DAMPING_RISE_per_s = 30.0
-"""a: the damping grows by e in 33 ms where the motion only swings, before it is large."""
+"""a: the damping grows by e in 33 ms where the motion only swings, before it is
+large."""
 
 DAMPING_DECAY_per_s = 4.0
 """b: the damping decays in 0.25 s, once the hand leads."""

@@ -34,14 +34,15 @@ HOLDING_GAIN_PER_s = 5.0
 """Gain with which a stopped tip is held; a soft arm follows in 0.1 s."""
 
 ARRIVED_m = 2e-5
-"""Distance from its end at which a motion has arrived: far below the error of a plan."""
+"""Distance from its end at which a motion has arrived: far below the error of a
+plan."""
 
 MIN_GAP_s = 2.5e-3
 """A shorter step between samples is no gap: a cycle of 1 kHz or one that was late."""
 
 GAP_STEPS = 2.5
-"""A step of so many usual ones is a gap: an arm stops and starts in it, and the force is
-off."""
+"""A step of so many usual ones is a gap: an arm stops and starts in it, and the force
+is off."""
 
 FADING_s = 0.05
 """Time after a gap for which the force is off."""

@@ -95,7 +95,8 @@ _IN_AIR = (State.GUIDANCE, State.APPROACH, State.TARE)
 _AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
 
 _ADVANCING = (State.TELEOP, State.INSERTION)
-"""States that need a usable force; without it a needle can be held, and must come out."""
+"""States that need a usable force; without it a needle can be held, and must come
+out."""
 
 _RATE_LAG_s = 0.01
 """Time constant of the force's rate: shorter than the lag of the virtual sensor."""
@@ -400,7 +401,7 @@ class Monitors:
         return ""
 
     def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
-        """Return what is wrong with the change of the axial force since the state began.
+        """Return what is wrong with the change of the axial force in this state.
 
         In guidance the force is the hand's, before a tare it holds the bias.
         """

@@ -158,7 +158,7 @@ class HandPort(Port):
         return self._force_N
 
     def _max_force_N(self, wanted_N: float, speed_m_s: float, ahead_s: float) -> float:
-        """Return the largest force with which a free handle gets no more than it gave."""
+        """Return the largest force that gives a free handle no more than it gave."""
         against_m_s = math.copysign(speed_m_s, wanted_N * speed_m_s)
         root_m_s = math.sqrt(
             speed_m_s * speed_m_s + 2.0 * max(self.net_J, 0.0) / HANDLE_kg

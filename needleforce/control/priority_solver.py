@@ -1,10 +1,10 @@
 """Strict priorities within hard limits: a hierarchical quadratic program.
 
-    lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to   l <= dq <= u
+    lexmin_dq (|J_1 dq - v_1|, |J_2 dq - v_2|, ..., |dq - w|)   subject to  l <= dq <= u
 
-with limits of the joints and a wish w of theirs that comes last, zero or a posture
-(Kanoun et al., IEEE T-RO 2011). Norms are of rows scaled to length one: a row counts by
-how far joints move for it.
+with limits l and u of the joints, and a velocity w of theirs that comes last, zero or
+towards a posture (Kanoun et al., IEEE T-RO 2011). Norms are of rows scaled to length
+one: a row counts by how far joints move for it.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from foundation.jit import compiled
 from foundation.linear_algebra import dot
 from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
-from needleforce.control.tasks import JointVelocity, Task, ToolState
+from needleforce.control.tasks import JointTask, Task, ToolState
 
 MIN_NEW_PART = 1e-6
 """Where less than that of a row is new, it counts as dependent on those above it."""
@@ -57,9 +57,10 @@ class Stack:
         joints: Number n of joints.
 
     Attributes:
-        rows: J of all tasks but a last one that asks for joint velocities, shape (m, n).
+        rows: J of all tasks but a last one that asks for joint velocities, shape
+            (m, n).
         rates: v of them, shape (m,).
-        wish: w, shape (n,): the velocity that a last task of this kind asks for, which
+        joint_velocity: w, shape (n,): what a last task of this kind asks for, which
             needs no rows; else zero.
         bounds: l and u, shape (2, n), for its user to fill in.
         levels: Rows and rates of each task, views of the above.
@@ -70,15 +71,15 @@ class Stack:
 
     def __init__(self, tasks: Sequence[Task], joints: int) -> None:
         for task in tasks:
-            if isinstance(task, JointVelocity) and task.size != joints:
+            if isinstance(task, JointTask) and task.size != joints:
                 raise SettingError(
                     f"a task of {task.size} joints, the robot has {joints}"
                 )
-        has_wish = bool(tasks) and isinstance(tasks[-1], JointVelocity)
-        sizes = [task.size for task in (tasks[:-1] if has_wish else tasks)]
+        has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
+        sizes = [task.size for task in (tasks[:-1] if has_joint_task else tasks)]
         self.rows = np.zeros((sum(sizes), joints))
         self.rates = np.zeros(sum(sizes))
-        self.wish = np.zeros(joints)
+        self.joint_velocity = np.zeros(joints)
         self.bounds = np.zeros((2, joints))
         ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
         self.levels = [
@@ -86,11 +87,11 @@ class Stack:
         ]
 
     def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
-        """Fill in rows, rates and wish of tasks of the same sizes."""
+        """Fill in rows, rates and velocities of tasks of the same sizes."""
         for task, (rows, rates) in zip(tasks, self.levels, strict=False):
             task.write(tool, rows, rates)
-        if tasks and isinstance(lowest := tasks[-1], JointVelocity):
-            self.wish = lowest.velocity(tool.q_rad)
+        if tasks and isinstance(lowest := tasks[-1], JointTask):
+            self.joint_velocity = lowest.velocity_at(tool.q_rad)
 
 
 Solver = Callable[[Stack], tuple[Array, bool]]
@@ -105,20 +106,19 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     within the null space N of the rows above it, which therefore keep what they have
     achieved:
 
-        dq_k = dq_{k-1} + N y,   min_y |J_k N y - (v_k - J_k dq_{k-1})|,   l <= dq_k <= u
+        dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u
     """
-    velocity = stack.wish.copy()
+    velocity = stack.joint_velocity.copy()
     if meet_all_rows(stack.rows, stack.rates, stack.bounds, velocity):
         return velocity, False
-    if not (
-        np.isfinite(stack.rows).all() and np.isfinite((*stack.rates, *stack.wish)).all()
-    ):
+    velocities = (*stack.rates, *stack.joint_velocity)
+    if not (np.isfinite(stack.rows).all() and np.isfinite(velocities).all()):
         raise SettingError("positions or goals are not finite")
     lower, upper = stack.bounds
     # The start depends on no lower task, so that none can matter to a higher one.
     velocity = np.minimum(np.maximum(0.0, lower), upper)
     free_directions = np.eye(velocity.size)
-    for rows, rates in [*stack.levels, (free_directions, stack.wish)]:
+    for rows, rates in [*stack.levels, (free_directions, stack.joint_velocity)]:
         if free_directions.size:
             length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
             velocity, free_directions = solve_level(
@@ -139,11 +139,11 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
 def meet_all_rows(
     rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
 ) -> bool:
-    """Change a velocity as little as meets all rows; return whether it is within bounds.
+    """Change a velocity as little as meets all rows; return whether bounds allow it.
 
     Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its
-    i-th direction meets row i and leaves the rows before it met. False where rows depend
-    on each other.
+    i-th direction meets row i and leaves the rows before it met. False where rows
+    depend on each other.
     """
     joints = velocity.size
     if rates.size > joints:
@@ -246,7 +246,8 @@ def solve_level(
     Args:
         rows: J of the level, of length one each, shape (m, n).
         rates: v, shape (m,).
-        free: N, orthonormal directions in columns, in which the levels above are content.
+        free: N, orthonormal directions in columns, that move no row of the levels
+            above.
         bounds: l and u, shape (2, n).
         start: Velocity of the levels above, within bounds, shape (n,).
 

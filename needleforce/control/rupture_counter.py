@@ -32,7 +32,8 @@ RUPTURE_s = 0.3
 """So long after a counted rupture the force may still fall because of it."""
 
 SETTLED_IN_TISSUE_s = 1.0
-"""Time in tissue after which a heartbeat has been felt, so that falls can be compared."""
+"""Time in tissue after which a heartbeat has been felt, so that falls can be
+compared."""
 
 LARGE_FALL = 0.03
 """Fraction of the force whose fall is large."""
@@ -41,7 +42,8 @@ LARGE_FIRST_FALL = 0.15
 """The same before `SETTLED_IN_TISSUE_s`, when no heartbeat is known yet."""
 
 LARGE_FALL_N = 0.08
-"""A smaller fall is not large, however small the force is: the force has such errors."""
+"""A smaller fall is not large, however small the force is: the force has such
+errors."""
 
 ORDINARY_RATIO = 2.0
 """A rupture is a fall by so many times the ordinary one."""

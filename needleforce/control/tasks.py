@@ -12,7 +12,7 @@ delay from measurement to motion stays below about 0.6. A stack is a list of tas
 order of priority, the most important first.
 """
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
@@ -202,7 +202,7 @@ class Fixture(TipTask):
         along_axes = np.zeros((6, 6))  # position and rotation along the three axes
         along_axes[:3, :3] = axes.T
         along_axes[3:, 3:] = axes.T
-        # All rows but that of the position on the line, which the needle is free to change.
+        # All rows but that of the position on the line, which is free.
         super().__init__(np.delete(along_axes, 2, axis=0), gain_per_s)
         self.goal_m = as_vector(origin_m, 3, "origin_m")
         self.rotation = axes
@@ -270,8 +270,8 @@ class DecoupledMotion(TipTask):
     ) -> None:
         """Ask for velocities in base axes, shape (3,) each, in the coming tick.
 
-        A longer time than `MAX_STEP_s` counts as that, one that is no positive number as
-        none.
+        A longer time than `MAX_STEP_s` counts as that, one that is no positive number
+        as none.
         """
         lag_m = np.linalg.norm(self.goal_m - tool.tip_m)
         lag_rad = np.linalg.norm(tool.rotation_to(self.rotation))
@@ -347,42 +347,61 @@ class AxialSpeed:
         rates[0] = self.speed_m_s
 
 
-class JointVelocity:
+class JointTask(ABC):
     """A velocity of every joint, n rows; cheapest as the last of a stack.
+
+    Attributes:
+        size: Number n of joints.
+    """
+
+    size: int
+
+    @abstractmethod
+    def velocity_at(self, q_rad: Array) -> Array:
+        """Return the velocity asked for at joint positions, shape (n,)."""
+
+    def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
+        """Write rows and rates, see `Task.write`."""
+        rates[:] = self.velocity_at(tool.q_rad)
+        rows[:] = np.eye(self.size)
+
+
+class JointVelocity(JointTask):
+    """A velocity of every joint that does not depend on the posture.
 
     Args:
         velocity_rad_s: Of the joints, shape (n,).
 
     Attributes:
-        wish: The same, in an array of its own.
+        velocity_rad_s: The same, in an array of its own.
     """
 
     def __init__(self, velocity_rad_s: ArrayLike) -> None:
         self.size = np.size(velocity_rad_s)
-        self.wish = as_vector(velocity_rad_s, self.size, "velocity_rad_s")
+        self.velocity_rad_s = as_vector(velocity_rad_s, self.size, "velocity_rad_s")
 
-    def velocity(self, q_rad: Array) -> Array:
-        """Return the velocity asked for at joint positions, shape (n,)."""
-        return self.wish
-
-    def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
-        """Write rows and rates, see `Task.write`."""
-        rates[:] = self.velocity(tool.q_rad)
-        rows[:] = np.eye(self.size)
+    def velocity_at(self, q_rad: Array) -> Array:
+        """Return the velocity, shape (n,)."""
+        return self.velocity_rad_s
 
 
-class Posture(JointVelocity):
+class Posture(JointTask):
     """A posture that joints left free return to, slowly: dq = K (q_d - q). Put it last.
 
     Args:
         q_rad: The posture q_d, shape (n,).
         gain_per_s: K.
+
+    Attributes:
+        goal_rad: q_d, in an array of its own.
+        gain_per_s: K.
     """
 
     def __init__(self, q_rad: ArrayLike, gain_per_s: float = 1.0) -> None:
-        super().__init__(q_rad)
+        self.size = np.size(q_rad)
+        self.goal_rad = as_vector(q_rad, self.size, "q_rad")
         self.gain_per_s = _checked_gain(gain_per_s)
 
-    def velocity(self, q_rad: Array) -> Array:
+    def velocity_at(self, q_rad: Array) -> Array:
         """Return K (q_d - q), shape (n,)."""
-        return self.gain_per_s * (self.wish - q_rad)
+        return self.gain_per_s * (self.goal_rad - q_rad)

@@ -11,7 +11,7 @@ Motion goes one way, scaled; force comes back, scaled and kept passive at both e
 """
 
 import math
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,9 +108,10 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
 
 def _handle_along(axis: Array, sample: MasterSample | None) -> HandleSample | None:
     """Return the handle along an axis, or None for a sample that no handle can give."""
+    handle: Any = sample  # whatever a driver gives
     try:
-        vectors = np.array((sample.position_m, sample.velocity_m_s), np.float64)  # type: ignore[union-attr]
-        is_coupled = bool(sample.clutch)  # type: ignore[union-attr]
+        vectors = np.array((handle.position_m, handle.velocity_m_s), np.float64)
+        is_coupled = bool(handle.clutch)
     except (AttributeError, TypeError, ValueError):
         return None
     if vectors.shape != (2, 3) or not (np.abs(vectors) < MAX_HANDLE).all():
@@ -243,8 +244,8 @@ class Teleoperation:
     def _smooth_force(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """Return the force to be felt, less its noise; the raw one as it is.
 
-        With travel the shown force grows by the stiffness identified: a force that grows
-        is not late. A needle that is drawn back touches nothing.
+        With travel the shown force grows by the stiffness identified: a force that
+        grows is not late. A needle that is drawn back touches nothing.
         """
         known_N = shown_force(estimate, self._shown)
         if self._shown == "raw":

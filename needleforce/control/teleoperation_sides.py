@@ -21,9 +21,9 @@ MAX_STIFFNESS_N_per_m = 1000.0
 """Largest stiffness of tissue that is reckoned with."""
 
 DAMPING_Ns_m = 50.0
-"""Damping of quick motion, per motion scale. A delayed spring drives a hand (a stiffness
-k takes k T of damping away), and so does friction that is not known yet, both the more
-the less its motion is scaled down; and it springs forward at a rupture."""
+"""Damping of quick motion, per motion scale. A delayed spring drives a hand (a
+stiffness k takes k T of damping away), and so does friction that is not known yet, both
+the more the less its motion is scaled down; and a hand springs forward at a rupture."""
 
 MIN_DAMPING_Ns_m = 15.0
 """Least damping of quick motion, whatever the scale."""
@@ -49,7 +49,8 @@ COUPLING_s = 0.2
 """So softly the force comes and goes with the clutch: no step throws the hand."""
 
 MAX_HOLD_s = 0.02
-"""Between two samples of the device its force stays; without one for so long it ends."""
+"""Between two samples of the device its force stays; without one for so long it
+ends."""
 
 GAP_MEMORY_s = 1.0
 """For so long a gap between two samples of the device may come again."""

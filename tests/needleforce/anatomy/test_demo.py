@@ -14,23 +14,32 @@ pytest.importorskip("skimage")
 def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(abdomen_plan, "LENGTHS_m", (0.04, 0.06))
     monkeypatch.setattr(abdomen_insertion, "SPEED_m_s", 6e-3)
+
     assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
+
     said = capsys.readouterr().out
+
     assert "not a medical device" in said
+
     shift, by_plan, corrected = (
-        float(re.search(rf"{what} +([-+]?\d+\.\d) mm", said)[1])
-        for what in (
+        float(re.search(rf"{caption} +([-+]?\d+\.\d) mm", said)[1])
+        for caption in (
             "true shift along the needle",
             "by the plan alone",
             "corrected by force",
         )
     )
+
     assert by_plan == pytest.approx(abs(shift), abs=1.0)
     assert corrected < 1.5
     assert re.search(r"rupture 1 at .* into \w+ \(\d+ %\)", said)
+
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
+
     assert page.count("<figure") == 2
+
     pytest.importorskip("viser")
+
     assert (tmp_path / "scene.html").stat().st_size > 100_000
 
 
@@ -40,8 +49,10 @@ def test_a_planned_way_crosses_soft_tissue_only(seed):
     labels = abdomen_plan.read_torso(None, rng)
     entry, target = abdomen_plan.plan_path(labels, "liver", rng)
     layers = labels.layers_along(entry, target)
+
     assert layers[-1].name == "liver"
     assert {layer.name for layer in layers} <= {*abdomen_plan.CROSSABLE, "liver"}
+
     thick = abdomen_plan.thick_layers(layers)
     assert (
         min(layer.exit_m - layer.entry_m for layer in thick) >= abdomen_plan.MIN_LAYER_m

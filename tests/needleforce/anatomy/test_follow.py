@@ -54,48 +54,54 @@ ENTRY_m = ZERO.start_in_base_m + SURFACE_m * ZERO.axis_in_base
 def whole():
     """Estimates of the insertion, and snapshots above, in and behind the gel."""
     session = InsertionSession(RUN.robot)
-    found = []
-    kept = {}
+    estimates = []
+    snapshots = {}
     session.follow(MATCH, ENTRY_m)
     for k, row in samples(RUN):
         if k == TARE:
             session.tare()
-        found.append(session.update(*row))
+        estimates.append(session.update(*row))
         if k in (TARE - 50, TARE + 4000, TARE + 16_500):
-            kept[k] = session.snapshot()
+            snapshots[k] = session.snapshot()
         if k == TARE + 17_500:
-            return found, kept
+            return estimates, snapshots
 
 
-def test_estimates_name_the_layer_the_next_boundary_and_the_offset(whole):
-    found, kept = whole
-    assert found[TARE - 1].plan is None
-    (alarm,) = [k for k, e in enumerate(found) if e.identification.rupture is not None]
-    above = found[TARE + 200]
-    before = found[alarm - 1000]
-    after = found[alarm + 200]
+def test_estimates_name_layer_next_boundary_and_offset(whole):
+    """Estimates name the layer, the next boundary and the offset."""
+    estimates, snapshots = whole
+
+    assert estimates[TARE - 1].plan is None
+
+    (alarm,) = [
+        k for k, e in enumerate(estimates) if e.identification.rupture is not None
+    ]
+    above = estimates[TARE + 200]
+    inside = estimates[alarm - 1000]
+    behind = estimates[alarm + 200]
+
     assert (above.plan.name, above.plan.next_name) == (OUTSIDE, "gel")
-    assert kept[TARE - 50].plan.contact_m is None
-    assert kept[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
+    assert snapshots[TARE - 50].plan.contact_m is None
+    assert snapshots[TARE + 4000].plan.contact_m == pytest.approx(SURFACE_m, abs=0.5e-3)
     assert above.plan.next_m == pytest.approx(SURFACE_m, abs=1e-3)
-    assert (before.plan.name, before.plan.next_name) == ("gel", "behind")
-    assert before.plan.next_m == pytest.approx(
-        SURFACE_m + GEL_m, abs=3.0 * before.plan.next_std_m
+    assert (inside.plan.name, inside.plan.next_name) == ("gel", "behind")
+    assert inside.plan.next_m == pytest.approx(
+        SURFACE_m + GEL_m, abs=3.0 * inside.plan.next_std_m
     )
-    assert (after.plan.name, after.plan.matched, after.plan.next_name) == (
+    assert (behind.plan.name, behind.plan.matched, behind.plan.next_name) == (
         "behind",
         1,
         "",
     )
-    assert after.plan.offset_m == pytest.approx(SHIFT_m, abs=1e-3)
-    assert after.plan.offset_std_m < before.plan.offset_std_m
-    assert min(e.plan.probability for e in (above, before, after)) > 0.8
+    assert behind.plan.offset_m == pytest.approx(SHIFT_m, abs=1e-3)
+    assert behind.plan.offset_std_m < inside.plan.offset_std_m
+    assert min(e.plan.probability for e in (above, inside, behind)) > 0.8
 
 
 @pytest.mark.parametrize("where", ["file", "pickle", "copy"])
 def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
-    found, kept = whole
-    for cut, snapshot in kept.items():
+    estimates, snapshots = whole
+    for cut, snapshot in snapshots.items():
         session = InsertionSession(RUN.robot)
         session.follow(MATCH, ENTRY_m)
         if where == "file":
@@ -112,13 +118,13 @@ def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
         for k, row in enumerate(following(cut, 800), cut + 1):
             if k == TARE:
                 session.tare()
-            assert same(session.update(*row), found[k]), (cut, k)
+            assert same(session.update(*row), estimates[k]), (cut, k)
 
 
-def test_another_plan_or_none_is_refused_and_changes_nothing(whole):
-    _, kept = whole
-    snapshot = kept[TARE + 4000]
-    for plan, entry, given, why in [
+def test_restoring_with_another_plan_changes_nothing(whole):
+    _, snapshots = whole
+    snapshot = snapshots[TARE + 4000]
+    for plan, entry, refused_snapshot, why in [
         (None, None, snapshot, "with another plan or entry: follow"),
         (PlanMatch(layers("gel", "bone"), 3e-3), ENTRY_m, snapshot, "another plan"),
         (PlanMatch(layers("gel", "behind"), 2e-3), ENTRY_m, snapshot, "another plan"),
@@ -134,13 +140,13 @@ def test_another_plan_or_none_is_refused_and_changes_nothing(whole):
     ]:
         session = InsertionSession(RUN.robot)
         session.follow(plan, entry)
-        before = session.snapshot()
+        unchanged = session.snapshot()
         with pytest.raises(InsertionError, match=why):
-            session.restore(given)
-        assert same(session.snapshot(), before)
+            session.restore(refused_snapshot)
+        assert same(session.snapshot(), unchanged)
 
 
-def test_what_is_no_plan_or_no_entry_is_refused():
+def test_an_invalid_plan_or_entry_is_refused():
     session = InsertionSession(RUN.robot)
     with pytest.raises(InsertionError, match="plan is a list, expected a PlanMatch"):
         session.follow(layers("gel", "behind"))
@@ -149,7 +155,8 @@ def test_what_is_no_plan_or_no_entry_is_refused():
             session.follow(MATCH, entry)
 
 
-def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
+def test_a_retracted_alarm_restores_the_plan():
+    """After an alarm is retracted the plan is as before it."""
     unmet = Identifier()
     quiet = unmet.snapshot().last
     numbers = {
@@ -165,22 +172,29 @@ def test_a_false_alarm_is_taken_back_and_the_plan_is_as_before():
     for follower in (wrong, right):
         follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
         follower.update(quiet, 0.0125, unmet)
+
     unmoved = right.state
     wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
+
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.state != unmoved
+
     # The depth may have been counted anew since.
     wrong.update(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, unmet)
+
     assert (wrong.memory, wrong.state) == (right.memory, unmoved)
+
     # Above a rupture there is no other one: the needle has been pushed in again.
     wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
     shallow = SimpleNamespace(depth_m=0.005)
     wrong.update(quiet._replace(rupture=shallow), 0.005, unmet)
+
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.memory.deepest_m == 0.0125
 
 
-def test_a_needle_that_is_withdrawn_is_in_the_layers_it_has_crossed():
+def test_a_withdrawn_needle_is_in_crossed_layers():
+    """A withdrawn needle is in one of the layers it has crossed."""
     ruptures = (GEL_m,)
     assert MATCH.state(GEL_m + 0.01, ruptures).name == "behind"
     for depth, name in ((GEL_m + 5e-3, "behind"), (0.01, "gel"), (-0.01, OUTSIDE)):
@@ -211,7 +225,9 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
         for n, end in zip(("gel", "behind"), ends, strict=True)
     ]
     path = written(tmp_path, start_m=SURFACE_m, layers=named)
+
     assert main(["live", arm, "--plan", path, "--tare", str(TARE * 1e-3)]) == 0
+
     said = capsys.readouterr().out
     assert re.search(
         r"rupture of layer 1 at 3\d\.\d mm \(\d+ %\), by the plan into behind", said
@@ -238,14 +254,20 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
 
     monkeypatch.setattr(arm_watch, "NetFT", Sensor)
     options = ["--reference", "127.0.0.9", "--tare", str(TARE * 1e-3)]
+
     assert main(["live", arm, *options]) == 0
+
     said = capsys.readouterr()
+
     assert "(reference nan N, rms difference nan N)" in said.out.splitlines()[0]
-    last = re.findall(
-        r"reference nan N, rms difference (.*) N of (\d+) ticks", said.err
-    )[0]
-    assert 0.005 < float(last[0]) < 0.05
-    assert 14_000 < int(last[1]) < 15_000
+
+    summary = re.search(
+        r"reference nan N, rms difference (?P<rms_N>.*) N of (?P<ticks>\d+) ticks",
+        said.err,
+    )
+
+    assert 0.005 < float(summary["rms_N"]) < 0.05
+    assert 14_000 < int(summary["ticks"]) < 15_000
 
 
 @pytest.mark.parametrize(
@@ -287,5 +309,6 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
 def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys):
     assert main(["live", arm, "--plan", written(tmp_path, **plan)]) == 2
     said = capsys.readouterr().err
+
     assert re.search(why, said)
     assert "docs/scene.md" in said

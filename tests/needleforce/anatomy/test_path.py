@@ -20,18 +20,20 @@ def scanned():
     return torso, scan_of(torso, SPACING_MM, rng), rng
 
 
-def test_paths_through_a_torso_are_right_and_have_no_gaps(scanned):
+def test_torso_paths_are_right_without_gaps(scanned):
+    """Paths through a torso are right and have no gaps."""
     torso, labels, rng = scanned
-    found = [measure_path(torso, labels, *random_path(torso, rng)) for _ in range(150)]
-    errors = np.array([error for one in found for error in one.errors_voxels])
-    scores = np.abs([score for one in found for score in one.scores])
+    paths = [measure_path(torso, labels, *random_path(torso, rng)) for _ in range(150)]
+    errors = np.array([error for path in paths for error in path.errors_voxels])
+    scores = np.abs([score for path in paths for score in path.scores])
+
     assert np.sqrt(np.mean(errors**2)) < 0.18
-    assert np.mean([one.is_right for one in found]) > 0.97
-    assert not any(one.has_gaps for one in found)
+    assert np.mean([path.is_right for path in paths]) > 0.97
+    assert not any(path.has_gaps for path in paths)
     assert 0.9 < np.mean(scores < 1.96) <= 1.0
 
 
-def test_rays_through_the_surface_cross_where_the_layers_do(scanned):
+def test_rays_cross_surfaces_where_layers_begin(scanned):
     trimesh = pytest.importorskip("trimesh")
     pytest.importorskip("embreex")
     torso, labels, rng = scanned
@@ -47,6 +49,7 @@ def test_rays_through_the_surface_cross_where_the_layers_do(scanned):
         hits, _, _ = mesh.ray.intersects_location(entry[None], along[None])
         depths = (hits - entry) @ along
         differences.append(layers[-1].entry_m - depths.min())
+
     assert np.sqrt(np.mean(np.square(differences))) < 0.2 * 1e-3 * SPACING_MM[0]
 
 
@@ -60,17 +63,23 @@ def slabs(names, spacing_m=1e-3, kind=np.uint8):
     )
 
 
-def test_flat_layers_are_exact_and_bone_is_an_obstacle():
+def test_flat_layers_are_exact_and_bone_obstructs():
     labels = slabs(["fat", "rib_left_9", "muscle"])
     layers = labels.layers_along([-0.0105, 0.01, 0.01], [0.0255, 0.01, 0.01])
     names = ["unlabelled", "fat", "rib_left_9", "muscle"]
+
     assert [layer.name for layer in layers] == names
     assert [layer.is_obstacle for layer in layers] == [False, False, True, False]
+
     ends = [layer.exit_m for layer in layers]
+
     np.testing.assert_allclose(ends, [0.010, 0.020, 0.030, 0.036], atol=2e-5)
-    assert all(before.exit_m == after.entry_m for before, after in pairwise(layers))
     assert all(
-        before.exit_std_m == after.entry_std_m for before, after in pairwise(layers)
+        layer.exit_m == next_layer.entry_m for layer, next_layer in pairwise(layers)
+    )
+    assert all(
+        layer.exit_std_m == next_layer.entry_std_m
+        for layer, next_layer in pairwise(layers)
     )
     assert layers[0].entry_std_m == layers[-1].exit_std_m == 0.0
 
@@ -84,7 +93,9 @@ def test_a_slanting_path_and_uncertain_boundaries_state_more():
         1
     ].entry_std_m
     cosine = 9.0 / np.hypot(9.0, 15.0)
+
     assert slanting == pytest.approx(straight / cosine, rel=0.1)
+
     wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[
         1
     ].entry_std_m
@@ -100,6 +111,7 @@ def test_uncertain_boundaries_of_flat_voxels_state_as_much(spacing_mm):
     plain, wide = (
         labels.layers_along(entry, target, std)[1].entry_std_m for std in (0.0, 1e-3)
     )
+
     assert wide == pytest.approx(np.hypot(plain, 1e-3), rel=0.02)
 
 
@@ -110,11 +122,12 @@ def test_labels_may_be_integers_of_any_size(kind):
     assert slabs(["fat", "muscle"], kind=kind).layers_along(*way) == expected
 
 
-def test_a_path_from_outside_the_volume_stays_in_order():
+def test_a_path_from_outside_stays_in_order():
     layers = slabs(["fat", "muscle"]).layers_along(
         [-0.05, -0.02, -0.02], [0.019, 0.01, 0.01]
     )
     depths = [layer.entry_m for layer in layers]
+
     assert depths == sorted(depths)
     assert layers[-1].name == "muscle"
 
@@ -139,7 +152,7 @@ def test_paths_that_cannot_be_are_refused(entry, target, why):
 
 
 @pytest.mark.parametrize("std_m", [np.nan, -1e-3, np.inf, 0.5])
-def test_a_deviation_of_boundaries_that_is_none_is_refused(std_m):
+def test_an_impossible_boundary_deviation_is_refused(std_m):
     with pytest.raises(
         VolumeError, match=r"boundary_std_m=.*standard deviation in metres"
     ):

@@ -59,17 +59,20 @@ def test_the_error_at_the_target_is_as_stated(count, is_known):
     stated = []
     for _ in range(1500):
         robot, (rotation, shift) = touched(FRONT_m[:count], rng)
-        found = fit_landmarks(
+        registration = fit_landmarks(
             FRONT_m[:count], robot, std_m=0.5e-3, is_std_known=is_known
         )
         truth = rotation @ TARGET_m + shift
-        errors.append(np.linalg.norm(found.to_robot(TARGET_m) - truth))
-        stated.append(found.tre_m(TARGET_m))
-        inside.append(found.region_contains(TARGET_m, truth))
+        errors.append(np.linalg.norm(registration.to_robot(TARGET_m) - truth))
+        stated.append(registration.tre_m(TARGET_m))
+        inside.append(registration.region_contains(TARGET_m, truth))
+
     assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+
     rms = [np.sqrt(np.mean(np.square(values))) for values in (errors, stated)]
+
     assert rms[0] == pytest.approx(rms[1], rel=0.05)
-    assert np.allclose(found.to_model(found.to_robot(TARGET_m)), TARGET_m)
+    assert np.allclose(registration.to_model(registration.to_robot(TARGET_m)), TARGET_m)
 
 
 def test_three_landmarks_claim_nothing_from_their_residuals():
@@ -98,7 +101,7 @@ def swapped(points):
         (lambda p: np.full_like(p, np.nan), "not finite"),
     ],
 )
-def test_landmarks_that_cannot_be_right_are_refused_by_name(change, says):
+def test_wrong_landmarks_are_refused_by_name(change, says):
     robot, _ = touched(FRONT_m, np.random.default_rng(1))
     with pytest.raises(RegistrationError, match=says):
         fit_landmarks(FRONT_m, change(robot))
@@ -154,13 +157,14 @@ def test_touches_find_the_surface_among_those_that_slipped():
     for _ in range(12):
         points = touch(mesh, 100, rng)
         robot, truth = touched(points, rng, 0.0)
-        found = fit_surface(
+        registration = fit_surface(
             surface, robot, rough(points, robot, truth, rng), check=False
         )
         place = truth[0] @ np.zeros(3) + truth[1]
-        assert np.linalg.norm(found.to_robot(np.zeros(3)) - place) < 1e-3
-        inside.append(found.region_contains(np.zeros(3), place))
-        assert found.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
+        assert np.linalg.norm(registration.to_robot(np.zeros(3)) - place) < 1e-3
+        inside.append(registration.region_contains(np.zeros(3), place))
+        assert registration.std_along_m([0.0, 0.0, 1.0], np.zeros(3)) < 1e-3
+
     assert np.mean(inside) > 0.8
 
 
@@ -169,20 +173,22 @@ def test_surfaces_that_slide_or_spin_are_refused(shape):
     rng = np.random.default_rng(3)
     if "sphere" in shape:
         mesh = trimesh.creation.icosphere(4, 0.06)
-        kept = mesh.face_normals[:, 1] < (0.0 if "half" in shape else 2.0)
+        is_touchable = mesh.face_normals[:, 1] < (0.0 if "half" in shape else 2.0)
     elif shape == "cylinder":
         mesh = trimesh.creation.cylinder(0.04, 0.2, sections=48).subdivide().subdivide()
-        kept = np.abs(mesh.face_normals[:, 2]) < 0.5
+        is_touchable = np.abs(mesh.face_normals[:, 2]) < 0.5
     else:
         mesh = (
             trimesh.creation.box((0.12, 0.1, 0.08)).subdivide().subdivide().subdivide()
         )
-        kept = mesh.face_normals[:, 1] < -0.5
-    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[kept])
+        is_touchable = mesh.face_normals[:, 1] < -0.5
+
+    mesh = trimesh.Trimesh(mesh.vertices, mesh.faces[is_touchable])
     points = touch(mesh, 100, rng, 0.0)
     robot, truth = touched(points, rng, 0.0)
     surface = Surface("organ", mesh.vertices, mesh.faces)
     start = rough(points, robot, truth, rng)
+
     with pytest.raises(RegistrationError, match="slides or spins"):
         fit_surface(surface, robot, start)
 
@@ -195,12 +201,15 @@ def test_touches_that_cannot_register_are_refused():
     robot, truth = touched(points, rng, 0.0)
     good = rough(points, robot, truth, rng)
     fit_surface(surface, robot, good)
+
     with pytest.raises(RegistrationError, match="too few touches: 10"):
         fit_surface(surface, robot[:10], good)
     with pytest.raises(RegistrationError, match="finite"):
         fit_surface(surface, robot * np.nan, good)
+
     away = mesh.vertices.mean(axis=0) - [0.0, 0.2, 0.0] + rng.normal(0.0, 5e-3, (60, 3))
     wild = np.vstack([robot[:40], away @ truth[0].T + truth[1]])
+
     with pytest.raises(RegistrationError):
         fit_surface(surface, wild, good)
 
@@ -218,10 +227,11 @@ def test_touches_after_the_patient_has_moved_are_refused():
         away = rng.normal(size=3)
         robot[:45] += 0.01 * away / np.linalg.norm(away)
         try:
-            found = fit_surface(surface, robot, start, check=False)
+            registration = fit_surface(surface, robot, start, check=False)
         except RegistrationError:
             continue
-        wrong += not found.region_contains(np.zeros(3), truth[1])
+        wrong += not registration.region_contains(np.zeros(3), truth[1])
+
     assert wrong < 2
 
 
@@ -233,7 +243,7 @@ def test_touches_after_the_patient_has_moved_are_refused():
         (lambda p: np.linspace(p[0], p[0] + 0.1, 20), "near a point or a line"),
     ],
 )
-def test_touches_of_another_unit_or_without_width_are_refused(change, says):
+def test_narrow_or_millimetre_touches_are_refused(change, says):
     mesh = organ()
     start = Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
     for check in (True, False):
@@ -251,6 +261,7 @@ def test_deviations_of_touches_that_are_none_are_refused(std_m):
     mesh = organ()
     start = Registration(np.eye(3), np.zeros(3), np.eye(6), np.zeros(3), 1.0, 0.0)
     surface = Surface("organ", mesh.vertices, mesh.faces)
+
     with pytest.raises(
         RegistrationError, match=r"std_m=.*standard deviation in metres"
     ):
@@ -277,20 +288,29 @@ def plan(*depths_mm, std_mm=0.5):
 
 def test_ruptures_move_the_plan_and_name_the_layer():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
+
     assert match.state(0.005).name == "fat"
+
     first = match.state(0.024, [0.024])
+
     assert (first.name, first.next_name) == ("muscle", "gland")
     assert 1e-3 < first.offset_m < 4e-3  # or a membrane gave way late
+
     second = match.state(0.039, [0.024, 0.039])
+
     assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
     assert second.offset_std_m < 1.2e-3
     assert second.next_m == pytest.approx(0.064, abs=1e-3)
     assert second.matched == 2
+
     low, high = match.interval_m(0.039, [0.024, 0.039])
+
     assert low < 4e-3 < high
     assert match.state(0.064, [0.024, 0.039, 0.064]).next_name == ""
     assert match.state(0.0).offset_m == pytest.approx(0.0, abs=2e-4)
+
     moved = match.state(0.139, [0.124, 0.139], entry_depth_m=0.1)
+
     assert moved.next_m == pytest.approx(second.next_m + 0.1)
     assert moved.offset_m == pytest.approx(second.offset_m)
 
@@ -303,40 +323,50 @@ def test_where_the_surface_was_met_counts_for_half():
         match.state(0.024, [0.024], contact_m=contact) for contact in (4e-3, 0.0)
     )
     unknown = match.state(0.024, [0.024])
+
     assert late.offset_m < unknown.offset_m < deeper.offset_m
     assert deeper.offset_m == pytest.approx(4e-3, abs=0.2e-3)
     assert deeper.offset_std_m < unknown.offset_std_m
+
     # Organs move beneath a skin that lies where it was: two ruptures outvote it.
     ruptures = [0.024, 0.039]
     beneath = match.state(0.039, ruptures, contact_m=0.0)
+
     assert beneath.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+
     low, high = match.interval_m(0.039, ruptures, contact_m=4e-3)
+
     assert high - low < np.subtract(*match.interval_m(0.039, ruptures)[::-1])
+
     moved = match.state(0.139, [0.124, 0.139], contact_m=0.1, entry_depth_m=0.1)
+
     assert moved.offset_m == pytest.approx(beneath.offset_m)
 
 
-def test_air_in_front_of_the_skin_is_no_layer():
+def test_air_before_the_skin_is_no_layer():
     layers = [
-        replace(one, name=name)
-        for one, name in zip(plan(20, 35), NAMES[:3], strict=True)
+        replace(layer, name=name)
+        for layer, name in zip(plan(20, 35), NAMES[:3], strict=True)
     ]
     moved = [
-        replace(o, entry_m=o.entry_m + 0.015, exit_m=o.exit_m + 0.015) for o in layers
+        replace(layer, entry_m=layer.entry_m + 0.015, exit_m=layer.exit_m + 0.015)
+        for layer in layers
     ]
     air = Layer("unlabelled", 0.0, 0.015, 0.0, 0.0, False)
     without = PlanMatch(layers, 3e-3)
     match = PlanMatch([air, *moved], 3e-3)
     for depth_m, ruptures_m in ((-0.005, []), (0.005, []), (0.024, [0.024])):
-        known = {"contact_m": 0.002} if depth_m > 0.002 else {}
-        expected = without.state(depth_m, ruptures_m, **known)
-        found = match.state(depth_m, ruptures_m, **known, entry_depth_m=-0.015)
-        assert (found.layer, found.name) == (expected.layer + 1, expected.name)
-        assert found.next_name == expected.next_name
-        assert found.next_m == pytest.approx(expected.next_m)
-        assert found.offset_m == pytest.approx(expected.offset_m)
-        assert found.matched == expected.matched + (expected.matched >= 0)
-    bare = PlanMatch([air, *(replace(one, name="liver") for one in moved)], 3e-3)
+        contact = {"contact_m": 0.002} if depth_m > 0.002 else {}
+        bare_state = without.state(depth_m, ruptures_m, **contact)
+        state = match.state(depth_m, ruptures_m, **contact, entry_depth_m=-0.015)
+        assert (state.layer, state.name) == (bare_state.layer + 1, bare_state.name)
+        assert state.next_name == bare_state.next_name
+        assert state.next_m == pytest.approx(bare_state.next_m)
+        assert state.offset_m == pytest.approx(bare_state.offset_m)
+        assert state.matched == bare_state.matched + (bare_state.matched >= 0)
+
+    bare = PlanMatch([air, *(replace(layer, name="liver") for layer in moved)], 3e-3)
+
     assert (
         bare.state(0.01, [], contact_m=0.0).name == "unlabelled"
     )  # tissue without a label
@@ -348,13 +378,15 @@ def test_the_skin_ruptures_behind_where_it_was_met():
     assert match.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
 
 
-def test_a_boundary_that_nobody_felt_is_passed_all_the_same():
+def test_an_unnoticed_boundary_is_passed_all_the_same():
+    """A boundary that ruptured unnoticed is passed all the same."""
     match = PlanMatch(plan(20, 35, 60), 2e-3)
+
     assert match.state(0.030, [0.0200]).name == "muscle"
     assert match.state(0.050, [0.0200]).name == "gland"
-    found = match.state(0.0601, [0.0200, 0.0601])
-    assert found.matched == 3
-    assert found.name == "lesion"
+    state = match.state(0.0601, [0.0200, 0.0601])
+    assert state.matched == 3
+    assert state.name == "lesion"
 
 
 def test_a_capsule_is_expected_to_rupture_late():
@@ -365,10 +397,13 @@ def test_a_capsule_is_expected_to_rupture_late():
         )
         for name in ("gland", "liver", "Left Kidney")
     ]
+
     assert [state.matched for state in states] == [2, 2, 2]
     assert states[0].offset_m == pytest.approx(3e-3, abs=1e-3)
+
     for state in states[1:]:
         assert state.offset_m == pytest.approx(-1e-3, abs=1e-3)
+
     # Inside the organ there is no capsule.
     inside = [
         replace(layers[0], name="liver"),
@@ -379,10 +414,10 @@ def test_a_capsule_is_expected_to_rupture_late():
     assert chances.late.tolist() == [1.0, 0.25, 0.25]
 
 
-def test_a_false_alarm_does_not_count_as_a_boundary():
-    found = PlanMatch(plan(20, 60), 1e-3).state(0.041, [0.0200, 0.041])
-    assert found.matched == -1
-    assert found.name == "muscle"
+def test_a_false_alarm_is_no_boundary():
+    state = PlanMatch(plan(20, 60), 1e-3).state(0.041, [0.0200, 0.041])
+    assert state.matched == -1
+    assert state.name == "muscle"
 
 
 def test_what_cannot_be_a_plan_is_refused():
@@ -390,6 +425,7 @@ def test_what_cannot_be_a_plan_is_refused():
         PlanMatch(plan(20)[:1], 1e-3)
     with pytest.raises(PlanError, match="positive standard deviation"):
         PlanMatch(plan(20), 0.0)
+
     for field, value in (
         *(("entry_m", bad) for bad in (float("nan"), 20.0, -0.01)),
         *(("entry_std_m", bad) for bad in (float("nan"), -1.0)),
@@ -398,18 +434,23 @@ def test_what_cannot_be_a_plan_is_refused():
         layers[1] = replace(layers[1], **{field: value})
         with pytest.raises(PlanError, match="boundaries at"):
             PlanMatch(layers, 3e-3)
+
     with pytest.raises(PlanError, match="boundaries at"):
         PlanMatch(plan(20, 35)[::-1], 3e-3)
+
     match = PlanMatch(plan(20, 35), 3e-3)
+
     with pytest.raises(PlanError, match="finite depths"):
         match.state(float("nan"))
     with pytest.raises(PlanError, match="contact at nan m"):
         match.state(0.0, contact_m=float("nan"))
     with pytest.raises(PlanError, match="entry at nan m: expected finite"):
         match.state(0.0, entry_depth_m=float("nan"))
+
     for depth_m, level in ((float("nan"), 0.95), (0.0, 1.5), (0.0, float("nan"))):
         with pytest.raises(PlanError, match="a level between 0 and 1"):
             match.interval_m(depth_m, level=level)
+
     for bad in (float("nan"), 0.01):
         with pytest.raises(PlanError, match="rupture at"):
             match.state(0.03, [0.03, bad])

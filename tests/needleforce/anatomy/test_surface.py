@@ -26,11 +26,14 @@ def test_an_ellipsoid_comes_back(spacing_mm):
     )
     labels = label_ellipsoid(body, spacing_m, np.random.default_rng(5))
     surface = labels.surfaces()["body"]
+
     assert surface.mesh.is_volume
     assert trimesh.Trimesh(
         surface.vertices_m, surface.triangles, process=False
     ).is_watertight
+
     voxels_m3 = labels["body"].voxels * labels.grid.voxel_m3
+
     assert surface.mesh.volume == pytest.approx(voxels_m3, rel=1e-6)
     assert distance_rms_m(surface, body) < 0.12 * np.cbrt(labels.grid.voxel_m3)
 
@@ -53,7 +56,9 @@ def test_awkward_structures_are_closed_and_keep_their_volume(name, signs):
     chosen = SHAPES[name](places)
     for group in chosen if isinstance(chosen, tuple) else (chosen,):
         mask.ravel()[np.ravel(group)] = True
+
     surface = of_mask(mask, 2e-3 * np.diag(np.array(signs, float))).surfaces()["part"]
+
     assert surface.mesh.is_volume
     assert surface.mesh.volume == pytest.approx(8e-9 * mask.sum(), rel=1e-3)
 
@@ -68,32 +73,39 @@ def test_an_open_or_twisted_surface_is_noticed():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
     whole = Surface("part", corners, faces, (1.0, 1.0, 1.0))
+
     assert whole.mesh.is_volume
     assert whole.mesh.volume == pytest.approx(1.0 / 6.0)
+
     twisted = np.vstack([faces[:3], faces[3:, ::-1]])
     for bad in (faces[:3], twisted):
         assert not Surface("part", corners, bad, (1.0, 1.0, 1.0)).mesh.is_volume
 
 
-def test_the_nearest_place_lies_on_a_large_triangle_too():
+def test_nearest_places_lie_on_large_triangles_too():
     box = trimesh.creation.box((0.1, 0.08, 0.06))
     corner = trimesh.creation.icosphere(3, 0.01).apply_translation([0.05, 0.04, 0.03])
-    both = trimesh.util.concatenate([box, corner])
-    surface = Surface("part", np.array(both.vertices), both.faces)
+    mesh = trimesh.util.concatenate([box, corner])
+    surface = Surface("part", np.array(mesh.vertices), mesh.faces)
+
     assert len(surface.colour) == 3
+
     points = np.random.default_rng(0).uniform(-0.05, 0.05, (100, 3))
     places, normals = surface.nearest(points)
-    rows = np.arange(100).repeat(len(both.faces))
-    every = trimesh.triangles.closest_point(
-        np.tile(1e3 * both.triangles, (100, 1, 1)), 1e3 * points[rows]
+    rows = np.arange(100).repeat(len(mesh.faces))
+    all_places_mm = trimesh.triangles.closest_point(
+        np.tile(1e3 * mesh.triangles, (100, 1, 1)), 1e3 * points[rows]
     )
-    apart = 1e-3 * np.linalg.norm(every - 1e3 * points[rows], axis=1).reshape(100, -1)
-    found = np.linalg.norm(places - points, axis=1)
-    np.testing.assert_allclose(found, apart.min(axis=1), atol=1e-9)
+    all_distances_m = 1e-3 * np.linalg.norm(
+        all_places_mm - 1e3 * points[rows], axis=1
+    ).reshape(100, -1)
+    distances_m = np.linalg.norm(places - points, axis=1)
+
+    np.testing.assert_allclose(distances_m, all_distances_m.min(axis=1), atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
 
 
-def test_mean_normals_leave_out_bumps_and_the_far_side():
+def test_mean_normals_ignore_bumps_and_far_side():
     ball = trimesh.creation.icosphere(5, 0.05)
     outward = ball.vertices / 0.05
     bumps = 0.3e-3 * np.prod(np.sin(ball.vertices / 3.7e-3), axis=1)
@@ -106,9 +118,11 @@ def test_mean_normals_leave_out_bumps_and_the_far_side():
         np.linalg.norm(np.cross(normals, outward[::50]), axis=1).mean()
         for normals in (facets, means / flatness[:, None])
     ]
+
     # The mean normal of a cap of a ball that reaches so far.
     assert flatness.mean() == pytest.approx(1.0 - (7.4 / 50.0) ** 2 / 4.0, abs=0.01)
     assert tilts[1] < 0.4 * tilts[0]
+
     plate = (
         trimesh.creation.box((0.1, 0.1, 0.004))
         .subdivide()
@@ -119,12 +133,13 @@ def test_mean_normals_leave_out_bumps_and_the_far_side():
     flat = Surface("plate", plate.vertices, plate.faces)
     places = np.array([[0, 0, 0.002]])
     up = flat.mean_normals(places, np.array([[0.0, 0.0, 1.0]]), 8e-3)
+
     np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
 
 
 def test_progress_reaches_one():
-    seen = []
+    fractions = []
     of_mask(np.pad(np.ones((3, 3, 3), bool), 2), 1e-3 * np.eye(3)).surfaces(
-        progress=seen.append
+        progress=fractions.append
     )
-    assert seen == [1.0]
+    assert fractions == [1.0]

@@ -43,6 +43,7 @@ def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
     image, centre_m = oblique_image(np.array(signs, float), np.random.default_rng(3))
     write_labels(image, tmp_path / name)
     labels = read_labels(tmp_path / name, {1: "part"})
+
     np.testing.assert_allclose(labels.centroid_m("part"), centre_m, rtol=0.0, atol=1e-8)
 
 
@@ -60,17 +61,21 @@ def test_overlapping_segments_bring_names_colours_and_layers(tmp_path):
     }  # fmt: skip
     for key, value in fields.items():
         image.SetMetaData(key, value)
+
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
     labels = read_labels(tmp_path / "a.seg.nrrd")
+
     assert [(item.name, item.voxels) for item in labels.structures] == [
         ("liver", 1728),
         ("lesion", 216),
     ]
     assert labels["liver"].colour == (0.5, 0.25, 0.125)
+
     names = [
         layer.name
         for layer in labels.layers_along([-0.002, 0.0065, 0.0065], [0.0065] * 3)
     ]
+
     assert names == ["unlabelled", "liver", "lesion"]
     with pytest.raises(
         VolumeError, match="no structure with voxels is named 'nothing'"
@@ -84,12 +89,14 @@ def test_components_that_say_no_layer_are_segments(tmp_path):
     image = sitk.GetImageFromArray(values, isVector=True)
     for k, name in enumerate(("liver", "vessel")):
         image.SetMetaData(f"Segment{k}_ID", name)
+
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
-    found = [
+    structures = [
         (item.name, item.voxels)
         for item in read_labels(tmp_path / "a.seg.nrrd").structures
     ]
-    assert found == [("liver", 8), ("vessel", 4)]
+
+    assert structures == [("liver", 8), ("vessel", 4)]
 
 
 @pytest.mark.parametrize(
@@ -106,7 +113,9 @@ def test_segments_with_a_damaged_header_are_refused(tmp_path, key, value, why):
     image = sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8))
     for name, text in {"ID": "s0", "Name": "liver", key: value}.items():
         image.SetMetaData(f"Segment0_{name}", text)
+
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+
     with pytest.raises(VolumeError, match=f"segment {why}"):
         read_labels(tmp_path / "a.seg.nrrd")
 
@@ -128,10 +137,13 @@ def test_segments_and_voxels_belong_together(tmp_path, fields, why):
     for k, name in enumerate(("liver", "lesion")):
         header |= {f"Segment{k}_ID": f"s{k}", f"Segment{k}_Name": name}
         header[f"Segment{k}_LabelValue"] = str(k + 1)
+
     for key, text in (header | fields).items():
         if text is not None:
             image.SetMetaData(key, text)
+
     sitk.WriteImage(image, str(tmp_path / "a.seg.nrrd"))
+
     with pytest.raises(VolumeError, match=why):
         read_labels(tmp_path / "a.seg.nrrd")
 
@@ -159,11 +171,13 @@ def nifti(path, place=0, kind="", *numbers):
 
 
 @pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
-def test_a_nifti_file_that_was_cut_short_is_refused(tmp_path, name):
+def test_a_truncated_nifti_file_is_refused(tmp_path, name):
     path = tmp_path / name
     nifti(path)
     whole = path.read_bytes()
+
     assert read_volume(path).values.shape == (46, 45, 44)
+
     damaged = bytearray(whole)
     damaged[-6] ^= 255  # in the checksum; where all is read at once the library notices
     for content in (whole[:-20], whole[:-9], *[damaged] * (name == "a.nii.gz")):
@@ -195,7 +209,8 @@ def test_a_nifti_file_that_contradicts_itself_is_refused(
         read_volume(tmp_path / "a.nii")
 
 
-def test_a_nifti_file_with_one_of_qform_and_sform_is_read(tmp_path):
+def test_a_nifti_file_needs_qform_or_sform(tmp_path):
+    """A NIfTI file with either qform or sform is read."""
     for place in (252, 254):
         nifti(tmp_path / "a.nii", place, "h", 0)
         assert read_volume(tmp_path / "a.nii").grid.spacing_m == pytest.approx(3e-3)
@@ -294,7 +309,8 @@ def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
         ),
     ],
 )
-def test_a_series_that_is_not_one_whole_scan_is_refused(tmp_path, edit, why):
+def test_an_incomplete_or_mixed_series_is_refused(tmp_path, edit, why):
+    """A series with missing slices or of several scans is refused."""
     edited_series(tmp_path / "scan", edit)
     with pytest.raises(VolumeError, match=why):
         read_volume(tmp_path / "scan")
@@ -314,11 +330,13 @@ def test_files_that_hold_no_labels_are_refused(tmp_path, values, spacing, why):
     image = sitk.GetImageFromArray(values)
     image.SetSpacing([spacing] * values.ndim)
     sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
+
     with pytest.raises(VolumeError, match=why):
         read_labels(tmp_path / "labels.nrrd")
 
 
-def test_a_file_that_is_not_there_or_no_image_is_refused(tmp_path):
+def test_missing_files_and_other_files_are_refused(tmp_path):
+    """Missing files and files that are no images are refused."""
     (tmp_path / "a.nrrd").write_text("no volume")
     for name, why in (("none.nrrd", "no such file"), ("a.nrrd", "cannot read")):
         with pytest.raises(VolumeError, match=why):
@@ -345,9 +363,9 @@ def test_files_of_other_kinds_are_refused(tmp_path, name):
 )
 def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
     values, grid = cube()
-    part = values[1:, 1:, :] if cut else values
+    labelled = values[1:, 1:, :] if cut else values
     origin_mm = 1e3 * (np.array(shift_m) + (grid.points_m([1, 1, 0]) if cut else 0.0))
-    image = sitk.GetImageFromArray(part.T.copy())
+    image = sitk.GetImageFromArray(labelled.T.copy())
     image.SetOrigin(origin_mm.tolist())
     sitk.WriteImage(image, str(tmp_path / "labels.nrrd"))
     scan = Volume(np.zeros(grid.shape), grid)
@@ -359,9 +377,8 @@ def test_labels_must_lie_in_the_scan(tmp_path, shift_m, cut, why):
 
 
 @pytest.mark.parametrize(("degrees", "size"), [(3.0, 1.0), (0.0, 0.9), (0.0, 0.5)])
-def test_labels_on_as_many_voxels_turned_or_rescaled_are_refused(
-    tmp_path, degrees, size
-):
+def test_turned_or_rescaled_labels_are_refused(tmp_path, degrees, size):
+    """Labels on as many voxels as the scan, but turned or rescaled, are refused."""
     values = np.zeros((30, 31, 32), np.uint8)
     values[14:17, 14:17, 14:17] = 1
     image = sitk.GetImageFromArray(values)
@@ -370,12 +387,14 @@ def test_labels_on_as_many_voxels_turned_or_rescaled_are_refused(
     image.SetDirection(turn.ravel().tolist())
     image.SetSpacing([size] * 3)
     sitk.WriteImage(image, str(tmp_path / "a.nrrd"))
+
     with pytest.raises(VolumeError, match="as large as the scan's"):
         read_labels(tmp_path / "a.nrrd", scan=scan)
 
 
 @pytest.mark.parametrize("change", [lambda v: v + 1024.0, lambda v: 0.0 * v - 1000.0])
-def test_a_scan_without_air_or_without_a_body_is_refused(change):
+def test_a_scan_without_air_or_body_is_refused(change):
+    """A scan without air or without a body is refused."""
     values, grid = cube()
     labels = Labels.of([values], grid, [Structure.named("part", 1)])
     with pytest.raises(VolumeError, match=r"no body in a scan of .* Hounsfield"):
@@ -400,12 +419,14 @@ def test_names_say_what_stops_a_needle():
         "ribcage",
         "coccyx",
     )
+
     assert all(Structure.named(name, 1).is_obstacle for name in stops)
     goes = ("hippocampus", "liver", "tribology", "renal_pelvis", "kidney-pelvis")
     assert not any(Structure.named(name, 1).is_obstacle for name in goes)
 
 
-def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
+def test_the_body_is_found_in_flipped_scans():
+    """The body is found in a scan that is stored in another order."""
     torso = analytic_torso()
     shape = (56, 40, 52)
     axes = 6e-3 * np.eye(3)
@@ -417,19 +438,22 @@ def test_the_body_is_found_in_a_scan_stored_the_other_way_round():
     flipped = Grid(shape, grid.points_m([55, 39, 0]), axes * [-1.0, -1.0, 1.0])
     scan = Volume(np.where(values > 0, 40.0, -1000.0)[::-1, ::-1, :], flipped)
     body = labels.with_body(scan)
+
     assert body["body"].voxels == np.count_nonzero(values)
     np.testing.assert_allclose(
         body.centroid_m("body"), grid.points_m(np.argwhere(values).mean(0))
     )
+
     soft = np.where(values == 1, -90.0, scan.values[::-1, ::-1, :])[::-1, ::-1, :]
     parts = Labels.of([values], grid, names[1:]).with_body(
         Volume(soft, flipped), fat=True
     )
+
     assert parts["lean"].voxels + parts["fat"].voxels == np.count_nonzero(values)
     assert parts["fat"].voxels == pytest.approx(np.count_nonzero(values == 1), rel=0.1)
 
 
-def test_there_is_no_body_where_there_is_no_scan():
+def test_there_is_no_body_outside_the_scan():
     scan = Volume(
         np.full((12, 12, 12), -1000.0), Grid((12,) * 3, np.zeros(3), 1e-3 * np.eye(3))
     )
@@ -438,6 +462,7 @@ def test_there_is_no_body_where_there_is_no_scan():
     values[5, 5, 15] = 1
     grid = Grid(values.shape, np.array([0.0, 0.0, -0.01]), scan.grid.axes_m)
     body = Labels.of([values], grid, [Structure.named("part", 1)]).with_body(scan)
+
     assert body["body"].voxels == 6 * 6 * 12
 
 
@@ -447,10 +472,13 @@ def test_there_is_no_body_where_there_is_no_scan():
 def test_in_a_real_ct_left_is_left():
     scan = read_volume(CT / "ct.nii.gz")
     labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
+
     assert len(labels.structures) == 61
+
     middle = labels.centroid_m("vertebrae_L1")
-    left = labels.centroid_m("spleen") - middle
-    right = labels.centroid_m("liver") - middle
-    assert left[0] > 0.05 > 0.0 > right[0]  # LPS: x to the left
+    spleen_m = labels.centroid_m("spleen") - middle
+    liver_m = labels.centroid_m("liver") - middle
+
+    assert spleen_m[0] > 0.05 > 0.0 > liver_m[0]  # LPS: x to the left
     assert labels.centroid_m("vertebrae_T12")[2] > labels.centroid_m("vertebrae_L4")[2]
     assert middle[1] > labels.centroid_m("liver")[1]  # y to the back

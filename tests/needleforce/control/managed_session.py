@@ -39,13 +39,13 @@ class Sensor:
         self.tared = False
 
     def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
-        now = self.estimate
+        estimate = self.estimate
         wrench = {"warnings": SensorWarning.NONE, "message": ""} | wrench
-        self.estimate = now._replace(
-            wrench=now.wrench._replace(status=status, **wrench),
+        self.estimate = estimate._replace(
+            wrench=estimate.wrench._replace(status=status, **wrench),
             status=status,
             depth_m=depth_m,
-            identification=now.identification._replace(
+            identification=estimate.identification._replace(
                 in_contact=in_contact, layer=int(in_contact)
             ),
         )
@@ -60,10 +60,10 @@ def new_manager(limits=LIMITS, log=None):
 def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
     for _ in range(round(seconds / 1e-3)):
         manager.heartbeat()
-        now = manager.update(
+        situation = manager.update(
             ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside
         )
-    return now
+    return situation
 
 
 def inserting(**kwargs):
@@ -71,4 +71,5 @@ def inserting(**kwargs):
     run(manager, 0.2)
     for event in ("tare", "arrived", "insert"):
         assert manager.request(event) == ""
+
     return manager, sensor

@@ -19,7 +19,8 @@ def limits(case):
     }
 
 
-def test_a_remote_centre_and_a_fixture_hold_their_targets_on_a_shorter_way(monkeypatch):
+def test_constraints_hold_their_targets(monkeypatch):
+    """On shorter paths the constraints meet their targets."""
     monkeypatch.setattr(control_constraints, "PERIOD_s", 2.0)
     monkeypatch.setattr(control_constraints, "RADIUS_m", 0.005)
     monkeypatch.setattr(control_constraints, "INSERTION_m", 0.01)
@@ -28,13 +29,16 @@ def test_a_remote_centre_and_a_fixture_hold_their_targets_on_a_shorter_way(monke
         judged = limits(case)
         assert judged
         assert all(0.0 < values[name] <= judged[name] for name in judged), values
+
     assert numbers("fixture S")["no_fixture_error_max_mm"] > 10.0
 
 
-def test_the_published_recursion_loses_the_insertion_to_the_posture_below(monkeypatch):
+def test_published_recursion_loses_the_insertion_to_posture(monkeypatch):
+    """The published recursion loses the insertion to the posture below."""
     monkeypatch.setattr(control_constraints, "INSERTION_m", 0.02)
     ours_mm = numbers("fixture S")["fixture_travel_mm"]
     published_mm = numbers("fixture_published S")["fixture_travel_mm"]
+
     assert published_mm < 2.0 < 18.0 < ours_mm
 
 

@@ -35,10 +35,11 @@ from tests.needleforce.control.managed_session import inserting, new_manager, ru
 def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
     manager, sensor = inserting()
     sensor.reads(**change)
-    now = run(manager, 0.02)
-    assert now.state is state
-    assert reason in now.reason
-    assert not now.is_moving
+    situation = run(manager, 0.02)
+
+    assert situation.state is state
+    assert reason in situation.reason
+    assert not situation.is_moving
 
 
 @pytest.mark.parametrize(
@@ -50,9 +51,8 @@ def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
         (0.45, 1e-3, 1.0, 1.1),
     ],
 )
-def test_a_side_force_must_last_and_longer_behind_a_gap(
-    lateral, step_s, least_s, most_s
-):
+def test_a_side_force_must_last(lateral, step_s, least_s, most_s):
+    """A side force must last before it stops a motion, and longer after a gap."""
     manager, sensor = inserting()
     run(manager, 0.1)
     sensor.reads(lateral=lateral)
@@ -60,6 +60,7 @@ def test_a_side_force_must_last_and_longer_behind_a_gap(
     lasted_s = 1e-3
     while lasted_s < 1.05 and run(manager).state is State.INSERTION:
         lasted_s += 1e-3
+
     assert least_s <= lasted_s <= most_s
 
 
@@ -72,20 +73,25 @@ def test_a_rising_force_stops_before_it_is_there():
     assert 0.8 < 0.03 * k < 1.5
 
 
-def test_a_force_against_the_withdrawal_counts_there_and_the_other_does_not():
+def test_only_force_against_the_withdrawal_stops_it():
+    """During a withdrawal only a force against it stops the motion."""
     manager, sensor = inserting()
     sensor.reads(axial=2.5, lateral=1.5)
+
     assert run(manager, 0.01).state is State.STOPPED
     assert manager.request("withdraw") == ""
     assert run(manager, 0.1).state is State.WITHDRAW
+
     sensor.reads(axial=-2.5)
     assert run(manager, 0.1).state is State.STOPPED
 
 
-def test_what_spoils_the_force_stops_an_insertion_but_no_dwell_and_no_withdrawal():
+def test_an_unusable_force_stops_only_advancing():
+    """A doubtful force stops an insertion, but neither a dwell nor a withdrawal."""
     manager, sensor = inserting()
     manager.request("arrived")
     sensor.reads(warnings=SensorWarning.TARE_EXPIRED, message="the tare has expired")
+
     assert run(manager, 0.01).state is State.DWELL
     assert manager.request("insert") == ""
     assert run(manager, 0.01).state is State.STOPPED
@@ -93,7 +99,8 @@ def test_what_spoils_the_force_stops_an_insertion_but_no_dwell_and_no_withdrawal
     assert run(manager, 0.1).state is State.WITHDRAW
 
 
-def test_an_approach_stops_at_the_axial_limit_once_the_force_is_tared():
+def test_a_tared_approach_stops_at_the_axial_limit():
+    """An approach stops at the axial limit once the force is tared."""
     for status, state in (
         (Status.OK, State.STOPPED),
         (Status.NOT_TARED, State.APPROACH),
@@ -125,28 +132,35 @@ def test_single_bad_samples_do_not_stop():
 )
 def test_commands_and_a_sensor_beside_are_watched(beside, reason):
     manager, _ = inserting()
-    now = run(manager, 0.1, beside)
-    assert not now.is_moving
-    assert reason in now.reason
+    situation = run(manager, 0.1, beside)
+
+    assert not situation.is_moving
+    assert reason in situation.reason
 
 
 def test_a_late_sample_and_a_silent_program_stop():
     manager, _ = inserting()
-    now = run(manager, 1e-3, dt_s=0.05)
-    assert now.state is State.FAULTED
-    assert "no sample for 50 ms" in now.reason
+    situation = run(manager, 1e-3, dt_s=0.05)
+
+    assert situation.state is State.FAULTED
+    assert "no sample for 50 ms" in situation.reason
     assert "fault persists" in manager.request("reset")
+
     run(manager, 0.2)
+
     assert manager.request("reset") == ""
     assert manager.request("insert") == ""
+
     for _ in range(150):
-        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
-    assert now.state is State.STOPPED
-    assert "no heartbeat" in now.reason
+        situation = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+
+    assert situation.state is State.STOPPED
+    assert "no heartbeat" in situation.reason
     assert "sign of life" in manager.request("withdraw")
 
 
-def test_the_time_that_a_tare_takes_is_no_lost_arm():
+def test_the_time_of_a_tare_is_no_fault():
+    """The time that the program spends in a tare is not counted as a lost arm."""
     for late_s, state in ((0.05, State.IDLE), (0.5, State.FAULTED)):
         manager, sensor = new_manager()
         run(manager, 0.2)
@@ -157,20 +171,24 @@ def test_the_time_that_a_tare_takes_is_no_lost_arm():
         )
         assert manager.request("arrived") == ""
         assert run(manager, 5e-3).state is State.IDLE  # what the arm has sent meanwhile
-        now = run(manager, dt_s=late_s)
-        assert (now.state, "no sample" in now.reason) == (state, state is State.FAULTED)
+        situation = run(manager, dt_s=late_s)
+        assert situation.state is state
+        assert ("no sample" in situation.reason) is (state is State.FAULTED)
         assert (
             run(manager, dt_s=0.06).state is State.FAULTED
         )  # that time has passed once
 
 
-def test_a_program_that_falls_silent_in_a_dwell_stops():
+def test_a_silent_program_stops_in_a_dwell():
     manager, _ = inserting()
+
     assert manager.request("arrived") == ""
     assert run(manager, 0.2).is_moving  # a stopped tip is held
     for _ in range(150):
-        now = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
-    assert (now.state, "no heartbeat" in now.reason) == (State.STOPPED, True)
+        situation = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
+
+    assert situation.state is State.STOPPED
+    assert "no heartbeat" in situation.reason
 
 
 def test_a_clock_that_is_set_moves_no_time():
@@ -186,15 +204,17 @@ def test_limits_are_positive_numbers(value):
         SafetyLimits(axial_N=value)
 
 
-def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
+def test_invalid_force_or_command_stops():
+    """A force that is no number stops a motion, an invalid command is reported."""
     manager, _ = inserting()
-    now = run(manager, 0.005, Beside(axial_N=np.nan))  # a few are skipped
-    assert now.state is State.INSERTION
-    now = run(manager, 0.01, Beside(axial_N=np.nan))
-    assert (now.state, "axial force of the sensor nan" in now.reason) == (
-        State.FAULTED,
-        True,
-    )
+    situation = run(manager, 0.005, Beside(axial_N=np.nan))  # a few are skipped
+
+    assert situation.state is State.INSERTION
+
+    situation = run(manager, 0.01, Beside(axial_N=np.nan))
+    assert situation.state is State.FAULTED
+    assert "axial force of the sensor nan" in situation.reason
+
     for command in (
         np.full(7, np.nan),
         np.zeros(6),
@@ -206,13 +226,15 @@ def test_what_came_beside_a_sample_stops_or_is_reported_where_it_is_no_number():
         manager, _ = inserting()
         reason = run(manager, beside=Beside(command_rad_s=command)).reason
         assert "expected 7 finite numbers" in reason
+
     assert (
         run(inserting()[0], beside=Beside(command_rad_s=[0.0] * 7)).state
         is State.INSERTION
     )
 
 
-def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
+def test_one_bad_reading_hides_no_later_force():
+    """After a single bad reading a rising force still stops the motion in time."""
     stops = []
     for bad in (False, True):
         manager, _ = inserting()
@@ -224,5 +246,6 @@ def test_a_single_bad_reading_does_not_hide_the_force_that_follows():
             ):
                 break
         stops.append(k)
+
     assert stops[0] < 200
     assert abs(stops[0] - stops[1]) <= 1

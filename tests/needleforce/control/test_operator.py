@@ -11,7 +11,8 @@ def held(at_m=(0.0, 0.0, 0.0), **hand):
     return HapticMaster(Operator(wish_m=lambda t_s: at_m, **hand), position_step_m=0.0)
 
 
-def test_a_held_force_moves_the_hand_as_a_damped_spring_does():
+def test_the_hand_is_a_damped_spring():
+    """A held force moves the hand as a damped spring does."""
     master = held(stiffness_N_per_m=200.0, mass_kg=1.75, damping_Ns_per_m=8.0)
     force = 1.5
     decay = 8.0 / 4.0
@@ -24,12 +25,14 @@ def test_a_held_force_moves_the_hand_as_a_damped_spring_does():
         swing = np.cos(rate * t_s) + decay / rate * np.sin(rate * t_s)
         expected = force / 200.0 * (1.0 - np.exp(-decay * t_s) * swing)
         assert master.position_m[0] == pytest.approx(expected, abs=1e-12)
+
     assert master.port_energy_J == pytest.approx(-force * master.position_m[0])
     assert master.least_energy_J <= master.port_energy_J
 
 
-def test_a_brake_takes_energy_and_what_springs_back_gives_it():
-    seen = {}
+def test_a_brake_takes_energy_a_motor_gives_it():
+    """A brake takes energy from the hand, a motor gives it energy."""
+    masters = {}
     for name, law in (
         ("brake", lambda x, v: -20.0 * v),
         ("motor", lambda x, v: 12.0 * v),
@@ -39,31 +42,38 @@ def test_a_brake_takes_energy_and_what_springs_back_gives_it():
         for _ in range(3000):
             master.read()
             master.render(law(master.position_m, master.velocity_m_s))
-        seen[name] = master
-    assert seen["brake"].least_energy_J > -1e-9 < seen["brake"].port_energy_J
-    assert seen["motor"].least_energy_J < -0.01
+        masters[name] = master
+
+    assert masters["brake"].least_energy_J > -1e-9 < masters["brake"].port_energy_J
+    assert masters["motor"].least_energy_J < -0.01
 
 
-def test_the_device_reports_steps_of_its_encoders_and_a_smoothed_velocity():
+def test_the_device_reports_encoder_steps():
+    """The device reports steps of its encoders and a smoothed velocity."""
     master = HapticMaster(Operator(wish_m=lambda t_s: (0.05 * t_s, 0.0, 0.0)))
     samples = [master.read() for _ in range(3000)]
     place = np.array([sample.position_m[0] for sample in samples])
+
     np.testing.assert_allclose(place / 1e-5, np.round(place / 1e-5), atol=1e-6)
+
     speed = np.array([sample.velocity_m_s[0] for sample in samples[2000:]])
     assert speed.mean() == pytest.approx(0.05, rel=0.02)
     assert 0.0 < speed.std() < 5e-3
     assert samples[-1].t_s == pytest.approx(3.0)
 
 
-def test_a_device_that_is_gone_reports_nothing_and_shows_nothing():
+def test_a_disconnected_device_reports_and_shows_nothing():
+    """A disconnected device reports nothing and shows no force."""
     master = held()
     master.read()
     master.disconnect(0.05)
     for _ in range(50):
         assert master.read() is None
         master.render((5.0, 0.0, 0.0))
+
     np.testing.assert_array_equal(master.position_m, 0.0)
     assert master.read() is not None
+
     master.render((np.nan, 0.0, 0.0))
     assert np.isfinite(master.read().position_m).all()
 
@@ -74,6 +84,7 @@ def test_drawn_hands_are_within_their_range():
         for k in range(50)
     ]
     stiffness = [hand.stiffness_N_per_m for hand in hands]
+
     assert 150.0 < min(stiffness) < 200.0 < 450.0 < max(stiffness) < 600.0
     assert all(1.0 < hand.mass_kg < 2.0 for hand in hands)
 

@@ -62,7 +62,7 @@ def test_a_task_without_rows_cannot_be_made():
 
 
 @pytest.mark.parametrize("index", range(4))
-def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
+def test_rates_are_errors_at_gain_one(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
     tool = tool_at(Q)
     step = 1e-6
@@ -75,10 +75,12 @@ def test_a_task_with_gain_one_is_the_rate_at_which_its_error_falls(index):
         slope = (rows_of(task, ahead)[1] - rows_of(task, behind)[1]) / (2.0 * step)
         # Second order in the error itself, which turns with the tool.
         assert -slope == pytest.approx(rows[:, joint], abs=0.03)
+
     assert np.abs(rates).max() > 1e-4
 
 
-def test_leaks_stay_below_the_target_and_hostile_ticks_within_limits(monkeypatch):
+def test_leaks_and_hostile_ticks_stay_within_targets(monkeypatch):
+    """Leaks into higher tasks and hostile ticks stay within their targets."""
     monkeypatch.setattr(control_priority, "STACKS", 60)
     monkeypatch.setattr(control_priority, "TICKS", 2000)
     limits = {target.metric: target.at_most for target in TARGETS}
@@ -89,7 +91,8 @@ def test_leaks_stay_below_the_target_and_hostile_ticks_within_limits(monkeypatch
             assert item.method == "published" or item.value <= limits[item.metric], item
 
 
-def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
+def test_without_tasks_or_samples_it_brakes():
+    """Without tasks or with bad samples the arm brakes within its limits."""
     control = Controller(ROBOT, Limits(ROBOT))
     q = Q.copy()
     for _ in range(50):
@@ -98,23 +101,29 @@ def test_without_tasks_or_with_bad_samples_it_brakes_within_limits():
             + 1e-3
             * control.update(ArmSample(1e-3, q, None, q), [AxialSpeed(0.05)]).dq_rad_s
         )
+
     moving = np.abs(control.last_rad_s).max()
     lost = control.update(ArmSample(1e-3, np.full(7, np.nan), None, q), [])
-    assert (lost.status, np.isfinite(lost.dq_rad_s).all()) == ("skipped", True)
+
+    assert lost.status == "skipped"
+    assert np.isfinite(lost.dq_rad_s).all()
+
     bad = control.update(
         ArmSample(1e-3, np.full(7, np.nan), None, q), [AxialSpeed(0.05)]
     )
-    assert (bad.status, moving - np.abs(bad.dq_rad_s).max() > 0.005) == (
-        "skipped",
-        True,
-    )
+
+    assert bad.status == "skipped"
+    assert moving - np.abs(bad.dq_rad_s).max() > 0.005
+
     for _ in range(200):
-        last = control.update(ArmSample(1e-3, q, None, q), [])
-    assert last.status == "braking"
-    assert not last.dq_rad_s.any()
+        command = control.update(ArmSample(1e-3, q, None, q), [])
+
+    assert command.status == "braking"
+    assert not command.dq_rad_s.any()
 
 
-def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
+def test_decoupled_motion_turns_without_moving_the_tip():
+    """A turn that is asked for does not move the tip."""
     control = Controller(ROBOT, Limits(ROBOT))
     q = Q.copy()
     control.tool.update(q)
@@ -124,12 +133,15 @@ def test_the_wish_of_decoupled_motion_turns_without_moving_the_tip():
         motion.move(control.tool, np.zeros(3), (0.1, 0.0, 0.0), 1e-3)
         command = control.update(ArmSample(1e-3, q, None, q), [motion, Posture(Q)])
         q = q + 1e-3 * command.dq_rad_s
+
     tool = tool_at(q)
+
     assert np.linalg.norm(pin.log3(tool.rotation @ tool_at(Q).rotation.T)) > 0.03
     assert np.linalg.norm(tool.tip_m - start_m) < 1e-4
 
 
-def test_a_pause_or_a_time_that_is_none_moves_no_wish_of_decoupled_motion_away():
+def test_pauses_move_no_goal_away():
+    """Neither a pause nor an invalid time step moves the goal far away."""
     tool = tool_at(Q)
     motion = DecoupledMotion(tool)
     for dt_s, most_m in (
@@ -141,10 +153,11 @@ def test_a_pause_or_a_time_that_is_none_moves_no_wish_of_decoupled_motion_away()
         before_m = motion.goal_m
         motion.move(tool, (0.0, 0.0, 0.03), np.zeros(3), dt_s)
         assert np.linalg.norm(motion.goal_m - before_m) <= 1.001 * most_m
+
     assert motion.goal_m[2] > tool.tip_m[2]
 
 
-def test_tasks_that_cannot_be_compared_are_tasks_as_others():
+def test_tasks_without_equality_are_served_too():
     @dataclass
     class Push:
         wish: np.ndarray
@@ -195,7 +208,8 @@ def test_a_margin_that_lets_limits_pass_is_refused(margin_rad):
         lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.zeros((7, 7))),
     ],
 )
-def test_a_task_or_a_start_that_cannot_be_is_refused(make):
+def test_an_impossible_task_or_start_is_refused(make):
+    """Tasks and start velocities with invalid numbers are refused."""
     with pytest.raises(SettingError, match=r"expected|needs"):
         make(tool_at(Q))
 
@@ -206,7 +220,8 @@ def test_a_start_is_within_the_limits_of_speed():
     assert (control.last_rad_s <= ROBOT.velocity_limit_rad_s).all()
 
 
-def test_whatever_a_sample_or_a_stack_brings_it_answers_and_keeps_the_last_tool():
+def test_bad_input_is_skipped_and_changes_nothing():
+    """Invalid samples and stacks are skipped, and the pose of the tool stays."""
     control = Controller(ROBOT, Limits(ROBOT))
     good = ArmSample(1e-3, Q, None, Q)
     control.update(good, [])
@@ -216,18 +231,25 @@ def test_whatever_a_sample_or_a_stack_brings_it_answers_and_keeps_the_last_tool(
         ArmSample(10**400, Q, None, Q),
         object(),
     )
-    for sample, stack in (*((each, []) for each in bad), (good, [None]), (good, 3)):
+    for sample, stack in (
+        *((bad_sample, []) for bad_sample in bad),
+        (good, [None]),
+        (good, 3),
+    ):
         assert control.update(sample, stack).status == "skipped"
-    one = [JointVelocity([0.1]), AxialSpeed(0.0)]
-    assert "1 joints" in control.update(good, one).reason
+
+    short_stack = [JointVelocity([0.1]), AxialSpeed(0.0)]
+
+    assert "1 joints" in control.update(good, short_stack).reason
     assert control.tool.tip_m.tolist() == tip_m.tolist()
 
 
-def test_cost_of_control_is_measured_beside_its_bare_calls(monkeypatch):
+def test_control_cost_is_relative_to_bare_calls(monkeypatch):
     monkeypatch.setattr(control_speed, "SECONDS", 1.0)
     monkeypatch.setattr(control_speed, "WARM_TICKS", 300)
     (table,), is_met = control_speed.control_speed_report(lambda part: None)
     rows = {line[0]: line for line in table.lines}
+
     assert float(rows["Jacobian and placement"][3]) == 1.0
     assert 1.0 < float(rows["control"][3]) < float(rows["session and control"][3])
     assert is_met == all("missed" not in line for line in table.lines)
@@ -242,10 +264,12 @@ def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):
     for posture in control_priority.POSTURES:
         assert values[f"cascade_gain_{posture}_rad_per_s"] < 1e-6
         assert values[f"duality_gain_{posture}_rad_per_s"] < 1e-7
+
     assert values["cascade_gain_regular_rad_per_s"] < 1e-8
 
 
-def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
+def test_tasks_of_other_robots_are_skipped():
+    """Tasks for another number of joints and goals that are no numbers are skipped."""
     control = Controller(ROBOT, Limits(ROBOT))
     sample = ArmSample(1e-3, Q, None, Q)
     short = JointVelocity(np.full(6, 1e-3))
@@ -257,4 +281,5 @@ def test_a_stack_of_another_robot_or_goals_that_are_no_numbers_are_skipped():
     for task, said in tasks:
         for _ in range(3):
             command = control.update(sample, [task])
-            assert (command.status, said in command.reason) == ("skipped", True)
+            assert command.status == "skipped"
+            assert said in command.reason

@@ -22,7 +22,9 @@ SPEED_M_S = 5e-3
 TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSERTION}
 
 
-def found(in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0):
+def identified(
+    in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0
+):
     rupture = (
         None if alarm_N is None else SimpleNamespace(force_N=alarm_N, depth_m=alarm_m)
     )
@@ -40,8 +42,9 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
         noisy_N = (
             force_N + 0.005 * rng.standard_normal() + beat_N * np.sin(8.0 * k * DT)
         )
-        seen = found(alarm_N=alarm_N if k == 3030 else None, **how)
-        ruptures.update(seen, noisy_N, 5e-6 * k, DT, is_steady=steady)
+        identification = identified(alarm_N=alarm_N if k == 3030 else None, **how)
+        ruptures.update(identification, noisy_N, 5e-6 * k, DT, is_steady=steady)
+
     return ruptures.count
 
 
@@ -60,31 +63,39 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
         (0.2, 0.2, {"in_contact": False}, 0),  # the start of the motion
     ],
 )
-def test_a_fall_of_the_force_is_a_rupture_where_nothing_else_explains_it(
-    before_N, fall_N, how, count
-):
+def test_unexplained_falls_of_force_are_ruptures(before_N, fall_N, how, count):
+    """A fall of the force is a rupture where nothing else explains it."""
     assert counted(before_N, fall_N, **how) == count
 
 
-def test_a_late_alarm_of_a_rupture_that_was_counted_is_no_second_one():
+def test_a_late_alarm_is_no_second_rupture():
+    """A late alarm of a rupture that was counted does not count again."""
     ruptures = RuptureCounter()
-    left = []
+    is_counted = []
     for k in range(5000):
         force_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
-        seen = found(alarm_N=2.0, alarm_m=0.015) if k == 4000 else found()
-        left.append(ruptures.update(seen, force_N, 5e-6 * k, DT, is_steady=True))
-    assert np.flatnonzero(left) == pytest.approx([3001], abs=5)
+        identification = (
+            identified(alarm_N=2.0, alarm_m=0.015) if k == 4000 else identified()
+        )
+        is_counted.append(
+            ruptures.update(identification, force_N, 5e-6 * k, DT, is_steady=True)
+        )
+
+    assert np.flatnonzero(is_counted) == pytest.approx([3001], abs=5)
 
 
-def test_a_force_that_falls_behind_a_gap_is_no_rupture():
+def test_a_fall_after_a_gap_is_no_rupture():
+    """A force that falls directly after a gap in the samples is no rupture."""
     for gap_s, event in ((0.0, "rupture"), (3e-3, "")):
         profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1))
         events = []
         for k in range(3050):
             axial_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
-            now = situation(State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N)
-            now.time_s += gap_s * (k > 3000)
-            events.append(profile.update(now).event)
+            situation = make_situation(
+                State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N
+            )
+            situation.time_s += gap_s * (k > 3000)
+            events.append(profile.update(situation).event)
         assert max(events) == event
 
 
@@ -93,8 +104,10 @@ def test_a_reading_that_is_no_number_is_skipped():
     for k in range(3100):
         fallen = k > 3030
         force_N = np.nan if k == 100 else 2.0 * min(k / 3000.0, 1.0) - fallen
-        left = ruptures.update(found(), force_N, 5e-6 * k, DT, is_steady=True)
-        assert k > 3000 or not left
+        is_counted = ruptures.update(
+            identified(), force_N, 5e-6 * k, DT, is_steady=True
+        )
+        assert k > 3000 or not is_counted
     assert ruptures.count == 1
 
 
@@ -108,15 +121,16 @@ def test_a_stroke_begins_where_its_state_begins(approach_m):
     entered = {}
     for k in range(1, 9500):
         state_s += DT
-        now = situation(state, depth_m, k, state_s)
-        now.is_moving = state in MOVING
-        step = profile.update(now)
+        situation = make_situation(state, depth_m, k, state_s)
+        situation.is_moving = state in MOVING
+        step = profile.update(situation)
         depth_m += DT * step.speed_m_s
         assert abs(step.speed_m_s) < 0.05
         if step.event:  # as the manager answers
             state = State.IDLE if step.event == "arrived" else TARGETS[step.event]
             entered[state] = depth_m
             state_s = 0.0
+
     assert entered[State.TARE] == pytest.approx(-0.03 + approach_m, abs=1e-4)
     assert entered[State.INSERTION] == pytest.approx(-0.03 + approach_m, abs=1e-4)
 
@@ -127,10 +141,10 @@ def test_a_plan_that_never_ends_is_refused(wrong):
         InsertionPlan(**{"speed_m_s": 5e-3, "depth_m": 0.01} | wrong)
 
 
-def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
+def make_situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
     wrench = SimpleNamespace(axial_unsmoothed=axial_N)
     estimate = SimpleNamespace(
-        depth_m=depth_m, wrench=wrench, identification=found(**kind)
+        depth_m=depth_m, wrench=wrench, identification=identified(**kind)
     )
     moving = state in (State.TARE, State.INSERTION)
     return SimpleNamespace(
@@ -154,36 +168,51 @@ def situation(state, depth_m, k, state_s, axial_N=2.0, **kind):
         ("guidance idle approach approach idle", "aat"),
     ],
 )
-def test_a_program_goes_on_as_planned_or_not_at_all(states, offered):
+def test_a_program_continues_as_planned_or_ends(states, offered):
+    """What is refused, released or stopped ends the program."""
     plan = InsertionPlan(speed_m_s=0.01, depth_m=0.1, approach_m=0.02, stroke_s=1.0)
     profile = InsertionProfile(plan)
     events = []
     names = states.split()
-    for k, (before, name) in enumerate(zip(["", *names], names, strict=False)):
-        now = situation(State(name), 0.0, k, 5.0 if name == before else 0.0)
-        events.append(profile.update(now).event)
+    for k, (last_name, name) in enumerate(zip(["", *names], names, strict=False)):
+        situation = make_situation(
+            State(name), 0.0, k, 5.0 if name == last_name else 0.0
+        )
+        events.append(profile.update(situation).event)
+
     assert "".join(event[:1] for event in events if event) == offered
 
 
-def test_a_needle_above_its_zero_is_withdrawn_and_no_hold_is_faster_than_the_plan():
+def test_holding_is_no_faster_than_planned():
+    """A needle above its zero is withdrawn; holding keeps the planned speed limit."""
     profile = InsertionProfile(
         InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=np.int64(1))
     )
-    assert profile.update(situation(State.WITHDRAW, -0.035, 1, 1.0)) == (0.0, "arrived")
-    profile.update(situation(State.INSERTION, 0.025, 2, 1.0))
-    assert profile.update(situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S
+
+    assert profile.update(make_situation(State.WITHDRAW, -0.035, 1, 1.0)) == (
+        0.0,
+        "arrived",
+    )
+    profile.update(make_situation(State.INSERTION, 0.025, 2, 1.0))
+    assert (
+        profile.update(make_situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S
+    )
 
 
-def test_the_force_of_an_arm_that_gets_under_way_is_no_rupture():
+def test_the_force_of_starting_is_no_rupture():
+    """The force with which an arm accelerates is no rupture."""
     profile = InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1))
     depth_m = 0.0
     events = {}
     for k in range(1500):
         axial_N = 0.8 * (20 < k < 200 or 1000 < k < 1200)  # it accelerates for 200 ms
-        step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
+        step = profile.update(
+            make_situation(State.INSERTION, depth_m, k, k * DT, axial_N)
+        )
         depth_m += DT * step.speed_m_s
         if step.event:
             events.setdefault(step.event, k)
+
     assert events["rupture"] == pytest.approx(1205, abs=10)
 
 
@@ -192,36 +221,53 @@ def test_a_jerk_of_the_arm_is_no_rupture():
     depth_m = 0.0
     for k in range(6000):
         axial_N = 2.9 + 0.5 * (k % 1000 in (998, 999))  # 1.6 m/s² for two samples
-        step = profile.update(situation(State.INSERTION, depth_m, k, k * DT, axial_N))
+        step = profile.update(
+            make_situation(State.INSERTION, depth_m, k, k * DT, axial_N)
+        )
         depth_m += DT * step.speed_m_s
         assert step.event == ""
 
 
-def test_behind_a_rupture_the_command_goes_back_to_the_tip_and_holds_it():
+def test_after_a_rupture_the_tip_is_held():
+    """After a rupture the command returns to the tip, then holds it."""
     profile = InsertionProfile(
         InsertionPlan(speed_m_s=SPEED_M_S, depth_m=0.05, layer=1)
     )
     asked_m = tip_m = 0.0
     for k in range(1000):
-        step = profile.update(situation(State.INSERTION, tip_m, k, k * DT))
+        step = profile.update(make_situation(State.INSERTION, tip_m, k, k * DT))
         asked_m += DT * step.speed_m_s
         tip_m = asked_m - min(0.5e-3, 0.2 * asked_m)  # stretched by half a millimetre
-    step = profile.update(situation(State.INSERTION, tip_m, 1000, 1.0, alarm_N=9.0))
+
+    step = profile.update(
+        make_situation(State.INSERTION, tip_m, 1000, 1.0, alarm_N=9.0)
+    )
+
     assert step.event == "rupture"
+
     speeds = [step.speed_m_s]
     for k in range(1001, 1200):
         asked_m += DT * speeds[-1]
-        speeds.append(profile.update(situation(State.DWELL, tip_m, k, 1e-3)).speed_m_s)
+        speeds.append(
+            profile.update(make_situation(State.DWELL, tip_m, k, 1e-3)).speed_m_s
+        )
+
     assert min(speeds) < -0.01
     assert asked_m == pytest.approx(tip_m, abs=5e-5)
     assert speeds[-1] == 0.0
-    back = profile.update(situation(State.DWELL, tip_m - 1e-4, 1200, 2e-3))
+
+    back = profile.update(make_situation(State.DWELL, tip_m - 1e-4, 1200, 2e-3))
+
     assert back.speed_m_s == pytest.approx(5e-4)
-    assert profile.update(situation(State.STOPPED, tip_m, 1201, 0.0)).speed_m_s == 0.0
+    assert (
+        profile.update(make_situation(State.STOPPED, tip_m, 1201, 0.0)).speed_m_s == 0.0
+    )
 
 
-def test_a_target_is_a_depth_where_the_needle_points_at_it():
+def test_targets_on_the_needle_line_have_depths():
+    """A target on the needle's line becomes a depth, another one is refused."""
     axis = np.array((0.0, 0.0, -1.0))
+
     with pytest.raises(SettingError, match="expected a direction"):
         depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), np.zeros(3))
     assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)

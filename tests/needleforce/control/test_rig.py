@@ -1,6 +1,8 @@
 """The arm in closed loop: its physics, contacts, latency, sensors and faults."""
 
 from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +13,7 @@ from hypothesis import strategies as st
 from groundtruth import sensors
 from groundtruth.arm_plant import ArmPlant, TissueContact, lwr_bodies
 from groundtruth.errors import PlantError, PlantModelError
-from groundtruth.plant_model import PLANT_MODELS, TICK_s
+from groundtruth.plant_model import CLEAN, DEGRADED, FRI, IDEAL, TICK_s
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
 from groundtruth.rig_contacts import (
     HandOnArm,
@@ -24,20 +26,20 @@ from groundtruth.tissue import Tissue
 from needleforce import InsertionSession
 from urdf import NeedleTool
 
-IDEAL, CLEAN, FRI, DEGRADED = PLANT_MODELS.values()
 DOWN = np.array([0.0, 0.0, -1.0])
 REST = np.zeros(7)
 
 
 def run(rig, seconds, velocity=lambda t_s, rig: REST):
     """Samples of some time, each answered by a joint velocity."""
-    found = []
+    samples = []
     for sample in rig:
-        found.append(sample)
+        samples.append(sample)
         if rig.time_s >= seconds:
             break
         rig.send(velocity(rig.time_s, rig))
-    return found
+
+    return samples
 
 
 def jacobian(robot, q_rad, frame):
@@ -50,34 +52,32 @@ def jacobian(robot, q_rad, frame):
 
 def down(speed_m_s):
     """Commands that move the tip down by the inverse Jacobian at home."""
-    found = {}
 
-    def velocity(t_s, rig):
-        if "pinv" not in found:
-            found["pinv"] = np.linalg.pinv(
-                jacobian(rig.robot, rig.home_rad, "needle_tip")
-            )
-        return found["pinv"][:, :3] @ (speed_m_s * DOWN)
+    @cache
+    def inverse_jacobian(rig):
+        return np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
 
-    return velocity
+    return lambda t_s, rig: inverse_jacobian(rig)[:, :3] @ (speed_m_s * DOWN)
 
 
 @pytest.mark.parametrize("servo", ["stiff", "impedance"])
 @pytest.mark.parametrize(("at", "joint"), [("hub", 7), ("wrist", 6), ("elbow", 4)])
-def test_a_hand_loads_the_joints_by_its_jacobian_and_not_the_ft_sensor(
-    servo, at, joint
-):
+def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
+    """A hand loads the joints by its Jacobian, and not the F/T sensor."""
     push = np.array([8.0, -4.0, 3.0])
     free, held = (
         SimulatedArm(plant=IDEAL, servo=servo, contacts=contacts)
         for contacts in ((), [HandOnArm(at=at, force_N=lambda t_s: push)])
     )
-    run(free, 0.4), run(held, 0.4)
+    for rig in (free, held):
+        run(rig, 0.4)
+
     truth = held.truth
     robot = held.robot
     frame = robot.flange_frame if at == "hub" else robot.model.names[joint]
     gravity = pin.rnea(robot.model, robot.create_data(), truth.q_rad, REST, REST)
     expected = gravity - jacobian(robot, truth.q_rad, frame)[:3].T @ push
+
     np.testing.assert_allclose(truth.tau_Nm, expected, atol=2e-3)
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
 
@@ -91,29 +91,38 @@ def test_free_strokes_are_a_tare(plant):
         rig, 6.0, lambda t_s, rig: np.sin(np.pi / 3.0 * t_s) * wish(t_s, rig)
     ):
         session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+
     session.tare()
+
     assert session.tared
 
 
-def test_a_force_on_the_tip_reaches_joints_and_ft_sensor_and_bends_the_arm_as_its_servo_allows():
+def test_a_tip_force_bends_the_arm_as_expected():
+    """A tip force reaches joints and F/T sensor, and bends the arm by its servo."""
     push = np.array([2.0, 1.0, -3.0])
     free, held = (
         SimulatedArm(plant=IDEAL, contacts=contacts)
         for contacts in ((), [HandOnArm(at="tip", force_N=lambda t_s: push)])
     )
-    run(free, 0.4), run(held, 0.4)
+    for rig in (free, held):
+        run(rig, 0.4)
+
     truth = held.truth
-    seen = truth.rotation @ (held.ft_wrench - free.ft_wrench)[:3]
-    np.testing.assert_allclose(seen, push, atol=0.02)
+    measured_N = truth.rotation @ (held.ft_wrench - free.ft_wrench)[:3]
+
+    np.testing.assert_allclose(measured_N, push, atol=0.02)
+
     rows = jacobian(held.robot, truth.q_rad, "needle_tip")[:3]
     mass = pin.crba(held.robot.model, held.robot.create_data(), truth.q_rad)
     compliance = rows @ np.linalg.solve(200.0**2 * mass, rows.T)
+
     np.testing.assert_allclose(
         truth.tip_m - free.truth.tip_m, compliance @ push, atol=2e-6
     )
 
 
-def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
+def test_momentum_changes_by_torques_and_hand_force():
+    """Momentum of a moving arm changes by its torques and the hand's force."""
     push = np.array([6.0, -9.0, 4.0])
     rig = SimulatedArm(
         plant=IDEAL, contacts=[HandOnArm(at="wrist", force_N=lambda t_s: push)]
@@ -133,46 +142,63 @@ def test_momentum_of_a_moving_arm_changes_by_its_torques_and_the_hands_force():
         rate.append(
             (drift + jacobian(rig.robot, q, model.names[6])[:3].T @ push, truth.tau_Nm)
         )
-        next(rig), rig.send(np.full(7, 0.3))
+        next(rig)
+        rig.send(np.full(7, 0.3))
+
     drift, torque = np.array(rate).transpose(1, 0, 2)
     # The torque is held over a tick, the rest changes along it.
     impulse = TICK_s * (0.5 * (drift[1:] + drift[:-1]) + torque[:-1])
+
     np.testing.assert_allclose(np.diff(momentum, axis=0), impulse, atol=2e-7)
 
 
-def test_elastic_contacts_keep_the_energy_of_an_arm_without_motors():
+WALL_N_per_m = 20e3
+TROCAR_N_per_m = 1000.0
+HAND_N_per_m = 500.0
+
+
+def plant_with_contacts(wall, trocar, hand):
+    """An arm without motors that moves towards a wall, and the model of its bodies."""
     bodies = lwr_bodies(NeedleTool(), IDEAL, np.random.default_rng(0))
     air = TissueContact(
         law=Tissue(()), surface_in_base_m=np.zeros(3), axis_in_base=DOWN
     )
-    wall = Wall(distance_m=2e-3, damping_Ns_per_m=0.0)
-    trocar = Trocar(behind_tip_m=0.05, damping_Ns_per_m=0.0)
-    hand = HandOnArm(at="elbow", path_m=lambda t_s: (0, 0, 0), damping_Ns_per_m=0.0)
     plant = ArmPlant(bodies, air, touching=[wall, trocar, hand])
     rig = SimulatedArm(plant=IDEAL)
     towards = np.linalg.pinv(jacobian(rig.robot, rig.home_rad, "needle_tip"))
     plant.place(rig.home_rad, towards[:, :3] @ (0.1 * DOWN))
-    model = bodies.model()
-    data = bodies.model().createData()
-    start = plant.tip_m.copy()
+    return plant, bodies.model()
+
+
+def test_elastic_contacts_conserve_energy():
+    """Elastic contacts keep the energy of an arm without motors."""
+    wall = Wall(distance_m=2e-3, damping_Ns_per_m=0.0)
+    trocar = Trocar(behind_tip_m=0.05, damping_Ns_per_m=0.0)
+    hand = HandOnArm(at="elbow", path_m=lambda t_s: (0, 0, 0), damping_Ns_per_m=0.0)
+    plant, model = plant_with_contacts(wall, trocar, hand)
+    data = model.createData()
+    start_m = plant.tip_m.copy()
     axis = plant.tip_axes[:, 2].copy()
-    elbows = []
-    pressed = []
-    found = []
+    elbows_m = []
+    presses_m = []
+    energies_J = []
     for _ in range(100):
-        energy = pin.computeKineticEnergy(model, data, plant.q_rad, plant.dq_rad_s)
-        energy += pin.computePotentialEnergy(model, data, plant.q_rad)
+        arm_J = pin.computeKineticEnergy(model, data, plant.q_rad, plant.dq_rad_s)
+        arm_J += pin.computePotentialEnergy(model, data, plant.q_rad)
         pin.forwardKinematics(model, data, plant.q_rad)
-        elbows.append(data.oMi[4].translation.copy())
-        pressed.append(max((plant.tip_m - start) @ axis - wall.distance_m, 0.0))
-        aside = distance_to_axis_m(trocar.point_m, plant.tip_m, plant.tip_axes[:, 2])
-        springs = 20e3 * pressed[-1] ** 2 + 1000.0 * aside**2
-        springs += 500.0 * ((elbows[-1] - elbows[0]) ** 2).sum()
-        found.append(energy + 0.5 * springs)
+        elbows_m.append(data.oMi[4].translation.copy())
+        presses_m.append(max((plant.tip_m - start_m) @ axis - wall.distance_m, 0.0))
+        aside_m = distance_to_axis_m(trocar.point_m, plant.tip_m, plant.tip_axes[:, 2])
+        springs_J = 0.5 * WALL_N_per_m * presses_m[-1] ** 2
+        springs_J += 0.5 * TROCAR_N_per_m * aside_m**2
+        springs_J += 0.5 * HAND_N_per_m * ((elbows_m[-1] - elbows_m[0]) ** 2).sum()
+        energies_J.append(arm_J + springs_J)
         plant.tick(np.zeros(7))
-    exchanged = 0.5 * 20e3 * max(pressed) ** 2
-    assert exchanged > 0.05
-    assert np.ptp(found) < 0.01 * exchanged
+
+    exchanged_J = 0.5 * WALL_N_per_m * max(presses_m) ** 2
+
+    assert exchanged_J > 0.05
+    assert np.ptp(energies_J) < 0.01 * exchanged_J
 
 
 POINT = st.floats(-0.1, 0.1)
@@ -183,11 +209,14 @@ def test_a_trocar_pulls_across_the_needle_only(offset, along_m_s):
     trocar = Trocar(behind_tip_m=0.03)
     axis = (0.0, 0.6, -0.8)
     trocar.begin(PointMotion((0.1, 0.2, 0.3), axis, (0, 0, 0), (0, 0, 0)))
-    sliding = tuple(along_m_s * part for part in axis)
+    sliding = tuple(along_m_s * component for component in axis)
     tip = tuple(np.add((0.1, 0.2, 0.3), offset))
     force, place = trocar.force(0.0, PointMotion(tip, axis, sliding, (0, 0, 0)))
+
     assert abs(np.dot(force, axis)) < 1e-9
+
     expected = np.subtract(trocar.point_m, place)
+
     np.testing.assert_allclose(force, 1000.0 * expected, atol=1e-9)
     assert distance_to_axis_m(trocar.point_m, tip, np.array(axis)) == pytest.approx(
         float(np.linalg.norm(expected)), abs=1e-12
@@ -202,6 +231,7 @@ def test_a_wall_never_pulls(beyond_m, speed_m_s):
         (0, 0, 0.48 - beyond_m), (0, 0, -1), (0, 0, -speed_m_s), (0, 0, 0)
     )
     push = wall.force(0.0, motion)[0][2]
+
     assert push >= 0.0
     if beyond_m > 1e-9:
         assert push == pytest.approx(
@@ -217,85 +247,108 @@ def test_a_hand_leads_along_its_path():
     force, place = hand.force(
         2.0, PointMotion((1, 2, 3), (0, 0, 1), (0.1, 0, 0), (0, 0, 0))
     )
+
     assert place == (1, 2, 3)
     np.testing.assert_allclose(force, (400.0 * 0.02 - 8.0 * 0.1, 0.0, 0.0))
     assert hand.applied_N == force
 
 
-def test_a_command_acts_after_the_latency_and_not_before():
+def test_a_command_acts_after_the_latency():
     step = np.array([0.0, 0.02, 0.0, 0.0, 0.0, 0.03, 0.0])
-    seen = {}
+    q_rad = {}
     for ticks in (1, 6):
         rig = SimulatedArm(plant=IDEAL, latency_s=ticks * TICK_s)
-        seen[ticks] = np.array([s.q_rad for s in run(rig, 0.1, lambda t_s, rig: step)])
-    np.testing.assert_allclose(seen[1][:-5], seen[6][5:], atol=1e-9)
-    moved = np.abs(seen[6] - seen[6][0]).max(axis=1)
+        q_rad[ticks] = np.array([s.q_rad for s in run(rig, 0.1, lambda t_s, rig: step)])
+
+    np.testing.assert_allclose(q_rad[1][:-5], q_rad[6][5:], atol=1e-9)
+    moved = np.abs(q_rad[6] - q_rad[6][0]).max(axis=1)
     assert moved[6] < 1e-12 < 1e-7 < moved[8]
 
 
-def test_without_commands_the_arm_brakes_within_half_a_millimetre():
+def test_without_commands_the_arm_brakes_at_once():
     rig = SimulatedArm(plant=IDEAL, servo="impedance")
     run(rig, 0.3, down(0.02))
     start = rig.truth.tip_m
     rig.lose("command", 1.0)
     run(rig, 0.6, down(0.02))
+
     assert np.abs(rig.truth.dq_rad_s).max() < 1e-3
     assert 0.05e-3 < np.linalg.norm(rig.truth.tip_m - start) < 0.5e-3
 
 
-def test_the_arm_refuses_what_is_not_finite_and_what_it_was_made_to_refuse():
+def test_the_arm_refuses_commands_as_asked():
+    """The arm refuses commands that are not finite, and those it is told to refuse."""
     rig = SimulatedArm(plant=IDEAL)
     next(rig)
+
     assert not rig.send(np.full(7, np.nan))
     assert rig.send(REST)
+
     rig.refuse_commands(0.003)
     answers = [rig.send(REST) for _, sample in zip(range(5), rig, strict=False)]
     assert answers == [False] * 3 + [True] * 2
 
 
-@pytest.mark.parametrize("plant", [CLEAN, FRI, replace(DEGRADED, drop_probability=0.0)])
-def test_the_sensors_are_those_of_a_run_that_is_known_beforehand(plant):
-    rig = SimulatedArm(plant=plant, seed=5, duration_s=0.2)
-    seed = 5
-    n = 200
-    samples = []
-    truth = []
-    wrench = []
-    for sample in rig:
-        samples.append(sample), truth.append(rig.truth), wrench.append(rig.ft_wrench)
-        rig.send(np.full(7, 0.05))
-    q, dq, tau = (
-        np.array([getattr(t, f) for t in truth])
-        for f in ("q_rad", "dq_rad_s", "tau_Nm")
-    )
+def sensor_generators(seed):
+    """The random generators of a rig's sensors, in the order of their draws."""
     sensing = np.random.SeedSequence(seed).spawn(3)[1]
-    clock, _, position, velocity, torque, ft = map(
-        np.random.default_rng, sensing.spawn(6)
+    names = ("clock", "loss", "position", "velocity", "torque", "wrench")
+    generators = map(np.random.default_rng, sensing.spawn(len(names)))
+    return SimpleNamespace(**dict(zip(names, generators, strict=True)))
+
+
+@pytest.mark.parametrize("plant", [CLEAN, FRI, replace(DEGRADED, drop_probability=0.0)])
+def test_sensors_are_those_of_simulated_runs(plant):
+    """Sensors in closed loop err as those of a run whose motion is given."""
+    seed = 5
+    ticks = 200
+    rig = SimulatedArm(plant=plant, seed=seed, duration_s=ticks * TICK_s)
+    samples = []
+    truths = []
+    wrenches = []
+    for sample in rig:
+        samples.append(sample)
+        truths.append(rig.truth)
+        wrenches.append(rig.ft_wrench)
+        rig.send(np.full(7, 0.05))
+
+    assert len(samples) == ticks
+
+    rngs = sensor_generators(seed)
+    q = np.array([truth.q_rad for truth in truths])
+    tau = np.array([truth.tau_Nm for truth in truths])
+
+    np.testing.assert_array_equal(
+        [sample.q_rad for sample in samples],
+        sensors.measured_position(q, plant, rngs.position),
     )
-    assert len(samples) == n
-    limit_Nm = rig.robot.effort_limit_Nm
-    for seen, expected in (
-        ([s.q_rad for s in samples], sensors.measured_position(q, plant, position)),
-        (
-            [s.tau_Nm for s in samples],
-            sensors.measured_torque(tau, q, limit_Nm, plant, torque),
-        ),
-    ):
-        np.testing.assert_array_equal(np.array(seen), expected)
-    stamps = sensors.time_stamps(np.arange(n) * TICK_s, plant, clock)
+    np.testing.assert_array_equal(
+        [sample.tau_Nm for sample in samples],
+        sensors.measured_torque(tau, q, rig.robot.effort_limit_Nm, plant, rngs.torque),
+    )
+
+    stamps_s = sensors.time_stamps(np.arange(ticks) * TICK_s, plant, rngs.clock)
+
     np.testing.assert_allclose(
-        [s.dt_s for s in samples[1:]], np.diff(stamps), atol=1e-15
+        [sample.dt_s for sample in samples[1:]], np.diff(stamps_s), atol=1e-15
     )
-    expected = sensors.measured_velocity(dq, plant, velocity)
-    if expected is None:
+
+    dq = np.array([truth.dq_rad_s for truth in truths])
+    expected_rad_s = sensors.measured_velocity(dq, plant, rngs.velocity)
+    if expected_rad_s is None:
         assert samples[0].dq_rad_s is None
     else:
-        np.testing.assert_array_equal(np.array([s.dq_rad_s for s in samples]), expected)
-    noise = np.std(np.array(wrench)[10:, 2])
-    assert 0.5 < noise / plant.ft_noise_std[2] < 2.0, ft
+        np.testing.assert_array_equal(
+            [sample.dq_rad_s for sample in samples], expected_rad_s
+        )
+
+    settled = np.array(wrenches)[10:]
+    noise_N = np.std(settled[:, 2])
+
+    assert 0.5 < noise_N / plant.ft_noise_std[2] < 2.0
 
 
-def test_equal_seeds_give_equal_runs_and_others_do_not():
+def test_only_equal_seeds_give_equal_runs():
     first, again, other = (
         run(
             SimulatedArm("stack-glove-constant", FRI, seed, standoff_m=0.0),
@@ -304,40 +357,48 @@ def test_equal_seeds_give_equal_runs_and_others_do_not():
         )
         for seed in (3, 3, 4)
     )
-    for one, two in zip(first, again, strict=True):
-        np.testing.assert_array_equal(one.tau_Nm, two.tau_Nm)
+    for sample, repeated in zip(first, again, strict=True):
+        np.testing.assert_array_equal(sample.tau_Nm, repeated.tau_Nm)
     assert not np.array_equal(first[-1].tau_Nm, other[-1].tau_Nm)
 
 
-def test_lost_samples_and_signals_are_lost_as_long_as_asked():
+def test_samples_and_signals_are_lost_as_asked():
+    """Samples and signals are lost for as long as asked."""
     rig = SimulatedArm(plant=IDEAL)
     next(rig)
     rig.lose("sample", 0.005)
+
     assert next(rig).dt_s == pytest.approx(6e-3)
+
     rig.lose("tau_Nm", 0.002)
     rig.inject(lambda sample: sample._replace(dt_s=-1.0), 0.001)
     first, second, third = (next(rig) for _ in range(3))
+
     assert np.isnan(first.tau_Nm).all()
     assert np.isnan(second.tau_Nm).all()
     assert np.isfinite(third.tau_Nm).all()
     assert (first.dt_s, second.dt_s) == (-1.0, pytest.approx(1e-3))
 
 
-def test_a_plant_that_loses_samples_shows_it_in_the_time_between_them():
+def test_lost_samples_show_in_time_steps():
+    """Samples that a plant leaves out show in the time steps."""
     rig = SimulatedArm(plant=replace(IDEAL, ticks_per_sample=5), duration_s=0.1)
     periods = [sample.dt_s for sample in rig]
+
     np.testing.assert_allclose(periods[1:], [5e-3] * 19)
     assert next(rig, None) is None
     assert (rig.time_s, np.isfinite(rig.ft_wrench).all()) == (0.1, True)
 
 
-def test_tissue_lies_where_it_was_asked_for_and_ruptures_are_counted():
+def test_tissue_lies_as_asked_and_ruptures_count():
+    """Tissue lies where it was asked for and ruptures are counted."""
     rig = SimulatedArm("liver-constant", IDEAL, standoff_m=2e-3)
     run(rig, 0.5, down(0.04))
+
     assert rig.truth.depth_m == pytest.approx(0.04 * 0.5 - 2e-3, abs=1e-3)
-    found = rig.tissue_truth()
-    assert len(found.ruptures) == rig.truth.ruptured > 0
-    assert found.axial_N[-1] == pytest.approx(rig.truth.tissue.axial_N)
+    truth = rig.tissue_truth()
+    assert len(truth.ruptures) == rig.truth.ruptured > 0
+    assert truth.axial_N[-1] == pytest.approx(rig.truth.tissue.axial_N)
 
 
 def test_kinematic_error_displaces_the_true_needle_only():

@@ -36,12 +36,17 @@ def new_manager(log):
 @pytest.mark.parametrize("event", EVENTS)
 def test_every_state_and_event_is_defined_once(state, event):
     rules = [r for r in TABLE if r.event == event and state in r.sources.split()]
+
     assert len(rules) <= 1
+
     target, refused = transition(state, event, ALL)
+
     assert bool(refused) == (not rules)
     assert refused == "" or (target is state and event in refused)
+
     nothing, why = transition(state, event, ())
     guards = rules[0].guards.split() if rules else []
+
     assert set(guards) <= ALL
     assert bool(why) == (not rules or bool(guards))
     assert nothing is (state if why else target)
@@ -67,8 +72,11 @@ def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
     manager = Manager(InsertionSession(ROBOT), log=path)
     manager.update(SAMPLE)
     refused = manager.request("approach", by="someone")
+
     assert "SafetyLimits" in refused
+
     (row,) = [json.loads(line) for line in path.read_text().splitlines()]
+
     assert list(row) == ["seq", "t_s", "from", "event", "to", "refused", "data"]
     assert (row["from"], row["to"], row["refused"]) == ("idle", "idle", refused)
     assert row["data"]["by"] == "someone"
@@ -88,6 +96,7 @@ def test_a_log_out_of_order_is_refused(tmp_path):
     manager = new_manager(path)
     manager.request("stop")
     path.write_text(path.read_text().replace('"seq":0', '"seq":2'))
+
     with pytest.raises(SettingError, match="event 2 is out of order"):
         read_events(path)
 
@@ -97,10 +106,14 @@ def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
         manager = new_manager(tmp_path / "two.jsonl")
         assert manager.request("approach") == ""
         manager.request(event)
+
     events = read_events(tmp_path / "two.jsonl")
+
     assert replay(events) == [event.target for event in events]
+
     write_mcap(events, tmp_path / "two.mcap")
     assert read_events(tmp_path / "two.mcap") == events
+
     whole = (tmp_path / "two.mcap").read_bytes()
     for damaged in (
         b"",
@@ -113,7 +126,8 @@ def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
             read_events(tmp_path / "two.mcap")
 
 
-def test_half_a_line_on_a_full_disk_spoils_no_other(tmp_path):
+def test_half_a_line_spoils_no_other(tmp_path):
+    """A line that a full disk cut short spoils no later one."""
     manager = new_manager(tmp_path / "log.jsonl")
     manager.request("approach")
     sizes = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -123,25 +137,37 @@ def test_half_a_line_on_a_full_disk_spoils_no_other(tmp_path):
         manager.request("stop")
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, sizes)
+
     assert "cannot be written" in manager.update(SAMPLE).reason
     assert read_events(tmp_path / "log.jsonl") == manager.events[:1]
+
     manager.request("release")
     assert read_events(tmp_path / "log.jsonl") == manager.events
 
 
-def test_a_log_that_cannot_be_written_is_refused_at_first_and_reported_later(tmp_path):
+def test_an_unwritable_log_is_refused_or_reported(tmp_path):
+    """A log that cannot be opened is refused, one that fails later is reported."""
     with pytest.raises(OSError, match="No such file"):
         new_manager(tmp_path / "missing" / "log.jsonl")
+
     log = tmp_path / "log.jsonl"
     manager = new_manager(log)
+
     assert manager.request("approach") == ""
+
     written = log.read_bytes()
     log.unlink()
     log.mkdir()  # as a disk that is full
+
     assert manager.request("stop") == ""
-    now = manager.update(SAMPLE)
-    assert (now.state, "cannot be written" in now.reason) == (State.STOPPED, True)
+
+    situation = manager.update(SAMPLE)
+
+    assert situation.state is State.STOPPED
+    assert "cannot be written" in situation.reason
+
     log.rmdir()
     log.write_bytes(written)
     manager.request("release")
+
     assert read_events(log) == manager.events
