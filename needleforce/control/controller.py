@@ -76,6 +76,7 @@ class Controller:
             raise SettingError(f"limits of {joints} joints, the robot has {robot.nv}")
         self.tool = ToolState(robot)
         self._limits = limits.joints
+        self._limit_rows = np.array(limits.joints)
         self._joints = joints
         self._solve = solve
         self._stacks: dict[tuple[int, ...], Stack] = {}
@@ -123,7 +124,7 @@ class Controller:
             numbers = self._stack
             numbers.fill(stack, self.tool)
             write_velocity_bounds(
-                self._limits, q_rad, self.last_rad_s, self._step_s, numbers.bounds
+                self._limit_rows, q_rad, self.last_rad_s, self._step_s, numbers.bounds
             )
             if not stack:
                 slowest_rad_s = np.clip(0.0, *numbers.bounds)
