@@ -20,7 +20,7 @@ from importlib import import_module
 from inspect import getfile, signature
 from pathlib import Path
 from shutil import rmtree
-from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -146,6 +146,8 @@ def record_dtype(kind: type) -> np.dtype[Any]:
     for name, hint in state_fields(kind).items():
         if hint in SCALARS:
             parts.append((name, np.dtype(hint)))
+        elif is_dataclass(hint):
+            parts.append((name, record_dtype(cast(type, hint))))
         else:  # a tuple of states of one type
             inner = get_args(hint)
             parts.append((name, record_dtype(inner[0]), (len(inner),)))

@@ -27,7 +27,7 @@ from identification.estimate import (
     SampleStatus,
     make_estimate,
 )
-from identification.multilayer.method import SwitchingMethod, SwitchingState
+from identification.multilayer.method import MultilayerMethod, MultilayerState
 from identification.published.online import PublishedMethod, PublishedState
 from identification.sample_check import STATUSES, CheckState, as_scalar
 from identification.travel_filter import TravelState, process_sample
@@ -81,7 +81,7 @@ def make_method(config: MultilayerConfig | PublishedConfig) -> Method:
         InvalidConfigError: Another type of configuration.
     """
     if type(config) is MultilayerConfig:
-        return SwitchingMethod(config)
+        return MultilayerMethod(config)
     if type(config) is PublishedConfig:
         return PublishedMethod(config)
     raise InvalidConfigError(
@@ -104,7 +104,7 @@ class Snapshot(NamedTuple):
     config: MultilayerConfig | PublishedConfig
     check: CheckState
     travel: TravelState
-    state: PublishedState | SwitchingState
+    state: PublishedState | MultilayerState
     last: Estimate
 
 
@@ -428,7 +428,7 @@ def check_array(array: Any, initial: Any, place: str) -> None:
             f"{place} has numbers that are not finite: {array!r:.80}"
         )
     # Of a history that is empty at first the rows are free, and so are hypotheses.
-    free = initial is None or not len(initial) or ".bank." in place
+    free = initial is None or not len(initial) or ".mixture." in place
     if initial is not None and array.shape[free:] != initial.shape[free:]:
         raise InvalidSnapshotError(
             f"{place} has shape {array.shape}, expected {initial.shape}"

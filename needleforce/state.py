@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, get_type_hints
 from foundation.state import StateError, read_sealed_state, seal_state
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
-from identification.multilayer.method import SwitchingState
+from identification.multilayer.method import MultilayerState
 from identification.published.online import PublishedState
 from needleforce.files import whole_file
 from needleforce.session import (
@@ -126,7 +126,7 @@ class _MethodTypes(NamedTuple):
 
 
 _METHODS = {
-    "multilayer": _MethodTypes(MultilayerConfig, SwitchingState),
+    "multilayer": _MethodTypes(MultilayerConfig, MultilayerState),
     "published": _MethodTypes(PublishedConfig, PublishedState),
 }
 

@@ -4,8 +4,11 @@ Given a history of contacts and ruptures the axial force is linear in twenty unk
 a Kalman filter estimates them. Each history is a component of the mixture, its weight
 how well it predicts the force.
 
-Reading order: `force_model` (the unknowns and their prior), `mixture` (the components),
-`force_split` (tip force of every sample), `method` (what happens when), `layer_report`;
-`noise_levels`, `speed_filter`; tissue that moves by itself: `tissue_motion`,
+Reading order: `force_model` (the unknowns of one hypothesis), `priors`, `events` (what
+a contact or a rupture does to them), `mixture` (predict, correct, branch, prune);
+`evidence`, `decisions` (alarms), `layer_report`; `needle_contact` (the block being
+filled), `shaft_posterior`, `force_split` (tip force of every sample); `method` (what
+happens when). Beside them: `block`, `kalman`, `disturbances`, `noise_levels`,
+`speed_filter`; tissue that moves by itself: `tissue_motion`, `motion_search`,
 `motion_fit`.
 """

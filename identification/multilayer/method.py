@@ -1,19 +1,27 @@
-"""The switching filter over time: blocks of samples, ruptures, layers, answers.
+"""The multi-layer method over time: blocks of samples, ruptures, layers, estimates.
 
-A block's work is spread over samples: the one that fills it lets every hypothesis use
-its force; the next reports ruptures; the one after that begins hypotheses of new events
-and drops the least likely. Where a rupture is raised, or a layer is due, one more comes
-between. Where the needle does not advance, the one that fills a block reports as well.
-One more may look for moving tissue.
+A block's work is spread over samples: the one that fills it lets every component of the
+mixture learn from its force; the next reports ruptures; the one after that begins
+components of new events and drops the least likely. Where a rupture is raised, or a
+layer is due, one more comes between. Where the needle does not advance, the one that
+fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
 from dataclasses import replace
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.records import (
+    as_record,
+    from_record,
+    read_column,
+    read_element,
+    read_field,
+)
 from identification.config import MultilayerConfig
 from identification.estimate import (
     NO_EVENTS,
@@ -25,98 +33,225 @@ from identification.estimate import (
     RuptureState,
     Sample,
 )
-from identification.multilayer import force_model as law
-from identification.multilayer import force_split as samples
-from identification.multilayer import layer_report as reports
+from identification.multilayer.block import Block
+from identification.multilayer.decisions import (
+    RuptureCount,
+    count_ruptures,
+    may_be_braking,
+    speed_lag,
+)
+from identification.multilayer.disturbances import BREATHING_HZ, HEARTBEAT_HZ
+from identification.multilayer.evidence import MM_PER_M, Evidence, weigh_evidence
+from identification.multilayer.force_model import (
+    AIR,
+    HELD,
+    LAYER_COULOMB,
+    LAYER_VISCOUS,
+    MODEL_ERROR_FRACTION,
+    OFFSET,
+    STIFFENING,
+    STIFFNESS,
+    TRAVERSED_COULOMB,
+    TRAVERSED_ERROR_FRACTION,
+    TRAVERSED_VISCOUS,
+    Assumptions,
+    regressor,
+)
+from identification.multilayer.force_split import (
+    LAYER_COLUMNS,
+    estimate_sample,
+    update_sample,
+)
+from identification.multilayer.layer_report import (
+    Alarm,
+    friction_of_last_layer,
+    friction_of_layer_before,
+    partial_rupture_probability,
+    report_layer,
+    report_rupture,
+    with_friction,
+)
 from identification.multilayer.mixture import (
-    KEPT,
-    STEP_MM,
-    Bank,
-    BankMemory,
-    Place,
-    first_bank,
+    MAX_KEPT,
+    MIN_BRANCH_MM,
+    MixtureMemory,
+    MixtureState,
+    ProcessNoise,
+    correct,
+    first_mixture,
+    penalise_implausible,
+    predict,
 )
-from identification.multilayer.noise_levels import (
-    BEATS,
-    COLOUR_S,
-    DisturbanceLevels,
-    transitions,
+from identification.multilayer.needle_contact import (
+    NeedleContact,
+    begin_block,
+    shift_depth,
 )
-from identification.multilayer.speed_filter import NO_TREND, follow_speed
-from identification.multilayer.tissue_motion import TissueMotion
+from identification.multilayer.noise_levels import NoiseLevels, Texture
+from identification.multilayer.shaft_posterior import (
+    ShaftPosterior,
+    update_posterior,
+)
+from identification.multilayer.speed_filter import (
+    FIRST_SPEED_FILTER,
+    SpeedFilter,
+    filter_speed,
+)
+from identification.multilayer.tissue_motion import Motion, TissueMotion
 
-_MM = 1e3
-_HELD_DRIFT = 0.05  # relative change of cutting force, per square root of a mm
-_RESUMED_MM = 0.6  # travel over which friction is as it was before a rest: twice that of presliding
-_TURNED = 0.3  # What a reversal leaves instead of 1, as a rest does: it is over in half the travel
-_SETTLED = 0.1  # of a rest or reversal is left in the friction when that counts as back
-_USUAL_S = 10.0
-_USUAL_MM = 3.0
-"""The usual speed is the highest of so much time and travel: the approach may be
-quick."""
-_CREEP = 0.05
-_SLOW = 0.15
-_HALF = 0.3
-"""Advancing means faster than this [mm/s] and than a part of the usual speed; new
-hypotheses want more of it: at a stop the force falls without any rupture."""
-_CHANNEL_MM = (
-    0.02  # Behind the deepest point by more than this and the noise: in its own channel
-)
-_DEADBAND = (
-    3.0  # deviations of the speed's noise within which it is the same, in moving tissue
-)
-_UNSETTLED = 0.3  # Error of friction while presliding turns or after a rest, as part of the force
-_TAKEN_BACK = 0.9  # probability of fewer ruptures at which an alarm is taken back
-# travel after a rupture at which its layer is reported
-_PROVISIONAL_M = 1e-3
-_FINAL_M = 3e-3
-_REVISE_S = 0.1  # time between two revisions of the layers left
-_MOTION_MM = (
-    0.1  # Of tissue with the heart, one standard deviation, if the beat is not known
-)
-_SERIES_S = 3.0  # between two alarms that a heart or a quick breath may have raised
-_FAR_MM = 1e9
-_NOTHING, _BRANCH, _PRUNE, _FOLLOW = range(4)
-# added where the layer left, or ruptures, are to be reported first
-_LAYERS = 4
-_RUPTURES = 8
-Noise = tuple[
-    float, float, float
-]  # deviations of depth and speed; variance of force by motion
+CUTTING_DRIFT = 0.05
+"""Relative change of the cutting force, per square root of a mm."""
+
+MIN_CUTTING_N = 0.02
+"""Cutting force that this refers to, at least."""
+
+MAX_CUTTING_PER_SLOPE_MM = 2.0
+"""Cutting force that it refers to at most, over the growth of the force."""
+
+MIN_SLOPE_N_PER_MM = 0.004
+"""Growth of the force that motion of the tissue is seen by, at least."""
+
+RESUMED_MM = 0.6
+"""Travel over which friction is as it was before a rest: twice that of presliding."""
+
+REVERSAL = 0.3
+"""What a reversal leaves, where a rest leaves 1: it is over in half the travel."""
+
+SETTLED = 0.1
+"""Of a rest or reversal so much is left in the friction when that counts as back."""
+
+MIN_RESUMED = 1e-9
+"""What is left of a rest, at least, for the logarithm."""
+
+GAP_BLOCKS = 10.0
+"""A block is a gap only if it is longer than so many of the blocks before."""
+
+USUAL_S = 10.0
+"""The usual speed is the highest of so much time."""
+
+USUAL_MM = 3.0
+"""And of so much travel: the approach may be quick."""
+
+CREEP_MM_S = 0.05
+"""A needle advances if it is faster than this, beyond the noise of the speed."""
+
+MIN_ADVANCING_FRACTION = 0.15
+"""And faster than this part of the usual speed."""
+
+MIN_BRANCHING_FRACTION = 0.3
+"""Part of the usual speed from which on new components begin: at a stop the force falls
+without any rupture."""
+
+CHANNEL_MM = 0.02
+"""Behind the deepest point by more than this and its noise the tip is in its own
+channel."""
+
+CHANNEL_SIGMAS = 4.0
+"""Standard deviations of the depth that count as its noise there."""
+
+SPEED_DEADBAND_SIGMAS = 3.0
+"""Deviations of the speed's noise within which it is the same, in moving tissue."""
+
+UNSETTLED_FRACTION = 0.3
+"""Error of friction while presliding turns or after a rest, as part of the force."""
+
+RETRACTING_PROBABILITY = 0.9
+"""Probability of fewer ruptures at which an alarm is retracted."""
+
+EXPECTING_PROBABILITY = 0.5
+"""Probability of one more rupture at which it is expected."""
+
+PROVISIONAL_M = 1e-3
+"""Travel after a rupture at which its layer is reported."""
+
+FINAL_M = 3e-3
+"""Travel after a rupture at which its layer is final."""
+
+REVISE_S = 0.1
+"""Time between two revisions of the last layer."""
+
+UNKNOWN_MOTION_MM = 0.1
+"""Motion of tissue with the heart, one standard deviation, if the beat is not known."""
+
+SERIES_S = 3.0
+"""Time between two alarms that a heart or a quick breath may have raised."""
+
+FAR_MM = 1e9
+"""The deepest point before the first block lies so far in front."""
+
+GAP_RUPTURE_FRACTIONS = (0.5, 0.1)
+"""Parts of a gap before its end at which something may have happened: half way, and
+near the end."""
+
+MIN_WHITE_VARIANCE_N2 = 1e-8
+"""Variance of a block's force by white noise, at least."""
+
+MIN_STIFFNESS_SQUARE = 1e-4
+"""Square of the growth of the force that shows the tissue's motion, at least
+[N²/mm²]."""
+
+MAX_HEARTBEAT_MM2 = 1.0
+"""Variance of the tissue's place with the heartbeat, at most."""
+
+MAX_BREATHING_MM2 = 4.0
+"""The same with breathing."""
+
+MAX_TISSUE_SPEED_VARIANCE = 25.0
+"""Variance of the tissue's own speed, at most [mm²/s²]."""
+
+MIN_RUPTURE_SPEED_MM_S = 1e-3
+"""Speed of a rupture that a layer's viscous friction refers to, at least."""
 
 
-class SwitchingState(NamedTuple):
-    """All that the switching filter remembers; immutable.
+class Stage(Enum):
+    """What is left to do with the mixture, for the last block."""
+
+    DONE = "nothing"
+    BRANCH = "begin components of new events, then drop the least likely"
+    PRUNE = "drop the least likely components"
+    FIND_MOTION = "look for motion of the tissue"
+
+
+class MultilayerState(NamedTuple):
+    """All that the method remembers; immutable.
 
     Attributes:
-        memory: What every sample changes, see `force_split`.
-        answer: See `force_split`.
+        mixture: Of hypotheses.
+        contact: What every sample changes.
+        posterior: What the mixture knew of the shaft at the last block.
+        levels: Noise of the force.
         tissue: Its motion by itself.
-        trend: Of the needle's own speed, see `speed_filter`.
-        place: Middle of the last block.
-        stage: What is left to do for that block.
-        deepest: Point so far [mm].
-        spawned: Depth at which hypotheses began last [mm].
-        force_std_in_air: Of the force's slow error before the contact [N].
-        ruptures: In the hypotheses that the last report followed.
-        alarm: The last one raised and not taken back.
+        speed_filter: Of the needle's own speed.
+        texture: Of the tissue.
+        block: The last one.
+        stage: What is left to do with the mixture for that block.
+        is_report_due: Whether ruptures are to be reported first.
+        is_layer_due: Whether the layer traversed is to be reported first.
+        deepest_mm: Deepest point so far.
+        branched_mm: Depth at which components began last.
+        resumed: How much of a rest or reversal is left in the friction, 0 to 1.
+        force_std_in_air_N: Of the force's slow error before the contact.
+        ruptures: In the components that the last report followed.
+        alarm: The last one raised and not retracted.
+        layers: Those traversed.
+        rupture_state: What is reported.
     """
 
-    bank: Bank
-    memory: Array = samples.FIRST_MEMORY
-    answer: Array = samples.NO_ANSWER
-    levels: DisturbanceLevels = DisturbanceLevels()
+    mixture: MixtureState
+    contact: NeedleContact
+    posterior: ShaftPosterior
+    levels: NoiseLevels = NoiseLevels()
     tissue: TissueMotion = TissueMotion()
-    trend: Array = NO_TREND
-    texture: DisturbanceLevels = DisturbanceLevels.of_texture()
-    place: Place = Place(*(0.0,) * 10)
-    stage: int = _NOTHING
-    deepest: float = -_FAR_MM
-    spawned: float = -_FAR_MM
-    resumed: float = (
-        0.0  # how much of a rest or reversal is left in the friction, 0 to 1
-    )
-    force_std_in_air: float = 0.0
+    speed_filter: SpeedFilter = FIRST_SPEED_FILTER
+    texture: Texture = Texture()
+    block: Block = Block()
+    stage: Stage = Stage.DONE
+    is_report_due: bool = False
+    is_layer_due: bool = False
+    deepest_mm: float = -FAR_MM
+    branched_mm: float = -FAR_MM
+    resumed: float = 0.0
+    force_std_in_air_N: float = 0.0
     ruptures: int = 0
     alarm: Rupture | None = None
     layers: tuple[LayerEstimate, ...] = ()
@@ -125,73 +260,60 @@ class SwitchingState(NamedTuple):
     @property
     def damage(self) -> str:
         """What is wrong with a restored one, if anything."""
-        is_stage = self.stage in range(2 * _RUPTURES)
+        is_stage = isinstance(self.stage, Stage)
         return "" if is_stage else f"there is no stage {self.stage!r:.80}"
 
+    @property
+    def is_at_work(self) -> bool:
+        """Whether something is left to do for the last block."""
+        return self.is_report_due or self.is_layer_due or self.stage is not Stage.DONE
 
-class SwitchingMethod:
-    """The switching filter, sample by sample."""
+
+def first_state() -> MultilayerState:
+    """Return the state before the first sample."""
+    return MultilayerState(first_mixture().state, NeedleContact(), ShaftPosterior())
+
+
+class MultilayerMethod:
+    """The multi-layer method, sample by sample."""
+
+    takes_filtered_travel = True
 
     def __init__(self, config: MultilayerConfig) -> None:
         self._config = config
-        self.restore(SwitchingState(first_bank()))
+        self._gap_s = config.check.gap_s
+        self.restore(first_state())
 
     @property
-    def state(self) -> SwitchingState:
+    def state(self) -> MultilayerState:
         """All that it remembers."""
-        arrays = (
-            self._bank.bank.copied(),
-            np.array(self._memory),
-            np.array(self._answer),
-        )
-        course = self._place, self._stage, self._deepest, self._spawned, self._resumed
-        found = self._ruptures, self._alarm, self.layers, self._rupture_state
-        learned = self._levels, self._tissue, self._trend, self._texture
-        return SwitchingState(
-            *arrays, *learned, *course, self._force_std_in_air, *found
+        return MultilayerState(
+            mixture=self._memory.mixture.state,
+            contact=from_record(NeedleContact, self._contact),
+            posterior=from_record(ShaftPosterior, self._posterior),
+            levels=self._levels,
+            tissue=self._tissue,
+            speed_filter=self._speed_filter,
+            texture=self._texture,
+            block=self._block,
+            stage=self._stage,
+            is_report_due=self._is_report_due,
+            is_layer_due=self._is_layer_due,
+            deepest_mm=self._deepest_mm,
+            branched_mm=self._branched_mm,
+            resumed=self._resumed,
+            force_std_in_air_N=self._force_std_in_air_N,
+            ruptures=self._ruptures,
+            alarm=self._alarm,
+            layers=self.layers,
+            rupture_state=self._rupture_state,
         )
 
     @property
     def contact_depth_m(self) -> float | None:
         """Depth at which tissue was met first, as known now; None before."""
-        met = self._answer[0]
-        return float(met[samples.CONTACT_M]) if met[samples.IN_CONTACT] > 0.0 else None
-
-    def restore(self, state: SwitchingState) -> None:
-        """Go on from there."""
-        self._bank = BankMemory(state.bank)
-        self._memory = state.memory.copy()
-        self._answer = state.answer.copy()
-        self._events = NO_EVENTS
-        self._levels = state.levels
-        self._tissue = state.tissue
-        self._trend = state.trend
-        self._texture = state.texture
-        self._place = state.place
-        self._stage = state.stage
-        self._resumed = state.resumed
-        self._deepest = state.deepest
-        self._spawned = state.spawned
-        self._force_std_in_air = state.force_std_in_air
-        self._rupture_state = state.rupture_state
-        self._ruptures = state.ruptures
-        self._alarm = state.alarm
-        self._keep(state.layers)
-
-    def _keep(self, layers: tuple[LayerEstimate, ...]) -> None:
-        """Take these layers for those left, with what every sample needs of them."""
-        self._left = np.zeros((len(layers), 4))
-        self.layers = layers
-        for row, layer in zip(
-            self._left, layers, strict=True
-        ):  # see `switching_outputs`
-            coulomb = min(
-                (layer.coulomb_N_per_m or 0.0) * layer.thickness_m, layer.friction_N
-            )
-            viscous = (layer.friction_N - coulomb) / max(
-                _MM * layer.rupture.speed_m_s, 1e-3
-            )
-            row[:] = layer.start_depth_m, layer.thickness_m, coulomb, viscous
+        posterior = from_record(ShaftPosterior, self._posterior)
+        return posterior.contact_depth_m if posterior.in_contact else None
 
     @property
     def rupture_state(self) -> RuptureState:
@@ -203,452 +325,595 @@ class SwitchingMethod:
         """What happened at the last sample."""
         return self._events
 
+    def restore(self, state: MultilayerState) -> None:
+        """Go on from a state."""
+        mean, covariance, innovation = state.speed_filter
+        self._memory = MixtureMemory(state.mixture.mixture)
+        self._contact = as_record(state.contact)
+        self._posterior = as_record(state.posterior)
+        self._events = NO_EVENTS
+        self._levels = state.levels
+        self._tissue = state.tissue
+        self._speed_filter = SpeedFilter(
+            np.array(mean), np.array(covariance), innovation
+        )
+        self._texture = state.texture
+        self._block = state.block
+        self._stage = state.stage
+        self._is_report_due = state.is_report_due
+        self._is_layer_due = state.is_layer_due
+        self._resumed = state.resumed
+        self._deepest_mm = state.deepest_mm
+        self._branched_mm = state.branched_mm
+        self._force_std_in_air_N = state.force_std_in_air_N
+        self._rupture_state = state.rupture_state
+        self._ruptures = state.ruptures
+        self._alarm = state.alarm
+        self._keep_layers(state.layers)
+
+    def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
+        """Take these layers for those traversed, with what every sample needs."""
+        self.layers = layers
+        self._layer_rows = np.zeros((len(layers), LAYER_COLUMNS))
+        for row, layer in zip(self._layer_rows, layers, strict=True):
+            coulomb_N = (layer.coulomb_N_per_m or 0.0) * layer.thickness_m
+            coulomb_N = min(coulomb_N, layer.friction_N)
+            speed = max(MM_PER_M * layer.rupture.speed_m_s, MIN_RUPTURE_SPEED_MM_S)
+            viscous = (layer.friction_N - coulomb_N) / speed
+            row[:] = (layer.start_depth_m, layer.thickness_m, coulomb_N, viscous)
+
     def report(self) -> Outputs:
         """Return what there is to report without a sample."""
-        return self._outputs(NO_SAMPLE)
+        return self._estimate(NO_SAMPLE)
 
     def update(self, sample: Sample) -> Outputs:
         """Use one sample; return what to report of it beside the events."""
         arm_m_s = sample.speed_m_s
         if self._tissue.is_known:
-            place_m, speed_m_s = (
-                part / _MM for part in self._tissue.at(sample.clock_s)
-            )
-            # As the tissue, which moves, meets the needle.
-            sample = sample._replace(
-                depth_m=sample.depth_m - place_m,
-                speed_m_s=sample.speed_m_s - speed_m_s,
-                raw_depth_m=sample.raw_depth_m - place_m,
-            )
-        known = self._memory, self._answer, self._left
-        is_full, outputs = samples.update_switching(
-            sample[2:9], arm_m_s, sample.dt_s, *known
+            sample = self._seen_by_tissue(sample)
+        is_full, outputs = update_sample(
+            self._posterior,
+            self._contact,
+            self._layer_rows,
+            sample.depth_m,
+            sample.speed_m_s,
+            sample.depth_std_m,
+            sample.speed_std_m_s,
+            arm_m_s,
+            sample.force_N,
+            sample.force_std_N,
+            sample.raw_depth_m,
+            sample.dt_s,
         )
-        if not is_full and self._stage == _NOTHING:
-            self._events = NO_EVENTS
-            return outputs
         self._events = NO_EVENTS
-        while self._stage != _NOTHING:
-            self._work(sample)
-            if not is_full:  # else blocks are of one or two samples
-                break
-        if is_full:
-            self._use_block(sample)
-            if (
-                self._stage < _RUPTURES
-            ):  # it does not advance: the next sample has nothing to add
-                self._report(sample)
-        return self._outputs(sample)
+        if not is_full and not self._is_at_work:
+            return outputs
+        self._work(sample, is_full=is_full)
+        return self._estimate(sample)
 
-    def _outputs(self, sample: Sample) -> Outputs:
-        known = self._memory, self._answer, self._left
-        return samples.switching_outputs(
-            sample.depth_m, sample.speed_m_s, sample.force_N, *known
+    def _estimate(self, sample: Sample) -> Outputs:
+        """Return what to report of a sample by what is known now."""
+        return estimate_sample(
+            self._posterior,
+            self._contact,
+            self._layer_rows,
+            sample.depth_m,
+            sample.speed_m_s,
+            sample.force_N,
         )
 
-    def _work(self, sample: Sample) -> None:
-        """Do the next part of what is left to do for a block."""
-        if self._stage >= _RUPTURES:
-            self._stage -= _RUPTURES
-            self._report(sample)
+    def _seen_by_tissue(self, sample: Sample) -> Sample:
+        """Return a sample as the tissue, which moves, meets the needle."""
+        motion = self._tissue.motion_at(sample.clock_s)
+        place_m = motion.place_mm / MM_PER_M
+        return sample._replace(
+            depth_m=sample.depth_m - place_m,
+            speed_m_s=sample.speed_m_s - motion.speed_mm_s / MM_PER_M,
+            raw_depth_m=sample.raw_depth_m - place_m,
+        )
+
+    @property
+    def _is_at_work(self) -> bool:
+        """Whether something is left to do for the last block."""
+        return (
+            self._stage is not Stage.DONE or self._is_report_due or self._is_layer_due
+        )
+
+    def _work(self, sample: Sample, *, is_full: bool) -> None:
+        """Do the next part of the last block's work; if a block is full, all of it."""
+        if not is_full:
+            self._do_next_part(sample)
             return
-        if self._stage >= _LAYERS:
-            self._stage -= _LAYERS
+        while self._is_at_work:  # blocks are of one or two samples
+            self._do_next_part(sample)
+        self._use_block(sample)
+        if not self._is_report_due:
+            # The needle does not advance: the next sample has nothing to add.
+            self._report(sample)
+
+    def _do_next_part(self, sample: Sample) -> None:
+        """Do the next part of what is left to do for the last block."""
+        if self._is_report_due:
+            self._is_report_due = False
+            self._report(sample)
+        elif self._is_layer_due:
+            self._is_layer_due = False
             if self._alarm is not None:
                 self._report_layer(self._alarm, sample.force_std_N)
-            return
-        clock_s = sample.clock_s
-        if self._stage != _FOLLOW:
-            if self._stage == _BRANCH and self._bank.size <= KEPT:
+        elif self._stage is Stage.FIND_MOTION:
+            self._stage = Stage.DONE
+            self._find_motion(sample.clock_s)
+        else:
+            if self._stage is Stage.BRANCH and self._memory.size <= MAX_KEPT:
                 self._branch()
-            self._bank.prune(self._place)
-            self._stage = self._after(clock_s)
-            return
-        before, self._stage, self._tissue = (
-            self._tissue,
-            _NOTHING,
-            self._tissue.worked(clock_s),
-        )
-        if self._tissue.fit is not before.fit:
+            self._memory.prune(self._block.depth_mm)
+            self._stage = self._stage_after_pruning(sample.clock_s)
+
+    def _stage_after_pruning(self, since_reset_s: float) -> Stage:
+        """Return what is left to do for a block once its mixture is pruned."""
+        is_due = self._tissue.is_due(since_reset_s)
+        return Stage.FIND_MOTION if is_due else Stage.DONE
+
+    def _find_motion(self, since_reset_s: float) -> None:
+        """Do a unit of the search for the tissue's motion."""
+        old_tissue = self._tissue
+        self._tissue = old_tissue.worked(since_reset_s)
+        if self._tissue.fit is not old_tissue.fit:
             # The needle stays where it is in the tissue that is now known to be
             # elsewhere.
-            by_mm = before.at(clock_s)[0] - self._tissue.at(clock_s)[0]
-            samples.shift_depth(self._memory, by_mm / _MM)
-            self._deepest = self._deepest + by_mm
-            self._spawned = self._spawned + by_mm
-
-    def _after(self, clock_s: float) -> int:
-        """What is left to do for a block once its bank is pruned."""
-        return _FOLLOW if self._tissue.is_due(clock_s) else _NOTHING
+            old_place_mm = old_tissue.motion_at(since_reset_s).place_mm
+            place_mm = self._tissue.motion_at(since_reset_s).place_mm
+            by_mm = old_place_mm - place_mm
+            shift_depth(self._contact, by_mm / MM_PER_M)
+            self._deepest_mm = self._deepest_mm + by_mm
+            self._branched_mm = self._branched_mm + by_mm
 
     def _branch(self) -> None:
-        """Begin hypotheses of what may have happened in the block's travel."""
-        place = self._place
-        begin = place._replace(depth=place.depth - 0.5 * place.speed * place.dt_s)
-        is_fast = place.speed > _HALF * place.usual_speed
-        if is_fast and begin.depth - self._spawned >= STEP_MM:
-            left = self._levels.beside(self._tissue, place.time_s)
-            moved = _tissue_speed(self._bank, place, left)
-            self._bank.spawn(begin, self._spawned, moved, self._ruptures)
-            self._spawned = begin.depth
+        """Begin components of what may have happened in the block's travel."""
+        block = self._block
+        travel_mm = block.speed_mm_s * block.duration_s
+        begin = block._replace(depth_mm=block.depth_mm - 0.5 * travel_mm)
+        is_fast = block.speed_mm_s > MIN_BRANCHING_FRACTION * block.usual_speed_mm_s
+        if is_fast and begin.depth_mm - self._branched_mm >= MIN_BRANCH_MM:
+            levels = self._levels.beside(self._tissue, block.time_s)
+            tissue_speed_std = self._tissue_speed_std(block, levels)
+            self._memory.branch(
+                begin, self._branched_mm, tissue_speed_std, self._ruptures
+            )
+            self._branched_mm = begin.depth_mm
 
     def _use_block(self, sample: Sample) -> None:
-        """Let every hypothesis predict the force of the block, and learn from it."""
+        """Let every component predict the force of the block, and learn from it."""
         clock_s = sample.clock_s
-        last = self._place
-        deepest = self._deepest
-        bank = self._bank
-        place, (depth_std, speed_std, by_motion) = _block(
-            clock_s, self._memory, last.force
-        )
-        dt_s = place.dt_s
-        z = place.depth
-        v = place.speed
-        fresh = max(z - deepest, 0.0) if deepest > -_FAR_MM else 0.0
-        faded = math.exp(-dt_s / _USUAL_S - abs(v) * dt_s / _USUAL_MM)
-        usual = max(last.usual_speed * faded, v)
-        # What a gap says is not used.
-        is_gap = dt_s > max(self._config.check.gap_s, 10.0 * last.dt_s)
-        own = self._own_speed(place, (depth_std, speed_std), is_gap=is_gap)
-        is_advancing = v > max(_CREEP + 2.0 * speed_std, _SLOW * usual) and not is_gap
-        is_advancing &= z > deepest - _CHANNEL_MM - 4.0 * depth_std
-        left = self._levels.beside(self._tissue, clock_s)
-        self._deepest = max(deepest, z)
-        by_speed = last.by_speed + _damping(bank, z) * (own - last.speed)
-        place = place._replace(
-            speed=own, usual_speed=usual, noise=left.noise, by_speed=by_speed
-        )
-        _predict(bank, place, fresh, left, self._tissue)
-        is_met = self._answer[0][samples.IN_CONTACT] > 0.0
-        self._stage = self._after(clock_s)
+        last = self._block
+        filtered = self._take_block(clock_s, last)
+        is_gap = filtered.duration_s > max(self._gap_s, GAP_BLOCKS * last.duration_s)
+        is_met = bool(read_field(self._posterior, "in_contact"))
+        is_advancing = not is_gap and self._is_advancing(filtered)
+        fresh_mm = 0.0
+        if self._deepest_mm > -FAR_MM:
+            fresh_mm = max(filtered.depth_mm - self._deepest_mm, 0.0)
+        levels = self._levels.beside(self._tissue, clock_s)
+        block = self._with_own_speed(filtered, is_gap=is_gap)
+        block = block._replace(noise_std_N=levels.noise_std_N)
+        self._deepest_mm = max(self._deepest_mm, block.depth_mm)
+        self._predict(block, fresh_mm, levels)
+        self._stage = self._stage_after_pruning(clock_s)
         if (is_advancing or not is_met) and not is_gap:
-            self._resumed *= math.exp(-fresh / _RESUMED_MM)
-            # A force that is being released is no noise, nor is what the speed does;
-            # beats are.
-            force = place.force - by_speed
-            is_release = self._is_open and not self._is_series
-            levels = self._levels
-            levels = (
-                levels.restarted() if is_release else levels.with_force(force, dt_s, v)
-            )
-            left = levels.beside(self._tissue, clock_s)
-            self._levels = levels
-            place = place._replace(noise=left.noise)
-            # A speed is as late as its filter: where it changes it is off by a block's
-            # change.
-            law_std = math.hypot(2.0 * speed_std, own - last.speed)
-            _learn(bank, place, left, self._resumed, (depth_std, law_std, by_motion))
-            law.weigh(bank.store, bank.size, (z, own, dt_s, left.noise), is_advancing)
-            self._stage = _RUPTURES + (_BRANCH if is_advancing else _PRUNE)
-            self._texture = self._texture.with_force(force, fresh if is_met else 0.0, v)
+            self._resumed *= math.exp(-fresh_mm / RESUMED_MM)
+            levels = self._learn_noise(block, filtered.speed_mm_s, clock_s)
+            block = block._replace(noise_std_N=levels.noise_std_N)
+            self._correct(block, levels)
+            store = self._memory.store
+            penalise_implausible(store, self._memory.size, block, is_advancing)
+            self._is_report_due = True
+            self._stage = Stage.BRANCH if is_advancing else Stage.PRUNE
+            force_N = block.force_N - block.force_by_speed_N
+            in_tissue_mm = fresh_mm if is_met else 0.0
+            self._texture = self._texture.with_force(force_N, in_tissue_mm)
         else:
-            self._pause(place, fresh, is_gap=is_gap)
-        self._force_std_in_air = (
-            self._force_std_in_air if is_met else sample.force_std_N
-        )
-        axial = place.force - bank.likeliest[0][law.OFFSET]
-        self._place = place._replace(
-            law_error=self._texture.law_error(axial, sample.force_std_N)
-        )
+            self._pause(block, fresh_mm, is_gap=is_gap)
+        if not is_met:
+            self._force_std_in_air_N = sample.force_std_N
+        net_N = block.force_N - float(self._memory.store.means[0, OFFSET])
+        model_error_N = self._texture.model_error(net_N, sample.force_std_N)
+        self._block = block._replace(model_error_N=model_error_N)
         if not is_gap:
-            self._tissue = self._tissue.with_block(
-                place._replace(speed=v), is_met=is_met
-            )
+            self._tissue = self._tissue.with_block(filtered, is_met=is_met)
 
-    def _pause(self, place: Place, fresh: float, *, is_gap: bool) -> None:
-        """A block from which nothing is learnt: after a gap, at rest, in a channel
-        already cut.
+    def _take_block(self, since_reset_s: float, last: Block) -> Block:
+        """Return means of the block that is full, and begin the next one."""
+        contact = from_record(NeedleContact, self._contact)
+        begin_block(self._contact)
+        duration_s = contact.block_s
+        depth_std_mm = MM_PER_M * contact.depth_std_m
+        speed_std_mm_s = MM_PER_M * contact.speed_std_m_s
+        speed_mm_s = MM_PER_M * contact.travel_m / duration_s
+        forgotten = math.exp(
+            -duration_s / USUAL_S - abs(speed_mm_s) * duration_s / USUAL_MM
+        )
+        return Block(
+            time_s=since_reset_s - 0.5 * duration_s,
+            duration_s=duration_s,
+            depth_mm=MM_PER_M * contact.depth_m_s / duration_s,
+            speed_mm_s=speed_mm_s,
+            deflection=contact.deflection_s / duration_s,
+            force_N=contact.force_N_s / duration_s,
+            unfiltered_depth_mm=MM_PER_M * contact.unfiltered_depth_m_s / duration_s,
+            # A filter that leaves so much noise in both is as slow as their ratio.
+            speed_lag_s=speed_lag(depth_std_mm, speed_std_mm_s),
+            usual_speed_mm_s=max(last.usual_speed_mm_s * forgotten, speed_mm_s),
+            force_before_N=last.force_N,
+            depth_std_mm=depth_std_mm,
+            speed_std_mm_s=speed_std_mm_s,
+            motion_variance_N2=contact.motion_variance_N2_s / duration_s,
+        )
+
+    def _is_advancing(self, block: Block) -> bool:
+        """Return whether the needle cuts further."""
+        creep = CREEP_MM_S + 2.0 * block.speed_std_mm_s
+        min_speed = max(creep, MIN_ADVANCING_FRACTION * block.usual_speed_mm_s)
+        channel_mm = self._deepest_mm - CHANNEL_MM - CHANNEL_SIGMAS * block.depth_std_mm
+        return block.speed_mm_s > min_speed and block.depth_mm > channel_mm
+
+    def _with_own_speed(self, block: Block, *, is_gap: bool) -> Block:
+        """Return a block with the needle's own speed, and the friction it has added."""
+        last = self._block
+        own_speed = self._own_speed(block, is_gap=is_gap)
+        speed_change = own_speed - last.speed_mm_s
+        added_N = self._damping(block.depth_mm) * speed_change
+        return block._replace(
+            speed_mm_s=own_speed, force_by_speed_N=last.force_by_speed_N + added_N
+        )
+
+    def _own_speed(self, block: Block, *, is_gap: bool) -> float:
+        """Return the needle's own speed, less jitter and the tissue's speed."""
+        tissue = self._tissue
+        motion = Motion(0.0, 0.0)
+        if tissue.is_known:
+            motion = tissue.motion_at(block.time_s)
+        own_speed, self._speed_filter = filter_speed(
+            FIRST_SPEED_FILTER if is_gap else self._speed_filter,
+            block.unfiltered_depth_mm + motion.place_mm,
+            block.speed_mm_s + motion.speed_mm_s,
+            block.depth_std_mm,
+            block.speed_std_mm_s,
+            block.duration_s,
+        )
+        if not tissue.is_known:
+            return own_speed
+        # The tissue's speed is an estimate as well: only what noise does not explain is
+        # a change.
+        deadband = SPEED_DEADBAND_SIGMAS * block.speed_std_mm_s
+        relative = own_speed - motion.speed_mm_s
+        return min(
+            max(self._block.speed_mm_s, relative - deadband), relative + deadband
+        )
+
+    def _likeliest(self) -> tuple[Array, Assumptions]:
+        """Return means and assumptions of the likeliest component."""
+        store = self._memory.store
+        return store.means[0], read_element(Assumptions, store.assumptions, 0)
+
+    def _damping(self, depth_mm: float) -> float:
+        """Return viscous friction of the whole shaft [N/(mm/s)]."""
+        mean, assumptions = self._likeliest()
+        length_mm = max(depth_mm - assumptions.layer_start_mm, 0.0)
+        return float(mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm)
+
+    def _predict(self, block: Block, fresh_mm: float, levels: NoiseLevels) -> None:
+        """Move the mixture on to a block.
+
+        Errors of the force model are the same for all components: one that claimed less
+        would be believed more.
         """
+        means, assumptions = self._likeliest()
+        mean = means.tolist()
+        slope = mean[STIFFNESS] + mean[LAYER_COULOMB]
+        slope = slope + mean[LAYER_VISCOUS] * block.speed_mm_s
+        slope = max(slope, MIN_SLOPE_N_PER_MM)
+        cutting_N = max(mean[HELD], MIN_CUTTING_N)
+        cutting_N = min(cutting_N, MAX_CUTTING_PER_SLOPE_MM * slope)
+        traversed_N = block.deflection * mean[TRAVERSED_COULOMB]
+        traversed_N = traversed_N + block.speed_mm_s * mean[TRAVERSED_VISCOUS]
+        tip_N = abs(block.force_N - mean[OFFSET] - traversed_N)
+        error_N = MODEL_ERROR_FRACTION * (
+            tip_N + TRAVERSED_ERROR_FRACTION * abs(traversed_N)
+        )
+        heartbeat_N2 = levels.variances.heartbeat
+        if assumptions.medium != AIR and not self._tissue.is_known:
+            # Before a few beats have been seen nobody knows whether the tissue moves.
+            heartbeat_N2 = max(heartbeat_N2, (UNKNOWN_MOTION_MM * slope) ** 2)
+        noise = ProcessNoise(
+            duration_s=block.duration_s,
+            fresh_travel_mm=fresh_mm,
+            held_variance=fresh_mm * (CUTTING_DRIFT * cutting_N) ** 2,
+            coloured_variance=levels.variances.coloured,
+            heartbeat_variance=heartbeat_N2,
+            breathing_variance=levels.variances.breathing,
+            model_error_variance=error_N * error_N,
+        )
+        predict(self._memory.store, self._memory.size, noise)
+
+    def _learn_noise(
+        self, block: Block, filtered_speed: float, since_reset_s: float
+    ) -> NoiseLevels:
+        """Learn the noise from a block, and return the levels beside the motion.
+
+        A force that is being released is no noise, nor is what the speed does; beats
+        are.
+        """
+        if self._is_layer_open and not self._is_series:
+            self._levels = self._levels.restarted()
+        else:
+            force_N = block.force_N - block.force_by_speed_N
+            self._levels = self._levels.with_force(
+                force_N, block.duration_s, filtered_speed
+            )
+        return self._levels.beside(self._tissue, since_reset_s)
+
+    def _correct(self, block: Block, levels: NoiseLevels) -> None:
+        """Update the mixture with a block's force."""
+        mean, assumptions = self._likeliest()
+        # A speed is as late as its filter: where it changes it is off by a block's
+        # change.
+        speed_change = block.speed_mm_s - self._block.speed_mm_s
+        speed_std = math.hypot(2.0 * block.speed_std_mm_s, speed_change)
+        damping = self._damping(block.depth_mm)
+        step_s = levels.differences.step
+        white_N2 = levels.variances.white * step_s / block.duration_s
+        variance_N2 = max(white_N2, MIN_WHITE_VARIANCE_N2) + (damping * speed_std) ** 2
+        variance_N2 = variance_N2 + block.motion_variance_N2
+        if assumptions.medium != AIR:
+            unsettled = max(1.0 - block.deflection, self._resumed)
+            net_N = block.force_N - float(mean[OFFSET])
+            variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
+        correct(self._memory.store, self._memory.size, block, variance_N2)
+
+    def _pause(self, block: Block, fresh_mm: float, *, is_gap: bool) -> None:
+        """Learn nothing from a block: after a gap, at rest, in the own channel."""
         self._levels = self._levels.restarted()
         self._texture = self._texture.restarted()
-        if is_gap and fresh > _HALF * place.speed * place.dt_s > 0.0:
-            # The needle went on: something may have happened half way or near the end,
-            # dated alike, so that either may prove right without taking back an alarm.
-            # The next block prunes.
-            end_s = place.time_s + 0.5 * place.dt_s
-            store = self._bank.store
-            for ago_s in (0.5 * place.dt_s, 0.1 * place.dt_s):
-                scene = place.depth - place.speed * ago_s, place.speed, place.deflection
-                force = float(law.regressor(store[3][0], scene) @ store[0][0])
-                self._place = place._replace(
-                    time_s=end_s, dt_s=2.0 * ago_s, before=force
-                )
-                self._branch()
-            is_new = store[4][:, law.RUPTURE_MM] > place.depth - fresh
-            store[4][is_new, law.RUPTURE_S] = end_s - ago_s
-            store[4][is_new, law.RUPTURE_MM] = scene[0]
+        slow_mm = MIN_BRANCHING_FRACTION * block.speed_mm_s * block.duration_s
+        if is_gap and fresh_mm > slow_mm > 0.0:
+            self._branch_in_gap(block, fresh_mm)
             return
         # Tissue that overtakes a needle which goes on turns its friction, but relaxes
         # nothing.
-        rate = self._tissue.at(place.time_s)[1] if self._tissue.is_known else -math.inf
-        is_rest = is_gap or place.speed + rate < _HALF * place.usual_speed
-        self._resumed = 1.0 if is_rest else max(self._resumed, _TURNED)
+        tissue_speed = -math.inf
+        if self._tissue.is_known:
+            tissue_speed = self._tissue.motion_at(block.time_s).speed_mm_s
+        own_speed = block.speed_mm_s + tissue_speed
+        is_slow = own_speed < MIN_BRANCHING_FRACTION * block.usual_speed_mm_s
+        is_rest = is_gap or is_slow
+        self._resumed = 1.0 if is_rest else max(self._resumed, REVERSAL)
 
-    def _own_speed(
-        self, place: Place, noise: tuple[float, float], *, is_gap: bool
-    ) -> float:
-        """The needle's own speed, less jitter; less the tissue's, if that moves."""
-        trend = NO_TREND if is_gap else self._trend
-        tissue = self._tissue
-        at_mm, rate = tissue.at(place.time_s) if tissue.is_known else (0.0, 0.0)
-        around = place.raw + at_mm, place.speed + rate
-        own, self._trend = follow_speed(trend, *around, noise, place.dt_s)
-        if not tissue.is_known:
-            return own
-        # The tissue's speed is an estimate as well: only what noise does not explain is
-        # a change.
-        deadband = _DEADBAND * noise[1]
-        return min(max(self._place.speed, own - rate - deadband), own - rate + deadband)
+    def _branch_in_gap(self, block: Block, fresh_mm: float) -> None:
+        """Begin components of what may have happened in a gap while the needle went on.
+
+        Something may have happened half way or near the end, dated alike, so that
+        either may prove right without retracting an alarm. The next block prunes.
+        """
+        end_s = block.time_s + 0.5 * block.duration_s
+        store = self._memory.store
+        ago_s = 0.0
+        depth_mm = block.depth_mm
+        for fraction in GAP_RUPTURE_FRACTIONS:
+            ago_s = fraction * block.duration_s
+            depth_mm = block.depth_mm - block.speed_mm_s * ago_s
+            row = regressor(store.assumptions[0], block._replace(depth_mm=depth_mm))
+            self._block = block._replace(
+                time_s=end_s,
+                duration_s=2.0 * ago_s,
+                force_before_N=float(row @ store.means[0]),
+            )
+            self._branch()
+        rupture_s = read_column(store.history, "rupture_s")
+        rupture_mm = read_column(store.history, "rupture_mm")
+        is_new = rupture_mm > block.depth_mm - fresh_mm
+        rupture_s[is_new] = end_s - ago_s
+        rupture_mm[is_new] = depth_mm
+
+    def _tissue_speed_std(self, block: Block, levels: NoiseLevels) -> float:
+        """Return the standard deviation of the tissue's own speed [mm/s].
+
+        The force that is seen of it says so.
+        """
+        means, assumptions = self._likeliest()
+        mean = means.tolist()
+        travel_mm = max(block.depth_mm - assumptions.tip_start_mm, 0.0)
+        length_mm = max(block.depth_mm - assumptions.layer_start_mm, 0.0)
+        slope = mean[STIFFNESS] + 2.0 * mean[STIFFENING] * travel_mm
+        slope += (
+            mean[LAYER_COULOMB] * block.deflection
+            + mean[LAYER_VISCOUS] * block.speed_mm_s
+        )
+        slope = max(slope, 0.0)
+        damping = max(mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm, 0.0)
+        variance = 0.0
+        for force_N2, frequency_hz, max_mm2 in (
+            (levels.variances.heartbeat, HEARTBEAT_HZ, MAX_HEARTBEAT_MM2),
+            (levels.variances.breathing, BREATHING_HZ, MAX_BREATHING_MM2),
+        ):
+            rate = 2.0 * math.pi * frequency_hz
+            response = slope**2 + MIN_STIFFNESS_SQUARE + (rate * damping) ** 2
+            variance += rate**2 * min(force_N2 / response, max_mm2)
+        return math.sqrt(min(variance, MAX_TISSUE_SPEED_VARIANCE))
 
     @property
-    def _is_open(self) -> bool:
+    def _is_layer_open(self) -> bool:
         """Whether the layer of the last alarm is not among the layers yet."""
-        return (
-            self._alarm is not None
-            and layers_traversed(self.layers) < self._alarm.layer
-        )
+        if self._alarm is None:
+            return False
+        return layers_traversed(self.layers) < self._alarm.layer
 
     @property
     def _is_series(self) -> bool:
-        """Whether the last alarm came so soon after another that a heart may have
-        raised both.
-        """
+        """Whether the last alarm came so soon that a heart may have raised both."""
         if self._alarm is None:
             return False
-        before = [
+        times_before_s = [
             layer.rupture.time_s
             for layer in self.layers
             if layer.layer < self._alarm.layer
         ]
-        return bool(before) and self._alarm.time_s - before[-1] < _SERIES_S
+        if not times_before_s:
+            return False
+        return self._alarm.time_s - times_before_s[-1] < SERIES_S
 
     def _report(self, sample: Sample) -> None:
-        """Raise or take back an alarm, report the layer left, answer for the next
-        samples.
-        """
-        place = self._place
+        """Raise or retract an alarm, and summarise the mixture for the next samples."""
         alarm = self._alarm
-        evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
-        found = reports.count_ruptures(evidence, self._ruptures, place)
-        now = RuptureState.EXPECTED if found.more > 0.5 else RuptureState.NO_RUPTURE
-        self._rupture_state = (
-            RuptureState.FORCE_DROP_MEASURING if self._is_open else now
-        )
-        if (
-            found.more > self._config.alarm_probability
-            and self._is_settled(evidence.bank, found.pick)
-            and not reports.may_be_braking(
-                evidence.bank, found, place, sample.clock_s, self._tissue
-            )
-        ):
-            self._raise_alarm(evidence, sample, found)
-            self._stage += (
-                _RUPTURES  # the next sample answers: this one has had enough to do
-            )
+        evidence = weigh_evidence(self._memory.mixture, alarm, self._ruptures)
+        count = count_ruptures(evidence, self._ruptures, self._block)
+        if self._is_layer_open:
+            self._rupture_state = RuptureState.FORCE_DROP_MEASURING
+        elif count.more > EXPECTING_PROBABILITY:
+            self._rupture_state = RuptureState.EXPECTED
+        else:
+            self._rupture_state = RuptureState.NO_RUPTURE
+        if self._is_rupture(evidence, count, sample.clock_s):
+            self._raise_alarm(evidence, sample, count)
+            # The next sample reports again: this one has had enough to do.
+            self._is_report_due = True
             return
-        if alarm is not None and found.fewer > _TAKEN_BACK:
-            # The force has come back: no rupture was there but for what is left of its
-            # probability.
-            gone = replace(alarm, probability=1.0 - found.fewer)
-            self._events = self._events._replace(retracted=gone)
-            self._keep(self.layers if self._is_open else self.layers[:-1])
-            self._ruptures = min(found.best, self._ruptures - 1)
-            self._alarm = None
-        elif (
-            alarm is not None
-            and self._events.rupture is None
-            and self._is_layer_due(alarm)
-        ):
-            self._stage += _LAYERS
-        last = self._alarm or (self.layers[-1].rupture if self.layers else None)
-        speed = 0.0 if last is None else _MM * last.speed_m_s
-        counts = self._ruptures, layers_traversed(self.layers) + self._is_open
-        answer = reports.answer_at(self._bank, evidence, place, counts, speed)
-        self._answer = answer.copy()
+        if alarm is not None and count.fewer > RETRACTING_PROBABILITY:
+            self._retract(alarm, count)
+        elif alarm is not None and self._events.rupture is None:
+            self._is_layer_due = self._is_layer_due or self._is_layer_report_due(alarm)
+        rupture = self._alarm
+        if rupture is None and self.layers:
+            rupture = self.layers[-1].rupture
+        update_posterior(
+            self._posterior,
+            evidence,
+            self._block,
+            self._ruptures,
+            layers_traversed(self.layers) + self._is_layer_open,
+            0.0 if rupture is None else MM_PER_M * rupture.speed_m_s,
+        )
 
-    def _is_settled(self, bank: Bank, pick: int) -> bool:
-        """Whether the needle advances, and far enough since a stop, which lets the
-        force fall.
+    def _is_rupture(
+        self, evidence: Evidence, count: RuptureCount, since_reset_s: float
+    ) -> bool:
+        """Return whether to raise an alarm."""
+        component = count.likeliest_with_more
+        if count.more <= self._config.alarm_probability:
+            return False
+        mixture = evidence.mixture
+        rupture_mm = float(read_column(mixture.history, "rupture_mm")[component])
+        if not self._is_settled(rupture_mm):
+            return False
+        tissue = self._tissue
+        return not may_be_braking(
+            mixture, component, self._block, since_reset_s, tissue
+        )
+
+    def _is_settled(self, rupture_mm: float) -> bool:
+        """Return whether the needle advances, and far enough since a stop.
+
+        A stop lets the force fall.
         """
-        since_mm = self._place.depth - float(bank.records[pick, law.RUPTURE_MM])
-        resumed_mm = -_RESUMED_MM * math.log(max(self._resumed, 1e-9))
-        return resumed_mm > 0.0 and (since_mm < resumed_mm or self._resumed < _SETTLED)
+        since_mm = self._block.depth_mm - rupture_mm
+        resumed_mm = -RESUMED_MM * math.log(max(self._resumed, MIN_RESUMED))
+        is_before_stop = since_mm < resumed_mm
+        return resumed_mm > 0.0 and (is_before_stop or self._resumed < SETTLED)
 
     def _raise_alarm(
-        self, evidence: reports.Evidence, sample: Sample, found: reports.Evaluation
+        self, evidence: Evidence, sample: Sample, count: RuptureCount
     ) -> None:
+        """Report a rupture, and with it the layer before as final."""
         layers = self.layers
-        identified = self._events.identified_layer
+        identified_layer = self._events.identified_layer
         if layers and not layers[-1].is_final:
-            identified = replace(layers[-1], is_final=True)
-            self._keep((*layers[:-1], identified))
-        number = layers_traversed(layers) + 1
-        at = (sample.time_s, sample.depth_m, sample.clock_s)
-        self._alarm = reports.rupture_of(evidence, found.pick, number, found.more, at)
-        self._ruptures = int(evidence.ruptures[found.pick])
+            identified_layer = replace(layers[-1], is_final=True)
+            self._keep_layers((*layers[:-1], identified_layer))
+        self._alarm = report_rupture(
+            evidence,
+            count.likeliest_with_more,
+            layers_traversed(layers) + 1,
+            count.more,
+            Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+        )
+        self._ruptures = int(evidence.ruptures[count.likeliest_with_more])
         self._rupture_state = RuptureState.DETECTED
-        self._events = Events(self._alarm, identified)
+        self._events = Events(self._alarm, identified_layer)
         # Every beat may raise an alarm until it is known: then the window has to grow
         # across them.
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample.clock_s)
 
-    def _is_final(self, alarm: Rupture) -> bool:
-        """Whether the layer left is final now, so far behind its rupture."""
-        is_far = not 0.0 <= self._place.depth / _MM - alarm.depth_m < _FINAL_M
-        return is_far and not self._is_open and not self.layers[-1].is_final
+    def _retract(self, alarm: Rupture, count: RuptureCount) -> None:
+        """Retract an alarm: the force has come back, and no rupture was there."""
+        retracted = replace(alarm, probability=1.0 - count.fewer)
+        self._events = self._events._replace(retracted=retracted)
+        self._keep_layers(self.layers if self._is_layer_open else self.layers[:-1])
+        self._ruptures = min(count.likeliest, self._ruptures - 1)
+        self._alarm = None
 
-    def _is_layer_due(self, alarm: Rupture) -> bool:
-        """Whether the layer left is reported or revised now, so far behind its
-        rupture.
-        """
-        if self._is_open:
-            return self._place.depth / _MM - alarm.depth_m >= _PROVISIONAL_M
-        is_revised = self._place.time_s % _REVISE_S < self._place.dt_s
-        return is_revised or self._is_final(alarm)
+    def _is_layer_final(self, alarm: Rupture) -> bool:
+        """Return whether the last layer is final now, so far behind its rupture."""
+        travel_m = self._block.depth_mm / MM_PER_M - alarm.depth_m
+        is_far = not 0.0 <= travel_m < FINAL_M
+        return is_far and not self._is_layer_open and not self.layers[-1].is_final
 
-    def _report_layer(self, alarm: Rupture, force_std: float) -> None:
-        """Report the layer that the last rupture ended, provisional or final, or
-        revise it.
-        """
-        layers = self.layers
-        is_open = self._is_open
-        is_due = self._is_final(alarm)
-        evidence = reports.evidence_of(self._bank.bank, alarm, self._ruptures)
+    def _is_layer_report_due(self, alarm: Rupture) -> bool:
+        """Return whether the last layer is reported or revised now."""
+        if self._is_layer_open:
+            travel_m = self._block.depth_mm / MM_PER_M - alarm.depth_m
+            return travel_m >= PROVISIONAL_M
+        is_revised = self._block.time_s % REVISE_S < self._block.duration_s
+        return is_revised or self._is_layer_final(alarm)
+
+    def _report_layer(self, alarm: Rupture, force_std_N: float) -> None:
+        """Report the layer that the last rupture ended, or revise it."""
+        evidence = weigh_evidence(self._memory.mixture, alarm, self._ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
-        # law's.
-        grown = (
-            max(force_std**2 - self._force_std_in_air**2, 0.0)
-            + self._place.law_error**2
-        )
-        friction = reports.friction_left(evidence, self._ruptures, grown)
-        if is_open:
-            layer = friction and reports.layer_left(
-                evidence, alarm, self._ruptures, friction
-            )
-            if layer is not None:
-                self._keep((*layers, layer))
-                self._events = self._events._replace(identified_layer=layer)
-                self._rupture_state = RuptureState.FRICTION_IDENTIFIED
+        # force model's.
+        grown_N2 = max(force_std_N**2 - self._force_std_in_air_N**2, 0.0)
+        variance_N2 = grown_N2 + self._block.model_error_N**2
+        if self._is_layer_open:
+            self._report_new_layer(alarm, evidence, variance_N2)
+        else:
+            self._revise_layers(alarm, evidence, variance_N2)
+
+    def _report_new_layer(
+        self, alarm: Rupture, evidence: Evidence, variance_N2: float
+    ) -> None:
+        """Report the layer that the last rupture ended, provisionally."""
+        friction = friction_of_last_layer(evidence, self._ruptures, variance_N2)
+        if friction is None:
             return
-        layer = (
-            layers[-1]
-            if friction is None
-            else reports.with_friction(layers[-1], *friction)
-        )
-        if is_due:
-            partial = reports.partial_rupture_probability(evidence, self._ruptures)
-            rupture = replace(
-                layer.rupture, is_final=True, partial_rupture_probability=partial
-            )
-            layer = replace(layer, is_final=True, rupture=rupture)
+        layer = report_layer(evidence, alarm, self._ruptures, friction)
+        if layer is not None:
+            self._keep_layers((*self.layers, layer))
             self._events = self._events._replace(identified_layer=layer)
-        kept = [*layers[:-1], layer]
-        earlier = reports.friction_left(evidence, self._ruptures, grown, before=True)
-        if earlier is not None and len(kept) > 1:
-            kept[-2] = reports.with_friction(kept[-2], *earlier)
-        self._keep(tuple(kept))
+            self._rupture_state = RuptureState.FRICTION_IDENTIFIED
+
+    def _revise_layers(
+        self, alarm: Rupture, evidence: Evidence, variance_N2: float
+    ) -> None:
+        """Revise the last two layers, and report the last one once it is final."""
+        layers = list(self.layers)
+        is_final = self._is_layer_final(alarm)
+        friction = friction_of_last_layer(evidence, self._ruptures, variance_N2)
+        if friction is not None:
+            layers[-1] = with_friction(layers[-1], friction)
+        if is_final:
+            probability = partial_rupture_probability(evidence, self._ruptures)
+            rupture = replace(
+                layers[-1].rupture,
+                is_final=True,
+                partial_rupture_probability=probability,
+            )
+            layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
+            self._events = self._events._replace(identified_layer=layers[-1])
+        friction = friction_of_layer_before(evidence, self._ruptures, variance_N2)
+        if friction is not None and len(layers) > 1:
+            layers[-2] = with_friction(layers[-2], friction)
+        self._keep_layers(tuple(layers))
 
 
 def layers_traversed(layers: tuple[LayerEstimate, ...]) -> int:
-    """How many layers have been traversed, those no longer kept included."""
+    """Return how many layers were traversed, those no longer kept included."""
     return layers[-1].layer if layers else 0
-
-
-def _block(time_s: float, memory: Array, before: float) -> tuple[Place, Noise]:
-    """Means of a block that is full; noise of depth, speed, force by motion; the
-    next begins.
-    """
-    *sums, _, _, _, _, jitter, speed_noise, _, _, _ = np.array(memory).tolist()
-    filled, z, v, w, force, raw, by_motion = sums
-    memory[: len(sums)] = [0.0] * len(sums)
-    z = _MM * z / filled
-    v = _MM * v / filled
-    raw = _MM * raw / filled
-    jitter = _MM * jitter
-    speed_noise = _MM * speed_noise
-    # A filter that leaves so much noise in both is as slow as their ratio.
-    lag_s = reports.speed_lag(jitter, speed_noise)
-    at_s = time_s - 0.5 * filled
-    w = w / filled
-    force = force / filled
-    place = Place(at_s, filled, z, v, w, force, 0.0, 0.0, raw, lag_s, before)
-    return place, (jitter, speed_noise, by_motion / filled)
-
-
-def _damping(bank: BankMemory, depth: float) -> float:
-    """Viscous friction of the whole shaft [N/(mm/s)], by the likeliest hypothesis."""
-    best = bank.store[0][0]
-    fact = bank.store[3][0]
-    return float(
-        best[law.VISCOUS] + best[law.OWN_VISCOUS] * max(depth - fact[law.ROOT], 0.0)
-    )
-
-
-def _predict(
-    bank: BankMemory,
-    place: Place,
-    fresh: float,
-    levels: DisturbanceLevels,
-    tissue: TissueMotion,
-) -> None:
-    # Errors of the law are the same for all: what claims less would be believed more.
-    best, fact = bank.likeliest
-    slope = (
-        best[law.STIFFNESS]
-        + best[law.OWN_COULOMB]
-        + best[law.OWN_VISCOUS] * place.speed
-    )
-    slope = max(slope, 0.004)
-    held = fresh * (_HELD_DRIFT * min(max(best[law.HELD], 0.02), 2.0 * slope)) ** 2
-    left = place.deflection * best[law.COULOMB] + place.speed * best[law.VISCOUS]
-    tip = abs(place.force - best[law.OFFSET] - left)
-    error = law.LAW_ERROR * (tip + law.LEFT_ERROR * abs(left))
-    _, colour, heart, breath = levels.levels.tolist()
-    if fact[law.KIND] != law.AIR and not tissue.is_known:
-        # Before a few beats have been seen nobody knows whether the tissue moves.
-        heart = max(heart, (_MOTION_MM * slope) ** 2)
-    turns = transitions(place.dt_s, fresh, law.LAW_MM, (heart, breath, error * error))
-    kept = np.array([math.exp(-place.dt_s / COLOUR_S), colour])
-    law.predict(bank.store, bank.size, held, place.dt_s, kept, turns)
-
-
-def _learn(
-    bank: BankMemory,
-    place: Place,
-    levels: DisturbanceLevels,
-    resumed: float,
-    noise: Noise,
-) -> None:
-    depth_std, speed_std, by_motion = noise
-    best, fact = bank.likeliest
-    damping = _damping(bank, place.depth)
-    white = float(levels.levels[0]) * levels.step_s / place.dt_s
-    variance = max(white, 1e-8) + (damping * speed_std) ** 2 + by_motion
-    if fact[law.KIND] != law.AIR:
-        loose = _UNSETTLED * max(1.0 - place.deflection, resumed)
-        variance += (loose * (place.force - best[law.OFFSET])) ** 2
-    scene = (place.depth, place.speed, place.deflection)
-    block = (abs(place.speed) * place.dt_s, variance, depth_std)
-    law.correct(bank.store, bank.size, scene, place.force, block)
-
-
-def _tissue_speed(bank: BankMemory, place: Place, levels: DisturbanceLevels) -> float:
-    """Standard deviation of the speed at which tissue moves by itself [mm/s], as its
-    force says.
-    """
-    best, fact = bank.likeliest
-    travel, length = (max(place.depth - fact[at], 0.0) for at in (law.TIP, law.ROOT))
-    slope = best[law.STIFFNESS] + 2.0 * best[law.STIFFENING] * travel
-    slope += (
-        best[law.OWN_COULOMB] * place.deflection + best[law.OWN_VISCOUS] * place.speed
-    )
-    damping = max(best[law.VISCOUS] + best[law.OWN_VISCOUS] * length, 0.0)
-    variance = 0.0
-    for level, (hz, _), most in zip(
-        levels.levels[2:].tolist(), BEATS, (1.0, 4.0), strict=True
-    ):
-        rate = 2.0 * math.pi * hz
-        moved = level / (max(slope, 0.0) ** 2 + 1e-4 + (rate * damping) ** 2)
-        variance += rate**2 * min(moved, most)
-    return math.sqrt(min(variance, 25.0))

@@ -1,51 +1,253 @@
-"""The bank: hypotheses of which ruptures there have been, weighed by their evidence.
+"""The mixture: hypotheses of which ruptures there have been, weighed by their evidence.
 
-At every small step of fresh travel the likeliest hypothesis of each kind has children,
-one for each event that may have happened there. Those that the force speaks against are
-dropped; so are the least likely, class by class, since what an event was may show only
-at the next one.
+Each component is a Kalman filter on the twenty unknowns of the force, with a weight. A
+block of samples moves it in four steps: `predict`, `correct`, `penalise_implausible`,
+and, at every small step of fresh travel, `MixtureMemory.branch`, which gives the
+likeliest component of each kind children, one for each event that may have happened
+there. `MixtureMemory.prune` drops those that the force speaks against, and the least
+likely, class by class, since what an event was may show only at the next one.
+
+Lengths are in mm, speeds in mm/s, forces in N.
 """
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from dataclasses import fields
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Array, Matrix, Vector
-from foundation.jit import compiled
-from identification.multilayer import force_model as law
-
-STEP_MM = 0.02  # least travel between new hypotheses
-HAZARD = 0.02  # prior rate of ruptures per mm of travel
-RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
-"""Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up
-to 2 mm."""
-PARTIAL_RELEASES_MM = np.array(
-    [0.5, 1.5]
-)  # the same of a partial rupture: in liver 0.5 to 2 mm
-_NO_RELEASES_MM = np.array([0.3])
-PARTIAL_FRACTION = 0.15  # prior fraction of ruptures that are partial
-KEPT_PROBABILITY = (
-    0.2  # prior fraction of layer ends after which some tip force stays for a while
+from foundation.arrays import (
+    Array,
+    Vector,
+    WrittenBlocks,
+    WrittenMatrix,
+    WrittenVector,
 )
-AIR_FRACTION = 0.25  # prior fraction of layer ends that lead into free air
-MEMBRANE_FRACTION = 0.15  # prior number of membranes met under a layer, per rupture
-MEMBRANE_STEP_MM = 0.25  # travel between hypotheses of a membrane met
-LEAST_MM = 1.2  # least travel between two ruptures: about a needle diameter
-QUOTAS = (60, 8, 16, 6)
-"""Most hypotheses kept: with a recent event, a membrane just met, older events, older
-membranes. What an event was shows only some tenths of a millimetre later; until then it
-is protected."""
-KEPT = sum(QUOTAS)
-CAPACITY = KEPT + 120  # with the children of two steps, before they are pruned
-NEGLIGIBLE = -30.0  # a hypothesis with a smaller logarithm of its weight is dropped
-_LIKELY = 25.0  # a parent's log weight is at most so far below the largest
-_OF_PARENT = law.RELEASE, law.LENGTH, law.KIND, law.IS_HELD
-_OF_CLASS = law.TIP, law.KIND, int(law.MEMBRANE)
-"""Indices for compiled code, which does not use constants of another file."""
-Rows = NDArray[np.int64]  # Row numbers of hypotheses, shape (m,)
+from foundation.jit import compiled
+from foundation.records import read_column, read_element, record_array
+from identification.multilayer.block import Block
+from identification.multilayer.disturbances import (
+    COLOURED_NOISE_S,
+    RandomMotion,
+    breathing_step,
+    heartbeat_step,
+    smooth_walk_step,
+)
+from identification.multilayer.events import (
+    CONTACT,
+    LAYER_END,
+    MEMBRANE_MET,
+    PARTIAL_RUPTURE,
+    Event,
+    Gaussian,
+    History,
+    apply_event,
+    record_contact,
+    record_rupture,
+    record_section,
+    update_assumption,
+)
+from identification.multilayer.force_model import (
+    AIR,
+    BREATHING,
+    COLOURED_NOISE,
+    CUTTING_ONSET_MM,
+    FADING,
+    FRICTION_LAST,
+    HEARTBEAT,
+    HELD,
+    LAYER,
+    LAYER_COULOMB,
+    LAYER_VISCOUS,
+    MEMBRANE,
+    MODEL_ERROR,
+    MODEL_ERROR_MM,
+    NO_RELEASE_MM,
+    OFFSET,
+    RELEASE_STRETCH,
+    RELEASED,
+    STIFFNESS,
+    TIP_BEGIN,
+    TRAVERSED_COULOMB,
+    UNKNOWNS,
+    Assumptions,
+    regressor,
+)
+from identification.multilayer.kalman import times, update
+from identification.multilayer.priors import use_friction_fraction
+
+MIN_BRANCH_MM = 0.02
+"""Least travel between new hypotheses."""
+
+MAX_BRANCH_MM = 1.0
+"""Travel that new hypotheses stand for at most."""
+
+RUPTURES_PER_MM = 0.02
+"""Prior rate of ruptures per travel."""
+
+RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
+"""Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2
+mm."""
+
+PARTIAL_RELEASES_MM = np.array([0.5, 1.5])
+"""The same of a partial rupture: in liver 0.5 to 2 mm."""
+
+NO_RELEASES_MM = np.array([0.3])
+"""The same of an event without a release: any length does."""
+
+MIN_RELEASE_MM = 0.3
+"""Travel for which the nature of a rupture is open at least."""
+
+PARTIAL_FRACTION = 0.15
+"""Prior fraction of ruptures that are partial."""
+
+FADING_PROBABILITY = 0.2
+"""Prior fraction of layer ends after which some tip force outlasts the rupture."""
+
+AIR_FRACTION = 0.25
+"""Prior fraction of layer ends that lead into free air."""
+
+GAP_OF_AIR_FRACTION = 0.1
+"""Rate of contacts behind a layer that ended in air, as a part of the first one's: gaps
+of air are rare."""
+
+MIN_GAP_OF_AIR_MM = 3.0
+"""Travel in air before another layer may begin."""
+
+CONTACT_LAYER_FRACTION = 0.7
+"""Prior fraction of contacts that cut into a layer at once."""
+
+CONTACT_MEMBRANE_FRACTION = 0.3
+"""Prior fraction of contacts that push a membrane first."""
+
+MIN_CONTACT_DEFLECTION = 0.3
+"""Presliding deflection of a needle that advances into tissue, at least."""
+
+MEMBRANES_PER_RUPTURE = 0.15
+"""Prior number of membranes met under a layer, per rupture."""
+
+MEMBRANE_STEP_MM = 0.25
+"""Travel between hypotheses of a membrane met."""
+
+MIN_LAYER_ABOVE_MEMBRANE_MM = 2.0
+"""Travel in a layer before a membrane may be met under it."""
+
+MIN_BETWEEN_RUPTURES_MM = 1.2
+"""Least travel between two ruptures: about a needle diameter."""
+
+MAX_RECENT = 60
+"""Components kept with a recent event."""
+
+MAX_RECENT_MEMBRANES = 8
+"""Components kept with a membrane just met."""
+
+MAX_OLD = 16
+"""Components kept with older events."""
+
+MAX_OLD_MEMBRANES = 6
+"""Components kept with older membranes."""
+
+QUOTAS = (MAX_RECENT, MAX_RECENT_MEMBRANES, MAX_OLD, MAX_OLD_MEMBRANES)
+"""Components kept of each class. What an event was shows only some tenths of a
+millimetre later; until then it is protected."""
+
+RECENT_MM = 0.4
+"""Travel for which an event is recent."""
+
+RECENT_MEMBRANE_MM = 1.5
+"""Travel for which a membrane is just met."""
+
+MAX_KEPT = sum(QUOTAS)
+"""Components kept."""
+
+CAPACITY = MAX_KEPT + 120
+"""Components with the children of two steps, before they are pruned."""
+
+MIN_LOG_WEIGHT = -30.0
+"""A component with a smaller logarithm of its weight is dropped."""
+
+MIN_PARENT_LOG_WEIGHT = -25.0
+"""A parent's log weight is at least so far below the largest."""
+
+KINDS = 6
+"""Kinds of components: three media, with force held or without."""
+
+INITIAL_OFFSET_STD_N = 5.0
+"""Standard deviation of the force in free air before the first sample."""
+
+OFFSET_WALK_N2_PER_S = 1e-6
+"""Random walk of the sensor's zero."""
+
+RELEASE_SHAPE_ERROR = 0.08
+"""Relative error of a release's shape."""
+
+RELEASE_SHAPE_MM = 0.02
+"""Its correlation length."""
+
+ONSET_ERROR = 0.1
+"""Relative error of a cutting onset."""
+
+LIKELIHOOD_EXPONENT = 0.5
+"""Exponent of the likelihood: errors of the model are alike from one block to the
+next."""
+
+STUDENT_FREEDOM = 8.0
+"""Degrees of freedom of Student's t: a single outlier proves little."""
+
+ZERO_FORCE_STD_N = 0.02
+"""Deviation with which a negative cutting force or friction is set to 0."""
+
+ZERO_STIFFNESS_STD_N_PER_MM = 0.002
+"""Deviation with which a negative stiffness is set to 0."""
+
+FRACTION_TRAVEL_MM = 1.0
+"""Travel in a layer from which on the prior of friction's fraction may be used."""
+
+MAX_FRACTION_TRAVEL_MM = 10.0
+"""Travel from which on it is used in any case."""
+
+RELEASE_CHECK_MM = 0.1
+"""Travel behind a release at which its size is checked."""
+
+MIN_RELEASED_FRACTION = 0.12
+"""Fraction of the force that a rupture releases at least."""
+
+MIN_RELEASED_SIGMAS = 2.0
+"""Force that a rupture releases at least, in standard deviations of a block's force."""
+
+SMALL_RELEASE_PENALTY = 12.0
+"""What a release of less costs, of the logarithm of the weight: it was none."""
+
+SIGN_TRAVEL_MM = 2.0
+"""Travel from which on the signs of stiffness and friction are checked."""
+
+MIN_FRICTION_N_PER_MM = -0.003
+"""Friction per length of shaft that noise may leave, at least."""
+
+SIGN_PENALTY = 0.1
+"""What a negative stiffness or friction costs, per block."""
+
+MAX_PUSHED_MM = 12.0
+"""A membrane is hardly pushed in further before it ruptures."""
+
+PUSHED_PENALTY = 0.3
+"""What a membrane pushed in further costs, per `PUSHED_STEP_MM`."""
+
+PUSHED_STEP_MM = 0.04
+"""Travel that this penalty refers to."""
+
+MAX_PUSHED_STEPS = 2.0
+"""Such steps that one block counts at most."""
+
+SYMMETRY_TOLERANCE = 1e-3
+"""Relative difference of the two halves of a restored covariance, at most."""
+
+Record = TypeVar("Record")
+
+Rows = NDArray[np.int64]
+"""Row numbers of components, shape (m,)."""
 
 
 @compiled
@@ -54,241 +256,674 @@ def _probabilities(log_weights: Vector) -> Array:
     return weights / weights.sum()
 
 
-class Bank(NamedTuple):
-    """n hypotheses, once pruned the likeliest first; never more than `CAPACITY`.
+class Mixture(NamedTuple):
+    """n components, once pruned the likeliest first; never more than `CAPACITY`.
 
     Attributes:
         means: Of the unknowns, shape (n, 20).
-        spreads: Their covariances, shape (n, 20, 20).
+        covariances: Theirs, shape (n, 20, 20).
         log_weights: Logarithm of each one's probability, shape (n,).
-        facts: What it assumes to be known, shape (n, 10).
-        records: What it knows of the last rupture, for reports, shape (n, 16).
+        assumptions: What it takes for granted, records, shape (n,).
+        history: What it reports of its past, records, shape (n,).
     """
 
-    means: Array
-    spreads: Array
-    log_weights: Array
-    facts: Array
-    records: Array
+    means: WrittenMatrix
+    covariances: WrittenBlocks
+    log_weights: WrittenVector
+    assumptions: list[Assumptions]
+    history: list[History]
 
     @property
-    def damage(self) -> str:
-        """What is wrong with the arrays, if anything; checked before compiled code
-        reads them.
-        """
-        n = len(self.log_weights)
-        last = (law.UNKNOWNS, law.UNKNOWNS)
-        shapes = ((n, law.UNKNOWNS), (n, *last), (n,), (n, law.FACTS), (n, law.RECORDS))
-        if not 1 <= n <= CAPACITY or [np.shape(part) for part in self] != list(shapes):
-            return f"its arrays have shapes {[np.shape(part) for part in self]}"
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.spreads), 1e-300))
-        scaled = self.spreads / (scale[:, :, None] * scale[:, None, :])
-        if not np.allclose(scaled, scaled.transpose(0, 2, 1), rtol=0.0, atol=1e-3):
-            return "its covariances are not symmetric"
-        is_kind = np.isin(self.facts[:, law.KIND], (law.AIR, law.LAYER, law.MEMBRANE))
-        is_possible = (is_kind & (self.facts[:, law.LENGTH] > 0.0)).all()
-        return "" if is_possible else "its facts are impossible"
+    def size(self) -> int:
+        """Number of components."""
+        return len(self.log_weights)
 
     @property
     def weights(self) -> Array:
         """Probabilities, shape (n,)."""
         return _probabilities(self.log_weights)
 
-    def copied(self) -> "Bank":
-        """The same, in memory of its own."""
-        return Bank(*(part.copy() for part in self))
+    @property
+    def arrays(self) -> tuple[NDArray[Any], ...]:
+        """The five arrays; the records are arrays too."""
+        return cast(Any, self)[:]
+
+    def first(self, size: int) -> "Mixture":
+        """Return the first components, in the same memory."""
+        return Mixture(
+            means=self.means[:size],
+            covariances=self.covariances[:size],
+            log_weights=self.log_weights[:size],
+            assumptions=self.assumptions[:size],
+            history=self.history[:size],
+        )
+
+    @property
+    def state(self) -> "MixtureState":
+        """The same as plain arrays, in memory of their own."""
+        return MixtureState(
+            self.means.copy(),
+            self.covariances.copy(),
+            self.log_weights.copy(),
+            numbers_of(self.assumptions),
+            numbers_of(self.history),
+        )
 
 
-class Place(NamedTuple):
-    """Where the tip is at the middle of a block, as far as all hypotheses agree.
+def numbers_of(records: list[Any]) -> Array:
+    """Return the fields of n records of numbers as an array of its own, (n, m)."""
+    return np.array(records).view(np.float64).reshape(len(records), -1)
+
+
+def records_of(kind: type[Record], numbers: Array) -> list[Record]:
+    """Return n records with the fields that an array holds, shape (n, m)."""
+    records = record_array(kind, len(numbers))
+    names = [field.name for field in fields(cast(Any, kind))]
+    for name, column in zip(names, numbers.T, strict=True):
+        read_column(records, name)[:] = column
+    return records
+
+
+def empty_mixture(size: int) -> Mixture:
+    """Return room for so many components."""
+    return Mixture(
+        means=np.zeros((size, UNKNOWNS)),
+        covariances=np.zeros((size, UNKNOWNS, UNKNOWNS)),
+        log_weights=np.zeros(size),
+        assumptions=record_array(Assumptions, size),
+        history=record_array(History, size),
+    )
+
+
+class MixtureState(NamedTuple):
+    """A mixture of n components as plain arrays, for snapshots.
 
     Attributes:
-        time_s: Since the reset.
-        dt_s: Length of the block.
-        depth: [mm].
-        speed: [mm/s].
-        deflection: Presliding deflection, -1 to 1.
-        force: Mean over the block [N].
-        usual_speed: Mean over the last ten seconds [mm/s].
-        noise: Standard deviation of a block's force [N].
-        raw: Unfiltered depth [mm].
-        lag_s: By which the speed may be late.
-        before: Mean force over the block before [N].
-        law_error: Error of the law that the tissue's texture shows [N].
+        means: Of the unknowns, shape (n, 20).
+        covariances: Theirs, shape (n, 20, 20).
+        log_weights: Logarithm of each one's probability, shape (n,).
+        assumptions: Fields of `Assumptions`, shape (n, 10).
+        history: Fields of `History`, shape (n, 16).
     """
 
-    time_s: float
-    dt_s: float
-    depth: float
-    speed: float
-    deflection: float
-    force: float
-    usual_speed: float
-    noise: float
-    raw: float = 0.0
-    lag_s: float = 0.0
-    before: float = 0.0
-    by_speed: float = (
-        0.0  # shaft friction that changes of the speed have added so far [N]
-    )
-    law_error: float = 0.0
-
-
-def first_bank() -> Bank:
-    """One hypothesis: the tip is in free air, the offset unknown."""
-    spreads = np.zeros((1, law.UNKNOWNS, law.UNKNOWNS))
-    facts = np.zeros((1, law.FACTS))
-    spreads[0, law.OFFSET, law.OFFSET] = 5.0**2
-    facts[0, [law.RELEASE, law.LENGTH, law.IS_JUDGED]] = law.NO_RELEASE, 1.0, 1.0
-    return Bank(
-        np.zeros((1, law.UNKNOWNS)),
-        spreads,
-        np.zeros(1),
-        facts,
-        np.zeros((1, law.RECORDS)),
-    )
-
-
-class BankMemory:
-    """Memory of a bank that changes in place; pruning copies what it keeps into a
-    second one.
-    """
-
-    def __init__(self, bank: Bank) -> None:
-        shapes = [(CAPACITY, *part.shape[1:]) for part in bank]
-        stores = [tuple(np.zeros(shape) for shape in shapes) for _ in range(2)]
-        self.store = Bank(*stores[0])[:]
-        self._other = Bank(*stores[1])[:]
-        for room, part in zip(self.store, bank, strict=True):
-            room[: len(part)] = part
-        self.size = len(bank.log_weights)
+    means: Array
+    covariances: Array
+    log_weights: Array
+    assumptions: Array
+    history: Array
 
     @property
-    def bank(self) -> Bank:
-        """The hypotheses as they are now, not to be kept."""
-        return Bank(*(part[: self.size] for part in self.store))
+    def mixture(self) -> Mixture:
+        """The mixture, in memory of its own."""
+        return Mixture(
+            np.array(self.means),
+            np.array(self.covariances),
+            np.array(self.log_weights),
+            records_of(Assumptions, self.assumptions),
+            records_of(History, self.history),
+        )
 
     @property
-    def likeliest(self) -> tuple[list[float], list[float]]:
-        """Means of the unknowns, and the facts, of the likeliest hypothesis."""
-        return self.store[0][0].tolist(), self.store[3][0].tolist()
+    def damage(self) -> str:
+        """What is wrong with the arrays, if anything.
 
-    def spawn(
-        self, place: Place, before: float, tissue_speed: float, reported: int
-    ) -> None:
-        """Add hypotheses of what may have happened since the last call, at depth
-        `before`.
-
-        `tissue_speed` is a standard deviation [mm/s], `reported` the number of alarms
-        so far.
+        It is asked before compiled code reads them.
         """
-        facts = self.bank.facts
-        log_weights = self.bank.log_weights
-        parents = _parents(log_weights, facts, place.depth, _OF_PARENT).tolist()
-        step = max(place.depth - max(before, place.depth - 1.0), STEP_MM)
-        is_membrane_due = int(place.depth / MEMBRANE_STEP_MM) != int(
-            before / MEMBRANE_STEP_MM
-        )
-        scene = place[2:5]
-        time_s = place.time_s - 0.5 * place.dt_s
-        # A release can be over within a block, so the force it fell from is the block's
-        # before.
-        moment = (*scene, time_s, tissue_speed, place.before, float(reported))
-        for k in parents:
-            happens = _events(facts[k].tolist(), place, HAZARD * step, is_membrane_due)
-            for what, becomes, is_kept, releases, chance in happens:
-                event = (what, becomes, is_kept)
-                law.add_children(
-                    self.store, k, self.size, event, moment, releases, chance
-                )
-                self.size += len(releases)
-
-    def prune(self, place: Place) -> None:
-        """Keep the likeliest of each class, best first."""
-        bank = self.bank
-        rows, log_weights = _ranked(
-            bank.log_weights, bank.facts, place.depth, _OF_CLASS
-        )
-        for source, target in zip(bank, self._other, strict=True):
-            source.take(rows, axis=0, out=target[: len(rows)], mode="clip")
-        self._other[2][: len(rows)] = log_weights
-        self.store, self._other = self._other, self.store
-        self.size = len(rows)
+        n = len(self.log_weights)
+        expected = [
+            (n, UNKNOWNS),
+            (n, UNKNOWNS, UNKNOWNS),
+            (n,),
+            (n, len(fields(Assumptions))),
+            (n, len(fields(History))),
+        ]
+        shapes = [np.shape(array) for array in self]
+        if not 1 <= n <= CAPACITY or shapes != expected:
+            return f"its arrays have shapes {shapes}"
+        scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.covariances), 1e-300))
+        scaled = self.covariances / (scale[:, :, None] * scale[:, None, :])
+        transposed = scaled.transpose(0, 2, 1)
+        if not np.allclose(scaled, transposed, rtol=0.0, atol=SYMMETRY_TOLERANCE):
+            return "its covariances are not symmetric"
+        assumptions = Assumptions(*self.assumptions.T)
+        is_medium = np.isin(assumptions.medium, (AIR, LAYER, MEMBRANE))
+        has_length = np.asarray(assumptions.release_length_mm) > 0.0
+        is_possible = is_medium & has_length
+        return "" if is_possible.all() else "its assumptions are impossible"
 
 
-def _events(
-    fact: list[float], place: Place, chance: float, is_membrane_due: bool
-) -> Iterator[tuple[int, float, bool, Array, float]]:
-    """What may happen: event, what the tip is in then, if force stays, release
-    lengths, chance.
+def first_mixture() -> Mixture:
+    """Return one component: the tip is in free air, the offset unknown."""
+    covariances = np.zeros((1, UNKNOWNS, UNKNOWNS))
+    covariances[0, OFFSET, OFFSET] = INITIAL_OFFSET_STD_N**2
+    assumptions = record_array(Assumptions, 1)
+    read_column(assumptions, "release_start_mm")[:] = NO_RELEASE_MM
+    read_column(assumptions, "release_length_mm")[:] = 1.0
+    read_column(assumptions, "is_fraction_used")[:] = 1.0
+    return Mixture(
+        means=np.zeros((1, UNKNOWNS)),
+        covariances=covariances,
+        log_weights=np.zeros(1),
+        assumptions=assumptions,
+        history=record_array(History, 1),
+    )
+
+
+class ProcessNoise(NamedTuple):
+    """What may change over a block, beside events.
+
+    Attributes:
+        duration_s: Length of the block.
+        fresh_travel_mm: Its travel beyond the deepest point so far.
+        held_variance: Variance that the cutting force gains [N²].
+        coloured_variance: Stationary variance of the coloured noise [N²].
+        heartbeat_variance: Of the force by the heartbeat [N²].
+        breathing_variance: Of the force by breathing [N²].
+        model_error_variance: Of the force model's error [N²].
     """
-    kind = fact[law.KIND]
-    if kind == law.AIR:
-        if fact[law.RUPTURES]:
-            chance *= 0.1  # gaps of air are rare
-        is_near = fact[law.RUPTURES] and place.depth < fact[law.RELEASE] + 3.0
-        if place.deflection >= 0.3 and not is_near:
-            yield law.CONTACT, law.LAYER, False, _NO_RELEASES_MM, 0.7 * chance
-            yield law.CONTACT, law.MEMBRANE, False, _NO_RELEASES_MM, 0.3 * chance
-        return
-    if place.depth <= fact[law.TIP] + LEAST_MM:
-        return
-    ends = (1.0 - PARTIAL_FRACTION) * chance / len(RELEASES_MM)
-    further = ends * (1.0 - AIR_FRACTION)
-    kept = KEPT_PROBABILITY if kind == law.LAYER else 0.0
-    yield law.EXIT, law.LAYER, False, RELEASES_MM, further * (1.0 - kept)
-    if kind == law.LAYER:
-        yield law.EXIT, law.LAYER, True, RELEASES_MM, further * KEPT_PROBABILITY
-        yield law.EXIT, law.AIR, False, RELEASES_MM, ends * AIR_FRACTION
-        partial = PARTIAL_FRACTION * chance / len(PARTIAL_RELEASES_MM)
-        yield law.PARTIAL, law.LAYER, False, PARTIAL_RELEASES_MM, partial
-        if (
-            is_membrane_due
-            and place.depth > fact[law.ROOT] + 2.0
-            and fact[law.IS_JUDGED]
-        ):
-            met = MEMBRANE_FRACTION * MEMBRANE_STEP_MM * HAZARD
-            yield law.MEETING, law.MEMBRANE, False, _NO_RELEASES_MM, met
+
+    duration_s: float
+    fresh_travel_mm: float
+    held_variance: float
+    coloured_variance: float
+    heartbeat_variance: float
+    breathing_variance: float
+    model_error_variance: float
 
 
 @compiled
-def _parents(
-    log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int, int]
-) -> Rows:
-    """The likeliest of each kind whose last release is over: until then its nature
-    is open.
+def move(
+    mean: WrittenVector, covariance: WrittenMatrix, first: int, step: RandomMotion
+) -> None:
+    """Move two neighbouring unknowns on, a value and its rate.
+
+    Args:
+        mean: Of all unknowns, shape (20,).
+        covariance: Theirs, shape (20, 20).
+        first: Index of the value; that of the rate follows it.
+        step: How both go on.
     """
-    release, length, kind, is_held = places
-    kinds = 2.0 * facts[:, kind] + facts[:, is_held]
-    may = depth > facts[:, release] + np.maximum(facts[:, length], 0.3)
-    may &= log_weights > log_weights.max() - _LIKELY
-    rows = [np.flatnonzero(may & (kinds == one)) for one in range(6)]
-    found = [mine[np.argmax(log_weights[mine])] for mine in rows if len(mine) > 0]
-    best = np.array(found, dtype=np.int64)
-    return best[np.argsort(-log_weights[best], kind="mergesort")]
+    a = step.transition.value_by_value
+    b = step.transition.value_by_rate
+    c = step.transition.rate_by_value
+    d = step.transition.rate_by_rate
+    second = first + 1
+    value = mean[first]
+    rate = mean[second]
+    mean[first] = a * value + b * rate
+    mean[second] = c * value + d * rate
+    for j in range(UNKNOWNS):
+        value = covariance[first, j]
+        rate = covariance[second, j]
+        covariance[first, j] = a * value + b * rate
+        covariance[second, j] = c * value + d * rate
+    for j in range(UNKNOWNS):
+        value = covariance[j, first]
+        rate = covariance[j, second]
+        covariance[j, first] = a * value + b * rate
+        covariance[j, second] = c * value + d * rate
+    covariance[first, first] += step.value_variance
+    covariance[first, second] += step.covariance
+    covariance[second, first] += step.covariance
+    covariance[second, second] += step.rate_variance
 
 
 @compiled
-def _ranked(
-    log_weights: Vector, facts: Matrix, depth: float, places: tuple[int, int, int]
-) -> tuple[Rows, Vector]:
-    """Rows of the likeliest, within the quota of each class, best first, and their
-    log weights.
+def predict(mixture: Mixture, size: int, noise: ProcessNoise) -> None:
+    """Move the unknowns of the first `size` components on by a block."""
+    duration_s = noise.duration_s
+    decay = math.exp(-duration_s / COLOURED_NOISE_S)
+    coloured_variance = (1.0 - decay**2) * noise.coloured_variance
+    heartbeat = heartbeat_step(duration_s, noise.heartbeat_variance)
+    breathing = breathing_step(duration_s, noise.breathing_variance)
+    model_error = smooth_walk_step(
+        noise.fresh_travel_mm, MODEL_ERROR_MM, noise.model_error_variance
+    )
+    for k in range(size):
+        mean = mixture.means[k]
+        covariance = mixture.covariances[k]
+        mean[COLOURED_NOISE] *= decay
+        for j in range(UNKNOWNS):
+            covariance[j, COLOURED_NOISE] *= decay
+        for j in range(UNKNOWNS):
+            covariance[COLOURED_NOISE, j] *= decay
+        covariance[OFFSET, OFFSET] += OFFSET_WALK_N2_PER_S * duration_s
+        if mixture.assumptions[k].medium != AIR:
+            covariance[HELD, HELD] += noise.held_variance
+        covariance[COLOURED_NOISE, COLOURED_NOISE] += coloured_variance
+        move(mean, covariance, HEARTBEAT, heartbeat)
+        move(mean, covariance, BREATHING, breathing)
+        move(mean, covariance, MODEL_ERROR, model_error)
+
+
+@compiled
+def force_variance(
+    mean: Vector,
+    row: Vector,
+    assumption: Assumptions,
+    block: Block,
+    variance: float,
+    shape_error: float,
+) -> float:
+    """Return the variance of a block's force, errors of its shape included.
+
+    Args:
+        mean: Of the unknowns, shape (20,).
+        row: Regressor of the block, shape (20,).
+        assumption: What the component takes for granted.
+        block: Where the needle is.
+        variance: Without errors of a release's and an onset's shape.
+        shape_error: Relative error of a release's shape, over the block.
     """
-    tip, kind, membrane = places
-    is_pushed = facts[:, kind] == membrane
-    is_old = depth - facts[:, tip] >= np.where(is_pushed, 1.5, 0.4)
-    classes = 2 * is_old + 1 * is_pushed
-    weights = log_weights - log_weights.max()
-    weights -= math.log(np.exp(weights).sum())
-    left = list(QUOTAS)
-    kept = np.zeros(len(weights), dtype=np.int64)
+    travel = max(block.depth_mm - assumption.tip_start_mm, 0.0)
+    before_onset = max(1.0 - travel / CUTTING_ONSET_MM, 0.0)
+    release_slope = 2.0 * mean[RELEASED] / assumption.release_length_mm
+    variance += (shape_error * mean[RELEASED]) ** 2 * 2.0 * row[RELEASE_STRETCH]
+    variance += (ONSET_ERROR * mean[HELD] * before_onset) ** 2
+    variance += (release_slope * block.depth_std_mm) ** 2 * row[RELEASED]
+    return variance
+
+
+@compiled
+def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
+    """Update the first `size` components, and their weights, with a block's force.
+
+    The weight follows Student's t, so that one outlier proves little, and a component
+    that is surprised learns less.
+
+    Args:
+        mixture: Whose components are changed.
+        size: How many there are.
+        block: Its force and place.
+        variance: Of the block's force, that of the model's shape not included [N²].
+    """
+    travel = abs(block.speed_mm_s) * block.duration_s
+    errors = RELEASE_SHAPE_MM / max(travel, 0.1 * RELEASE_SHAPE_MM)
+    shape_error = RELEASE_SHAPE_ERROR * math.sqrt(max(errors, 1.0))
+    for k in range(size):
+        mean = mixture.means[k]
+        covariance = mixture.covariances[k]
+        assumption = mixture.assumptions[k]
+        history = mixture.history[k]
+        history.min_force_N = min(history.min_force_N, block.force_N)
+        row = regressor(assumption, block)
+        noise = force_variance(mean, row, assumption, block, variance, shape_error)
+        cross_covariance = times(covariance, row)
+        total_variance = max(np.dot(row, cross_covariance), 0.0) + noise
+        innovation = block.force_N - np.dot(row, mean)
+        surprise = innovation * innovation / total_variance
+        log_likelihood = -0.5 * (
+            math.log(total_variance)
+            + (STUDENT_FREEDOM + 1.0) * math.log1p(surprise / STUDENT_FREEDOM)
+        )
+        mixture.log_weights[k] += LIKELIHOOD_EXPONENT * log_likelihood
+        widening = (STUDENT_FREEDOM + surprise) / (STUDENT_FREEDOM + 1.0)
+        total_variance *= max(widening, 1.0)
+        update(mean, covariance, cross_covariance, innovation, total_variance)
+
+
+@compiled
+def set_to_zero(
+    mean: WrittenVector, covariance: WrittenMatrix, index: int, zero_std: float
+) -> float:
+    """Set an unknown to zero where it is negative beyond its deviation.
+
+    Returns:
+        Change of the logarithm of the weight.
+    """
+    value = mean[index]
+    variance = max(covariance[index, index], 0.0)
+    if value >= -zero_std - math.sqrt(variance):
+        return 0.0
+    total_variance = variance + zero_std**2
+    cross_covariance = covariance[:, index].copy()
+    update(mean, covariance, cross_covariance, -value, total_variance)
+    return -0.5 * value**2 / total_variance
+
+
+@compiled
+def constrain_sign(
+    mean: WrittenVector, covariance: WrittenMatrix, assumption: Assumptions
+) -> float:
+    """Set to zero what is negative but cannot be.
+
+    Returns:
+        Change of the logarithm of the weight.
+    """
+    log_weight = set_to_zero(mean, covariance, TRAVERSED_COULOMB, ZERO_FORCE_STD_N)
+    log_weight += set_to_zero(mean, covariance, STIFFNESS, ZERO_STIFFNESS_STD_N_PER_MM)
+    if assumption.medium == LAYER and assumption.holds_force == 0.0:
+        # With its onset a negative cutting force would look like a slow release.
+        log_weight += set_to_zero(mean, covariance, HELD, ZERO_FORCE_STD_N)
+    return log_weight
+
+
+@compiled
+def is_release_over(assumption: Assumptions, block: Block) -> bool:
+    """Return whether a release that has not been checked yet is over."""
+    end_mm = assumption.release_start_mm + assumption.release_length_mm
+    is_over = block.depth_mm > end_mm + RELEASE_CHECK_MM
+    return assumption.unchecked_force_N > 0.0 and is_over
+
+
+@compiled
+def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) -> bool:
+    """Return whether a release that is over released less than a rupture does."""
+    if not is_release_over(assumption, block):
+        return False
+    released = mean[RELEASED] - mean[FADING]
+    if assumption.medium == LAYER and assumption.holds_force > 0.0:
+        released -= mean[HELD]
+    fraction = MIN_RELEASED_FRACTION * assumption.unchecked_force_N
+    return released < max(fraction, MIN_RELEASED_SIGMAS * block.noise_std_N)
+
+
+@compiled
+def has_negative_slope(
+    mean: Vector, covariance: WrittenMatrix, assumption: Assumptions, block: Block
+) -> bool:
+    """Return whether stiffness or friction is negative beyond its noise."""
+    travel = block.depth_mm - assumption.tip_start_mm
+    if assumption.medium == AIR or travel <= SIGN_TRAVEL_MM:
+        return False
+    std = math.sqrt(max(covariance[STIFFNESS, STIFFNESS], 0.0))
+    friction = mean[LAYER_COULOMB] + mean[LAYER_VISCOUS] * block.speed_mm_s
+    return mean[STIFFNESS] + 2.0 * std < 0.0 or friction < MIN_FRICTION_N_PER_MM
+
+
+@compiled
+def penalise_implausible(
+    mixture: Mixture, size: int, block: Block, is_advancing: bool
+) -> None:
+    """Constrain the first `size` components, and lower weights of what no tissue does.
+
+    Args:
+        mixture: Whose components are changed.
+        size: How many there are.
+        block: The block that they have just learnt from.
+        is_advancing: Whether the needle cuts further.
+    """
+    for k in range(size):
+        mean = mixture.means[k]
+        covariance = mixture.covariances[k]
+        assumption = mixture.assumptions[k]
+        travel = block.depth_mm - assumption.tip_start_mm
+        is_fraction_due = assumption.is_fraction_used == 0.0
+        if is_advancing and is_fraction_due and travel > FRACTION_TRAVEL_MM:
+            is_late = travel >= MAX_FRACTION_TRAVEL_MM
+            speed = block.speed_mm_s
+            is_used = use_friction_fraction(mean, covariance, speed, is_late)
+            assumption.is_fraction_used = 1.0 if is_used else 0.0
+        log_weight = constrain_sign(mean, covariance, assumption)
+        log_weight = mixture.log_weights[k] + log_weight
+        if is_release_too_small(mean, assumption, block):
+            log_weight -= SMALL_RELEASE_PENALTY
+        if is_release_over(assumption, block):
+            assumption.unchecked_force_N = 0.0
+        if has_negative_slope(mean, covariance, assumption, block):
+            log_weight -= SIGN_PENALTY
+        if assumption.medium == MEMBRANE and travel > MAX_PUSHED_MM:
+            pushed_mm = block.duration_s * max(block.speed_mm_s, 0.0)
+            steps = min(pushed_mm / PUSHED_STEP_MM, MAX_PUSHED_STEPS)
+            log_weight -= PUSHED_PENALTY * steps
+        mixture.log_weights[k] = log_weight
+
+
+@compiled
+def record_event(
+    mixture: Mixture, row: int, parent: int, event: Event, block: Block, reported: int
+) -> None:
+    """Write what a child takes for granted and reports of its past, but for friction.
+
+    Args:
+        mixture: With room for the child.
+        row: Of the child.
+        parent: Row of its parent.
+        event: What happens.
+        block: Where.
+        reported: Ruptures reported so far.
+    """
+    mixture.assumptions[row] = mixture.assumptions[parent]
+    mixture.history[row] = mixture.history[parent]
+    assumption = mixture.assumptions[parent]
+    child = mixture.assumptions[row]
+    history = mixture.history[row]
+    update_assumption(child, assumption, event, block, reported)
+    if event.kind in (LAYER_END, PARTIAL_RUPTURE):
+        tip_and_layer = slice(TIP_BEGIN, LAYER_VISCOUS + 1)
+        regressors = regressor(assumption, block)[tip_and_layer]
+        force = np.dot(regressors, mixture.means[parent, tip_and_layer])
+        child.unchecked_force_N = force
+        record_rupture(history, event.kind, block)
+    if event.kind == CONTACT:
+        record_contact(history, block.depth_mm, assumption.ruptures == 0.0)
+
+
+@compiled
+def add_children(
+    mixture: Mixture,
+    parent: int,
+    size: int,
+    event: Event,
+    block: Block,
+    reported: int,
+    tissue_speed_std: float,
+) -> None:
+    """Write what a component becomes by an event, once for each release length.
+
+    Args:
+        mixture: With room for the children, from row `size` on.
+        parent: Row of the component.
+        size: Number of components before.
+        event: What happens.
+        block: Where and how.
+        reported: Ruptures reported so far.
+        tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
+    """
+    old = Gaussian(mixture.means[parent], mixture.covariances[parent])
+    assumption = mixture.assumptions[parent]
+    start_mm = block.depth_mm
+    if assumption.medium == LAYER:
+        section_end_mm = mixture.history[parent].section_end_mm
+        start_mm = max(assumption.layer_start_mm, section_end_mm)
+    new_length = block.depth_mm - start_mm
+    new = apply_event(
+        old, assumption, event, block, new_length, reported, tissue_speed_std
+    )
+    # The first child is written whole, the others are copies with other lengths.
+    record_event(mixture, size, parent, event, block, reported)
+    if assumption.medium == LAYER:
+        history = mixture.history[size]
+        if assumption.ruptures > reported:
+            start_mm = history.section_start_mm
+        friction = new.mean[FRICTION_LAST]
+        record_section(history, old, start_mm, block.depth_mm, friction)
+    log_weight = mixture.log_weights[parent] + math.log(event.probability)
+    for i in range(len(event.release_lengths_mm)):
+        row = size + i
+        if i > 0:
+            mixture.assumptions[row] = mixture.assumptions[size]
+            mixture.history[row] = mixture.history[size]
+        mixture.assumptions[row].release_length_mm = event.release_lengths_mm[i]
+        mixture.means[row] = new.mean
+        mixture.covariances[row] = new.covariance
+        mixture.log_weights[row] = log_weight
+
+
+def possible_events(
+    assumption: Assumptions, block: Block, probability: float, *, is_membrane_due: bool
+) -> Iterator[Event]:
+    """Yield what may have happened to a component.
+
+    Args:
+        assumption: What it takes for granted.
+        block: Where.
+        probability: Prior probability of a rupture over the travel.
+        is_membrane_due: Whether a membrane may have been met.
+    """
+    if assumption.medium == AIR:
+        yield from _possible_contacts(assumption, block, probability)
+    elif block.depth_mm > assumption.tip_start_mm + MIN_BETWEEN_RUPTURES_MM:
+        yield from _possible_ends(assumption.medium, probability)
+        if assumption.medium == LAYER:
+            start_mm = assumption.layer_start_mm + MIN_LAYER_ABOVE_MEMBRANE_MM
+            is_deep = block.depth_mm > start_mm
+            if is_membrane_due and is_deep and assumption.is_fraction_used:
+                rate = MEMBRANES_PER_RUPTURE * MEMBRANE_STEP_MM * RUPTURES_PER_MM
+                yield Event(MEMBRANE_MET, MEMBRANE, False, NO_RELEASES_MM, rate)
+
+
+def _possible_contacts(
+    assumption: Assumptions, block: Block, probability: float
+) -> Iterator[Event]:
+    if block.deflection < MIN_CONTACT_DEFLECTION:
+        return
+    if assumption.ruptures:
+        probability *= GAP_OF_AIR_FRACTION
+        if block.depth_mm < assumption.release_start_mm + MIN_GAP_OF_AIR_MM:
+            return
+    layer = CONTACT_LAYER_FRACTION * probability
+    membrane = CONTACT_MEMBRANE_FRACTION * probability
+    yield Event(CONTACT, LAYER, False, NO_RELEASES_MM, layer)
+    yield Event(CONTACT, MEMBRANE, False, NO_RELEASES_MM, membrane)
+
+
+def _possible_ends(medium: float, probability: float) -> Iterator[Event]:
+    end = (1.0 - PARTIAL_FRACTION) * probability / len(RELEASES_MM)
+    further = end * (1.0 - AIR_FRACTION)
+    if medium != LAYER:
+        yield Event(LAYER_END, LAYER, False, RELEASES_MM, further)
+        return
+    fading = further * FADING_PROBABILITY
+    whole = further * (1.0 - FADING_PROBABILITY)
+    partial = PARTIAL_FRACTION * probability / len(PARTIAL_RELEASES_MM)
+    yield Event(LAYER_END, LAYER, False, RELEASES_MM, whole)
+    yield Event(LAYER_END, LAYER, True, RELEASES_MM, fading)
+    yield Event(LAYER_END, AIR, False, RELEASES_MM, end * AIR_FRACTION)
+    yield Event(PARTIAL_RUPTURE, LAYER, False, PARTIAL_RELEASES_MM, partial)
+
+
+@compiled
+def choose_parents(mixture: Mixture, depth_mm: float) -> Rows:
+    """Return the rows of the likeliest component of each kind, the likeliest first.
+
+    Those whose last release is not over are left out: until then its nature is open.
+    """
+    size = len(mixture.log_weights)
+    best = np.full(KINDS, -1)
+    min_log_weight = mixture.log_weights.max() + MIN_PARENT_LOG_WEIGHT
+    for k in range(size):
+        assumption = mixture.assumptions[k]
+        release_mm = max(assumption.release_length_mm, MIN_RELEASE_MM)
+        is_over = depth_mm > assumption.release_start_mm + release_mm
+        log_weight = mixture.log_weights[k]
+        if is_over and log_weight > min_log_weight:
+            kind = int(2.0 * assumption.medium + assumption.holds_force)
+            if best[kind] < 0 or log_weight > mixture.log_weights[best[kind]]:
+                best[kind] = k
+    rows = best[best >= 0]
+    return rows[np.argsort(-mixture.log_weights[rows], kind="mergesort")]
+
+
+class Ranking(NamedTuple):
+    """The components to keep.
+
+    Attributes:
+        rows: Their rows, the likeliest first, shape (m,).
+        log_weights: Logarithms of their probabilities, normalised, shape (m,).
+    """
+
+    rows: Rows
+    log_weights: Array
+
+
+@compiled
+def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
+    """Return the fields of a `Ranking`, within the quota of each class."""
+    log_weights = mixture.log_weights - mixture.log_weights.max()
+    log_weights -= math.log(np.exp(log_weights).sum())
+    places = list(QUOTAS)
+    rows = np.zeros(len(log_weights), dtype=np.int64)
     size = 0
-    for k in np.argsort(-weights, kind="mergesort"):
-        if weights[k] <= NEGLIGIBLE:
+    for k in np.argsort(-log_weights, kind="mergesort"):
+        if log_weights[k] <= MIN_LOG_WEIGHT:
             break
-        if left[classes[k]] > 0:
-            left[classes[k]] -= 1
-            kept[size] = k
+        assumption = mixture.assumptions[k]
+        is_membrane = assumption.medium == MEMBRANE
+        recent_mm = RECENT_MEMBRANE_MM if is_membrane else RECENT_MM
+        is_old = depth_mm - assumption.tip_start_mm >= recent_mm
+        group = 2 * is_old + 1 * is_membrane
+        if places[group] > 0:
+            places[group] -= 1
+            rows[size] = k
             size += 1
-    return kept[:size], weights[kept[:size]]
+    return rows[:size], log_weights[rows[:size]]
+
+
+class MixtureMemory:
+    """Memory of a mixture that changes in place.
+
+    Pruning copies what it keeps into a second one.
+    """
+
+    def __init__(self, mixture: Mixture) -> None:
+        self.store = empty_mixture(CAPACITY)
+        self._other = empty_mixture(CAPACITY)
+        self.size = mixture.size
+        for room, array in zip(self.store.arrays, mixture.arrays, strict=True):
+            room[: self.size] = array
+
+    @property
+    def mixture(self) -> Mixture:
+        """The components as they are now, not to be kept."""
+        return self.store.first(self.size)
+
+    def branch(
+        self, block: Block, before_mm: float, tissue_speed_std: float, reported: int
+    ) -> None:
+        """Add components of what may have happened since the last call.
+
+        Args:
+            block: Where and how.
+            before_mm: Depth at the last call.
+            tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
+            reported: Ruptures reported so far.
+        """
+        parents = choose_parents(self.mixture, block.depth_mm).tolist()
+        begin_mm = max(before_mm, block.depth_mm - MAX_BRANCH_MM)
+        travel_mm = max(block.depth_mm - begin_mm, MIN_BRANCH_MM)
+        is_membrane_due = _membrane_step(block.depth_mm) != _membrane_step(before_mm)
+        rupture_probability = RUPTURES_PER_MM * travel_mm
+        for parent in parents:
+            assumption = read_element(Assumptions, self.store.assumptions, parent)
+            events = possible_events(
+                assumption, block, rupture_probability, is_membrane_due=is_membrane_due
+            )
+            for event in events:
+                add_children(
+                    self.store,
+                    parent,
+                    self.size,
+                    event,
+                    block,
+                    reported,
+                    tissue_speed_std,
+                )
+                self.size += len(event.release_lengths_mm)
+
+    def prune(self, depth_mm: float) -> None:
+        """Keep the likeliest components of each class, best first."""
+        mixture = self.mixture
+        ranking = Ranking(*rank(mixture, depth_mm))
+        size = len(ranking.rows)
+        arrays = zip(mixture.arrays, self._other.arrays, strict=True)
+        for source, target in arrays:
+            source.take(ranking.rows, axis=0, out=target[:size], mode="clip")
+        self._other.log_weights[:size] = ranking.log_weights
+        self.store, self._other = self._other, self.store
+        self.size = size
+
+
+def _membrane_step(depth_mm: float) -> int:
+    """Return the number of the step of travel in which one membrane may be met."""
+    return int(depth_mm / MEMBRANE_STEP_MM)

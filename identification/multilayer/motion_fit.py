@@ -10,7 +10,7 @@ and the force over the last seconds within one layer is
     force = o + (C + c y) w + (V + b y)(v - dx/dt) + (T + K y + H y²) g + E s + F s²
 
 with y the farthest that the tip came since then, w the presliding deflection, g the
-part of the tip's force that is left behind there, and s the place of the tip, all of z
+part of the tip's force that remains behind there, and s the place of the tip, all of z
 - x: a membrane yields as the tissue comes and goes, a cut does not. After an alarm the
 layer before stays in the window: then c y and b y are sums over both, and each has its
 own T, K, H, E, F. Given f, a and b that is linear in the rest: separable least squares
@@ -25,63 +25,202 @@ import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
-from identification.multilayer.force_model import COULOMB_SPEED, FRACTION, FRACTION_STD
-from identification.multilayer.force_split import contact_along
+from identification.multilayer.needle_contact import contact_along
+from identification.multilayer.priors import (
+    COULOMB_SPEED_MM_S,
+    FRICTION_FRACTION,
+    FRICTION_FRACTION_STD,
+)
 
-# the window: means over so long, so many of them at most
-STEP_S = 0.05
-SIZE = 256
-BREATH = np.linspace(0.15, 0.45, 13)
-HEART = np.linspace(0.8, 1.9, 23)
-"""Frequencies scanned [Hz]: 9 to 27 breaths and 48 to 114 beats a minute."""
-SLOWEST_HEART = 0.6
-_BREATH_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
-_HEART_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
-"""Standard deviation of a beat's frequency [Hz] from one step on, and of its sizes
+WINDOW_STEP_S = 0.05
+"""The window holds means over so long."""
+
+WINDOW_MEANS = 256
+"""Means that it holds at most: 13 s."""
+
+BREATHS_HZ = np.linspace(0.15, 0.45, 13)
+"""Breathing frequencies that are scanned: 9 to 27 breaths a minute."""
+
+HEARTBEATS_HZ = np.linspace(0.8, 1.9, 23)
+"""Heartbeat frequencies that are scanned: 48 to 114 beats a minute."""
+
+MAX_BREATHING_HZ = 0.6
+"""A slower beat is a breath, a quicker one a heartbeat."""
+
+BREATHING_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
+"""Standard deviation of a breath's frequency [Hz] from one step on, and of its sizes
 [mm]."""
-_BREATH_S = 6.0, 10.0
-"""Least length of a window that shows a breath, and of one that shows two: shorter ones
-take part of a breath for a quick one."""
-# Mean square of a good fit's errors, and of a fair one's
-GOOD = 0.05
-FAIR = 0.5
-_CLEARER = ((4.0, FAIR), (20.0, FAIR), (100.0, GOOD))
-CLEAR = 10.0
-"""The motion must lower the error by this factor, to at most that mean square: a
-heartbeat, breathing (a layer that bends looks like one), and less than two breaths; and
-by so much."""
-_UNLIKE = 1.5
-"""Breath shows only where the law of tissue at rest is off by more than it admits, a
+
+HEARTBEAT_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
+"""The same of a heartbeat."""
+
+MIN_BREATH_S = 6.0
+"""Least length of a window that shows a breath: a shorter one takes part of a breath
+for a quick one."""
+
+MIN_TWO_BREATHS_S = 10.0
+"""Least length of a window that shows two."""
+
+HEARTBEAT_PERIODS = 4.0
+"""Periods of a heartbeat that a window must hold."""
+
+FREQUENCY_MARGIN_HZ = 0.03
+"""By which a fitted frequency may lie outside the scanned ones."""
+
+GOOD_ERROR = 0.05
+"""Mean square of a good fit's errors."""
+
+FAIR_ERROR = 0.5
+"""Mean square of a fair fit's errors."""
+
+CLEARLY_LOWER = 10.0
+"""The motion must lower the sum of squares of the errors by this."""
+
+BENT_ERROR = 1.5
+"""Breath shows only where the force in tissue at rest is off by more than it admits, a
 mean square of 1: a membrane, or a layer of another law, bends the force within that, as
 a slow breath would."""
-_NOISE_N = 0.02
-_LAW_ERROR = 0.03
-"""Error of a mean that the law leaves: a part of its own and one of the force."""
-_OWN = 7  # unknowns that a layer has of its own
+
+NOISE_N = 0.02
+"""Error of a mean force."""
+
+RELATIVE_ERROR = 0.03
+"""Its part in proportion to the force."""
+
+LAYER_UNKNOWNS = 7
+"""Linear unknowns that a layer has of its own: c, b, T, K, H, E, F."""
+
+SHARED_UNKNOWNS = 3
+"""Linear unknowns that all layers share: o, C, V."""
+
+WAVE_COLUMNS = 4
+"""Columns of a wave: cosine and sine, each also growing with the travel."""
+
+COURSE_COLUMNS = 8
+"""Columns of a smooth course beside waves."""
+
+SLOPE_MEANS = 25
+"""Means at either end of a layer that its growth is taken from."""
+
+SLOPE_RANK = 5
+"""Of these the fifth largest lies above most turns of friction."""
+
+MIN_SLOPE_N_PER_MM = 0.005
+"""Growth of the force in a layer, at least."""
+
+MIN_SPEED_MM_S = 0.3
+"""Speed that viscous friction refers to, at least."""
+
+MIN_FORCE_N = 0.05
+"""Force that the priors refer to, at least."""
+
+OFFSET_STD_N = 0.05
+"""Prior standard deviation of the offset."""
+
+SPLIT_STD = 0.3
+"""Prior standard deviation of how both frictions split a layer's growth."""
+
+FREQUENCY_STEP_HZ = 1e-4
+"""Step of a frequency for derivatives."""
+
+SIZE_STEP_MM = 1e-3
+"""Step of a size for derivatives."""
+
+KEPT_SIZE_FRACTION = 0.3
+"""Standard deviation of a size of a motion in use, as a part of it."""
+
+KEPT_STD_FRACTION = 0.1
+"""The same, as a part of that of any motion."""
+
+KEPT_FREQUENCY_STD_HZ = 0.02
+"""Standard deviation of its frequency."""
+
+FIRST_SCALES = (0.5, 1.0, 2.0)
+"""Scales of the first fit that are tried: damping is known roughly."""
+
+MIN_FRICTION_NS_PER_MM = 1e-3
+"""Friction per speed of a first fit, at least."""
+
+MIN_DAMPING = 1e-3
+"""Levenberg's damping, at least."""
+
+MAX_DAMPING = 1.0
+"""Levenberg's damping, at most."""
+
+MAX_SHORTENINGS = 3
+"""Lengths of a step that are tried."""
+
+SHORTENING = 0.3
+"""Part of a step that is tried next."""
+
+MIN_WINDOW_COUNT = 50
+"""Means that the rest of a fit refers to, at least."""
+
+REGULARISATION = 1e-9
+"""What is added to information, relative to it: of unknowns that nothing separates."""
+
+TINY = 1e-12
+"""What keeps a denominator above zero."""
+
 Pair = tuple[Matrix, Matrix]
+"""Two matrices of one shape."""
+
+
+class Clearness(NamedTuple):
+    """What a motion must reach to be taken for one.
+
+    Attributes:
+        factor: By which it lowers the sum of squares of the errors.
+        max_error: Mean square of the errors that it leaves, at most.
+    """
+
+    factor: float
+    max_error: float
+
+
+CLEAR_HEARTBEAT = Clearness(4.0, FAIR_ERROR)
+"""For a heartbeat alone."""
+
+CLEAR_BREATHING = Clearness(20.0, FAIR_ERROR)
+"""For breathing: a layer that bends looks like one."""
+
+CLEAR_BREATH = Clearness(100.0, GOOD_ERROR)
+"""For less than two breaths."""
+
+
+UNKNOWN_ERROR = 1e30
+"""Error of what has not been fitted yet: larger than any other."""
 
 
 class Fit(NamedTuple):
     """A motion fitted to a window.
 
     Attributes:
-        beats: f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first.
+        beats: f [Hz], a1, b1, a2, b2 [mm] of each, the slowest first, shape (m, 5).
         at_s: Time from which their phases count.
-        error: Sum of squares it leaves.
-        rms_N: Of what it leaves.
+        error: Sum of squares of the errors that it leaves.
+        rms_N: Force that it leaves.
         damping: Levenberg's.
     """
 
     beats: Array = np.zeros((0, 5))
     at_s: float = 0.0
-    error: float = 1e30
+    error: float = UNKNOWN_ERROR
     rms_N: float = 0.0
     damping: float = 0.01
 
 
 @compiled
 def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
-    """Place [mm] and speed [mm/s] of the tissue at n times since its phases' zero."""
+    """Return place [mm] and speed [mm/s] of the tissue.
+
+    Args:
+        beats: As in `Fit`, shape (m, 5).
+        time_s: Times since the phases' zero, shape (n,).
+
+    Returns:
+        Two arrays of shape (n,).
+    """
     place = np.zeros_like(time_s)
     speed = np.zeros_like(time_s)
     for k in range(len(beats)):
@@ -101,8 +240,14 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
 
 @compiled
 def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
-    """Derivatives of place and speed at n times by the five numbers of each beat, (5
-    beats, n).
+    """Return derivatives of place and speed by the five numbers of each beat.
+
+    Args:
+        beats: As in `Fit`, shape (m, 5).
+        time_s: Times since the phases' zero, shape (n,).
+
+    Returns:
+        Two arrays of shape (5 m, n).
     """
     places = np.zeros((beats.size, len(time_s)))
     speeds = np.zeros((beats.size, len(time_s)))
@@ -130,147 +275,210 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     return places, speeds
 
 
-@compiled
-def _fitted(
-    rows: Matrix, force: Vector, known: Matrix, pull: Vector
-) -> tuple[Vector, Vector]:
-    """Least squares beside what is known beforehand: the unknowns, and the error
-    they leave.
+class LeastSquares(NamedTuple):
+    """Least squares beside prior information.
+
+    Attributes:
+        unknowns: Shape (n,).
+        errors: That they leave, shape (m,).
     """
-    square = np.dot(rows.T, rows) + known
-    # Of unknowns that nothing separates as well.
-    square += np.diag(1e-9 * np.diag(square) + 1e-12)
-    found = np.linalg.solve(square, np.dot(rows.T, force) + pull)
-    return found, force - np.dot(rows, found)
+
+    unknowns: Vector
+    errors: Vector
 
 
 @compiled
-def _waves(
-    hz: Vector, courses: Matrix, one: Vector, force: Vector
+def solve_least_squares(
+    rows: Matrix, values: Vector, information: Matrix, pull: Vector
+) -> LeastSquares:
+    """Solve rows @ unknowns = values, beside prior information.
+
+    Args:
+        rows: Shape (m, n).
+        values: Shape (m,).
+        information: Prior information on the unknowns, shape (n, n).
+        pull: That information times the prior mean, shape (n,).
+    """
+    square = np.dot(rows.T, rows) + information
+    square += np.diag(REGULARISATION * np.diag(square) + TINY)
+    unknowns = np.linalg.solve(square, np.dot(rows.T, values) + pull)
+    return LeastSquares(unknowns, values - np.dot(rows, unknowns))
+
+
+class Waves(NamedTuple):
+    """Waves fitted to the force.
+
+    Attributes:
+        coefficients: Of the course and the waves, shape (8 + 8 m,).
+        error: Mean square of what they leave.
+    """
+
+    coefficients: Array
+    error: float
+
+
+@compiled
+def fit_waves(
+    hz: Vector,
+    time_s: Vector,
+    travel: Vector,
+    speed: Vector,
+    later: Vector,
+    weight: Vector,
+    force: Vector,
 ) -> tuple[Vector, float]:
-    """Fit of a smooth course and waves that grow with the travel; mean square of the
-    rest.
+    """Return the fields of `Waves`: a smooth course, and waves that grow with travel.
 
-    `courses`, shape (4, n), are time, travel, speed, and travel in a second layer,
-    negative before; `one` and `force` are over its deviation.
+    Args:
+        hz: Frequencies of the waves, each with its double, shape (m,).
+        time_s: Shape (n,).
+        travel: Since the begin of the window [mm], shape (n,).
+        speed: Of the needle [mm/s], shape (n,).
+        later: Travel in a second layer, negative outside one, shape (n,).
+        weight: One over the standard deviation of each force, shape (n,).
+        force: Over its deviation, shape (n,).
     """
-    time_s = courses[0] - courses[0, -1]
-    y = courses[1]
-    v = courses[2]
-    later = courses[3]
-    columns = np.ones((8 + 8 * len(hz), len(y)))
-    row = 8
-    columns[1] = y
-    columns[2] = y * y
-    columns[3] = y**3
-    columns[4] = v
-    columns[5] = v * y
-    columns[7] = np.maximum(later, 0.0)
+    ago_s = time_s - time_s[-1]
+    columns = np.ones((COURSE_COLUMNS + 2 * WAVE_COLUMNS * len(hz), len(travel)))
+    columns[1] = travel
+    columns[2] = travel * travel
+    columns[3] = travel**3
+    columns[4] = speed
+    columns[5] = speed * travel
     columns[6] = 1.0 * (later >= 0.0)
+    columns[7] = np.maximum(later, 0.0)
+    row = COURSE_COLUMNS
     for k in range(2 * len(hz)):
-        phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * time_s
+        phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * ago_s
         cosine = np.cos(phase)
         sine = np.sin(phase)
         columns[row] = cosine
-        columns[row + 1] = cosine * y
+        columns[row + 1] = cosine * travel
         columns[row + 2] = sine
-        columns[row + 3] = sine * y
-        row += 4
-    columns *= one
-    scale = np.sqrt((columns * columns).sum(axis=1)) + 1e-12
+        columns[row + 3] = sine * travel
+        row += WAVE_COLUMNS
+    columns *= weight
+    scale = np.sqrt((columns * columns).sum(axis=1)) + TINY
     matrix = np.ascontiguousarray(columns.T / scale)
-    none = np.zeros(len(scale))
-    found, error = _fitted(matrix, force, np.diag(none), none)
-    return found / scale, np.dot(error, error) / len(y)
+    nothing = np.zeros(len(scale))
+    solution = solve_least_squares(matrix, force, np.diag(nothing), nothing)
+    error = np.dot(solution.errors, solution.errors) / len(travel)
+    return solution.unknowns / scale, error
 
 
 @compiled
-def _rows(
+def force_rows(
     contact: tuple[Vector, Vector],
     depth: Vector,
     speed: Vector,
-    one: Vector,
+    weight: Vector,
     begin: int,
 ) -> Matrix:
-    """Rows of the law in its linear unknowns, three and `_OWN` a layer, each over its
-    deviation.
+    """Return the rows of the force in its linear unknowns, each over its deviation.
 
-    `contact` holds presliding deflection and what is left of the tip's force, depth and
-    speed are relative to the tissue; a second layer begins at row `begin`, if that is
-    not 0.
+    Args:
+        contact: Presliding deflection, and what remains of the tip's force, shapes
+            (n,).
+        depth: Relative to the tissue, shape (n,).
+        speed: Relative to the tissue, shape (n,).
+        weight: One over the standard deviation of each force, shape (n,).
+        begin: Row at which a second layer begins, 0 without one.
+
+    Returns:
+        Shape (n, 3 + 7 layers).
     """
     w, g = contact
     layers = 2 if begin else 1
-    rows = np.zeros((len(speed), 3 + _OWN * layers))
+    rows = np.zeros((len(speed), SHARED_UNKNOWNS + LAYER_UNKNOWNS * layers))
     end = depth[0]
     deepest = depth[0]
     for k in range(len(speed)):
         deepest = max(deepest, depth[k])
         end = deepest if k <= begin else end
-        rows[k, 0] = one[k]
-        rows[k, 1] = w[k] * one[k]
-        rows[k, 2] = speed[k] * one[k]
+        rows[k, 0] = weight[k]
+        rows[k, 1] = w[k] * weight[k]
+        rows[k, 2] = speed[k] * weight[k]
         for layer in range(layers):
-            shaft = deepest - end if layer else (end if begin else deepest) - depth[0]
-            at = 3 + _OWN * layer
-            rows[k, at] = rows[k, 1] * shaft
-            rows[k, at + 1] = rows[k, 2] * shaft
-            if (begin > 0 and k >= begin) == (layer == 1):
-                tip = g[k] * one[k]
-                back = shaft - deepest + depth[k]
-                rows[k, at + 2] = tip
-                rows[k, at + 3] = tip * shaft
-                rows[k, at + 4] = tip * shaft**2
-                rows[k, at + 5] = back * one[k]
-                rows[k, at + 6] = back**2 * one[k]
+            if layer == 1:
+                shaft = deepest - end
+            elif begin:
+                shaft = end - depth[0]
+            else:
+                shaft = deepest - depth[0]
+            first = SHARED_UNKNOWNS + LAYER_UNKNOWNS * layer
+            rows[k, first] = rows[k, 1] * shaft
+            rows[k, first + 1] = rows[k, 2] * shaft
+            is_in_second = begin > 0 and k >= begin
+            if is_in_second == (layer == 1):
+                tip = g[k] * weight[k]
+                place = shaft - deepest + depth[k]
+                rows[k, first + 2] = tip
+                rows[k, first + 3] = tip * shaft
+                rows[k, first + 4] = tip * shaft**2
+                rows[k, first + 5] = place * weight[k]
+                rows[k, first + 6] = place**2 * weight[k]
     return rows
 
 
 @compiled
-def _changes(
-    contact: Pair, courses: Pair, one: Vector, begin: int, linear: Vector
+def force_changes(
+    contact: Pair, courses: Pair, weight: Vector, begin: int, linear: Vector
 ) -> Matrix:
-    """What m courses of depth and speed change of the force of the first, shape (n,
-    m - 1).
+    """Return what courses of the needle change of the force of the first.
+
+    Args:
+        contact: As in `force_rows`, a course a row, shapes (m, n).
+        courses: Depths and speeds relative to the tissue, shapes (m, n).
+        weight: As in `force_rows`.
+        begin: As in `force_rows`.
+        linear: The linear unknowns.
+
+    Returns:
+        Shape (n, m - 1).
     """
     w, g = contact
     depths, speeds = courses
-    forces = np.zeros((len(depths), len(one)))
+    forces = np.zeros((len(depths), len(weight)))
     for k in range(len(depths)):
-        rows = _rows((w[k], g[k]), depths[k], speeds[k], one, begin)
+        rows = force_rows((w[k], g[k]), depths[k], speeds[k], weight, begin)
         forces[k] = np.dot(rows, linear)
     return (forces[1:] - forces[0]).T
 
 
 @compiled
-def _step(
+def gauss_newton_step(
     rows: Pair, error: Vector, prior: Matrix, stds: Vector, pull: Vector, damping: float
 ) -> Vector:
-    """Change of the motion's numbers by a Gauss-Newton step, damped as Levenberg does.
+    """Return the change of a motion's numbers by a step, damped as Levenberg does.
 
-    `rows` are those of the linear unknowns, whose information beforehand is `prior`,
-    and of the numbers, which lie within `stds` beforehand and are pulled by `pull`.
+    Args:
+        rows: Those of the linear unknowns, shape (n, m), and derivatives by the numbers
+            of the motion, shape (n, p).
+        error: Of the force, shape (n,).
+        prior: Information on the linear unknowns beforehand, shape (m, m).
+        stds: Prior deviations of the numbers, shape (p,).
+        pull: That draws the numbers to their prior means, shape (p,).
+        damping: Levenberg's.
     """
     linear, slopes = rows
     n = len(prior)
     size = len(prior) + len(stds)
-    known = np.zeros((size, size))
-    pulled = np.zeros(size)
-    known[:n, :n] = prior
-    pulled[n:] = pull
+    information = np.zeros((size, size))
+    all_pull = np.zeros(size)
+    information[:n, :n] = prior
+    all_pull[n:] = pull
     for k in range(len(stds)):
-        held = stds[k] ** -2.0
-        known[n + k, n + k] = held + damping * (held + (slopes[:, k] ** 2).sum())
-    return _fitted(np.concatenate((linear, slopes), axis=1), error, known, pulled)[0][
-        n:
-    ]
+        own = stds[k] ** -2.0
+        information[n + k, n + k] = own + damping * (own + (slopes[:, k] ** 2).sum())
+    columns = np.concatenate((linear, slopes), axis=1)
+    return solve_least_squares(columns, error, information, all_pull).unknowns[n:]
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
-    """The same motion with its phases counted from another time."""
+    """Return the same motion with its phases counted from another time."""
     beats = fit.beats.copy()
-    shift = time_s - fit.at_s
-    phase = 2.0 * math.pi * shift * fit.beats[:, :1] * np.array([1.0, 2.0])
+    shift_s = time_s - fit.at_s
+    phase = 2.0 * math.pi * shift_s * fit.beats[:, :1] * np.array([1.0, 2.0])
     cosine = np.cos(phase)
     sine = np.sin(phase)
     a = fit.beats[:, 1::2]
@@ -281,216 +489,278 @@ def turned(fit: Fit, time_s: float) -> Fit:
 
 
 def _growth(force: Array) -> float:
-    """Of the force in a layer: of 25 means the fifth largest is above most turns of
-    friction.
+    """Return how far the force in a layer has grown, turns of friction left out."""
+    oldest = force[:SLOPE_MEANS]
+    newest = force[-SLOPE_MEANS:]
+    rank = -min(SLOPE_RANK, len(oldest))
+    return float(np.partition(newest, rank)[rank] - np.partition(oldest, rank)[rank])
+
+
+def _stds(beats: Array) -> Array:
+    """Return standard deviations of the five numbers of each beat.
+
+    The frequencies are the first column.
     """
-    oldest = force[:25]
-    newest = force[-25:]
-    at = -min(5, len(oldest))
-    return float(np.partition(newest, at)[at] - np.partition(oldest, at)[at])
+    return np.where(beats[:, :1] < MAX_BREATHING_HZ, BREATHING_STD, HEARTBEAT_STD)
+
+
+class Prior(NamedTuple):
+    """Prior information on the linear unknowns.
+
+    Attributes:
+        information: Shape (n, n).
+        pull: Information times the prior mean, shape (n,).
+    """
+
+    information: Array
+    pull: Array
+
+
+class Solution(NamedTuple):
+    """The force that a motion explains.
+
+    Attributes:
+        rows: Of the linear unknowns, shape (n, m).
+        linear: The linear unknowns, shape (m,).
+        errors: That they leave, over their deviations, shape (n,).
+        error: Sum of their squares.
+    """
+
+    rows: Array
+    linear: Array
+    errors: Array
+    error: float
 
 
 class Window:
-    """The force over the last seconds, and what of it a motion explains."""
+    """The force over the last seconds, and what of it a motion explains.
+
+    Attributes:
+        count: Number of means that are used.
+    """
 
     def __init__(self, window: Array, until_s: float, from_s: float) -> None:
-        self.time_s, self.depth, self.speed, force = window.T.copy()
-        size = np.abs(force)
-        self.travel = self.depth - self.depth[0]
-        until, end = np.searchsorted(self.time_s, (until_s, from_s)).tolist()
-        self.begin = end if end < len(window) else 0
-        self.one = 1.0 / (_NOISE_N + _LAW_ERROR * size)
-        self.one[until:end] = 0.0  # while the force was released
+        self._time_s, self._depth, self._speed, force = window.T.copy()
+        size_N = np.abs(force)
+        self._travel = self._depth - self._depth[0]
+        until, end = np.searchsorted(self._time_s, (until_s, from_s)).tolist()
+        self._begin = end if end < len(window) else 0
+        self._weight = 1.0 / (NOISE_N + RELATIVE_ERROR * size_N)
+        self._weight[until:end] = 0.0  # while the force was released
         self.count = max(len(window) - max(end - until, 0), 1)
-        parts = force[:until], force[end:]  # of its layers
-        grown = sum(_growth(part) for part in parts if len(part))
-        self.slope = max(grown / max(float(self.travel[-1]), 1.0), 0.005)
-        self.pace = max(float(self.speed.mean()), 0.3)
+        layers = force[:until], force[end:]
+        grown_N = sum(_growth(layer) for layer in layers if len(layer))
+        travel_mm = max(float(self._travel[-1]), 1.0)
+        self._slope = max(grown_N / travel_mm, MIN_SLOPE_N_PER_MM)
+        self._mean_speed = max(float(self._speed.mean()), MIN_SPEED_MM_S)
+        begin_mm = self._travel[self._begin] if self._begin else math.inf
         # Travel in a second layer; before it, and without one, negative.
-        self.later = self.travel - (self.travel[self.begin] if self.begin else math.inf)
-        self.force = force * self.one
-        self.prior = self._prior(max(float(size.max()), 0.05), 2 if self.begin else 1)
+        self._later = self._travel - begin_mm
+        self._force = force * self._weight
+        self._prior = self._make_prior(max(float(size_N.max()), MIN_FORCE_N))
 
-    def _prior(self, most: float, layers: int) -> tuple[Array, Array]:
-        """Information on the linear unknowns beforehand, and its vector; `most` is
-        the force.
-        """
-        slope = self.slope
-        pull = np.zeros(3 + _OWN * layers)
-        own = (slope, slope / 3, most, slope, slope / 10, slope, slope / 10)
-        stds = [0.05, most, most / 3, *own * layers]
+    def _make_prior(self, force_N: float) -> Prior:
+        """Return the prior of the linear unknowns, for a largest force."""
+        layers = 2 if self._begin else 1
+        slope = self._slope
+        pull = np.zeros(SHARED_UNKNOWNS + LAYER_UNKNOWNS * layers)
+        of_layer = (slope, slope / 3, force_N, slope, slope / 10, slope, slope / 10)
+        stds = [OFFSET_STD_N, force_N, force_N / 3, *of_layer * layers]
         information = np.diag(np.array(stds) ** -2.0)
-        # Growth of friction as a part of the force's; how both frictions split it, and
-        # the rest.
-        parts = [(1, 2, -COULOMB_SPEED, 0.3 * most / slope)]
-        for c in range(3, len(stds), _OWN):
-            parts += [
-                (c, c + 1, self.pace, FRACTION_STD),
-                (c, c + 1, -COULOMB_SPEED, 0.3),
-            ]
-            pull[c] = FRACTION / (FRACTION_STD**2 * slope)
-            pull[c + 1] = self.pace * pull[c]
-        for i, j, other, std in parts:
-            variance = (std * slope) ** 2
-            information[i, i] += 1.0 / variance
-            information[j, j] += other * other / variance
-            information[i, j] = information[j, i] = information[i, j] + other / variance
-        return information, pull
+        # How Coulomb and viscous friction split what was there before.
+        shared_std = SPLIT_STD * force_N / slope
+        self._relate(information, 1, -COULOMB_SPEED_MM_S, shared_std)
+        for coulomb in range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS):
+            # Growth of friction as a part of the force's, and how both split it.
+            self._relate(information, coulomb, self._mean_speed, FRICTION_FRACTION_STD)
+            self._relate(information, coulomb, -COULOMB_SPEED_MM_S, SPLIT_STD)
+            pull[coulomb] = FRICTION_FRACTION / (FRICTION_FRACTION_STD**2 * slope)
+            pull[coulomb + 1] = self._mean_speed * pull[coulomb]
+        return Prior(information, pull)
 
-    def solved(self, beats: Array, at_s: float) -> tuple[Array, Array, float, Array]:
-        """Rows, linear unknowns, sum of squares of the error, and the error of a
-        motion.
+    def _relate(
+        self, information: Array, coulomb: int, speed: float, std: float
+    ) -> None:
+        """Add that Coulomb plus viscous friction times a speed is known to a deviation.
+
+        Args:
+            information: That is changed, shape (n, n).
+            coulomb: Index of the Coulomb friction; the viscous one follows it.
+            speed: That multiplies the viscous friction [mm/s].
+            std: Over the growth of the force.
         """
-        place, speed = displacement(beats, self.time_s - at_s)
-        w, g = contact_along((self.depth - place)[None])
-        rows = _rows(
-            (w[0], g[0]), self.depth - place, self.speed - speed, self.one, self.begin
-        )
-        linear, error = _fitted(rows, self.force, *self.prior)
-        return rows, linear, float(error @ error), error
+        viscous = coulomb + 1
+        variance = (std * self._slope) ** 2
+        information[coulomb, coulomb] += 1.0 / variance
+        information[viscous, viscous] += speed * speed / variance
+        shared = information[coulomb, viscous] + speed / variance
+        information[coulomb, viscous] = shared
+        information[viscous, coulomb] = shared
+
+    def solve(self, beats: Array, at_s: float) -> Solution:
+        """Return the force that a motion explains.
+
+        Args:
+            beats: As in `Fit`, shape (m, 5).
+            at_s: Time from which their phases count.
+        """
+        place, speed = displacement(beats, self._time_s - at_s)
+        depth = self._depth - place
+        deflections, remaining = contact_along(depth[None])
+        contact = (deflections[0], remaining[0])
+        speed = self._speed - speed
+        rows = force_rows(contact, depth, speed, self._weight, self._begin)
+        linear, errors = solve_least_squares(rows, self._force, *self._prior)
+        return Solution(rows, linear, errors, float(errors @ errors))
 
     def _slopes(self, fit: Fit, linear: Array) -> Array:
-        """Derivatives of the rows' sum by the numbers of a motion, shape (n, 5
-        beats).
-        """
+        """Return derivatives of the force by a motion's numbers, shape (n, 5 m)."""
         beats = fit.beats
-        time_s = self.time_s - fit.at_s
+        time_s = self._time_s - fit.at_s
         places, speeds = _derivatives(beats, time_s)
         place, speed = displacement(beats, time_s)
         # What turns round remembers its way there: differences.
-        steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3) * len(beats))[:, None]
-        depths = self.depth - np.vstack((place, place + steps * places))
-        speeds = self.speed - np.vstack((speed, speed + steps * speeds))
+        of_beat = (FREQUENCY_STEP_HZ, *(SIZE_STEP_MM,) * 4)
+        steps = np.array(of_beat * len(beats))[:, None]
+        depths = self._depth - np.vstack((place, place + steps * places))
+        speeds = self._speed - np.vstack((speed, speed + steps * speeds))
         contact = contact_along(depths)
         courses = (depths, speeds)
-        changes = _changes(contact, courses, self.one, self.begin, linear)
+        changes = force_changes(contact, courses, self._weight, self._begin, linear)
         return np.ascontiguousarray(changes / steps.T)
 
     @property
-    def still(self) -> float:
-        """Sum of squares of the error if the tissue does not move."""
-        return self.solved(Fit().beats, 0.0)[2]
+    def error_at_rest(self) -> float:
+        """Sum of squares of the errors if the tissue does not move."""
+        return self.solve(Fit().beats, 0.0).error
 
     def is_clear(self, fit: Fit, *, is_proven: bool = False) -> bool:
-        """Whether a fit is good, and shows that the tissue moves.
+        """Return whether a fit is good, and shows that the tissue moves.
 
-        Of a motion that is proven, which has explained what came later, less than two
-        breaths do.
+        Args:
+            fit: Of a motion.
+            is_proven: Whether it has explained what came later: then less than two
+                breaths do.
         """
-        still = self.still
-        length_s = self.count * STEP_S
-        clearer, most = _CLEARER[0]
-        least = 0.0
+        error_at_rest = self.error_at_rest
+        length_s = self.count * WINDOW_STEP_S
+        clearness = CLEAR_HEARTBEAT
+        min_error_at_rest = 0.0
         for hz in fit.beats[:, 0].tolist():
-            grid = BREATH
-            periods = 1.0
-            least_s = _BREATH_S[0]
-            if hz > SLOWEST_HEART:
-                grid = HEART
-                periods = 4.0
-                least_s = 0.0
+            if hz > MAX_BREATHING_HZ:
+                scanned_hz = HEARTBEATS_HZ
+                min_length_s = HEARTBEAT_PERIODS / hz
             else:
-                least = _UNLIKE * self.count
-                is_long = is_proven or length_s > max(_BREATH_S[1], 2.0 / hz)
-                clearer, most = _CLEARER[1 if is_long else 2]
-            is_known = grid[0] - 0.03 < hz < grid[-1] + 0.03
-            if not is_known or length_s < max(periods / hz, least_s):
+                scanned_hz = BREATHS_HZ
+                min_length_s = max(1.0 / hz, MIN_BREATH_S)
+                min_error_at_rest = BENT_ERROR * self.count
+                is_long = is_proven or length_s > max(MIN_TWO_BREATHS_S, 2.0 / hz)
+                clearness = CLEAR_BREATHING if is_long else CLEAR_BREATH
+            min_hz = scanned_hz[0] - FREQUENCY_MARGIN_HZ
+            max_hz = scanned_hz[-1] + FREQUENCY_MARGIN_HZ
+            if not min_hz < hz < max_hz or length_s < min_length_s:
                 return False
-        is_lower = still > max(clearer * fit.error, fit.error + CLEAR, least)
-        return is_lower and fit.error < most * self.count
+        is_lower = error_at_rest > max(
+            clearness.factor * fit.error, fit.error + CLEARLY_LOWER, min_error_at_rest
+        )
+        return is_lower and fit.error < clearness.max_error * self.count
 
-    def waves(self, hz: Array) -> tuple[Array, float]:
-        """As `_waves`, of these frequencies."""
-        courses = np.array((self.time_s, self.travel, self.speed, self.later))
-        return _waves(hz, courses, self.one, self.force)
+    def fit_waves(self, hz: Array) -> Waves:
+        """Return waves of these frequencies that explain the force best, shape (m,)."""
+        courses = self._time_s, self._travel, self._speed, self._later
+        return Waves(*fit_waves(hz, *courses, self._weight, self._force))
 
     def first_fit(self, hz: Array, time_s: float) -> Fit:
-        """A motion of these frequencies that damping would turn into the waves of
-        the force.
+        """Return a motion that damping would turn into the waves of the force.
+
+        Args:
+            hz: Its frequencies, shape (m,).
+            time_s: From which its phases count.
         """
-        found = self.waves(hz)[0]
-        y = float(self.travel[-1])
-        damping = (
-            self.slope * FRACTION * max(y, 0.0) / (COULOMB_SPEED + self.pace) + 1e-3
-        )
-        waves = found[8:].reshape(len(hz), 2, 2, 2) @ np.array(
-            [1.0, y]
-        )  # beat, harmonic, cos/sin
+        coefficients = self.fit_waves(hz).coefficients
+        travel_mm = float(self._travel[-1])
+        friction = self._slope * FRICTION_FRACTION * max(travel_mm, 0.0)
+        damping = friction / (COULOMB_SPEED_MM_S + self._mean_speed)
+        damping += MIN_FRICTION_NS_PER_MM
+        # Axes: beat, harmonic, cosine and sine, constant and growing.
+        parts = coefficients[COURSE_COLUMNS:].reshape(len(hz), 2, 2, 2)
+        waves = parts @ np.array([1.0, travel_mm])
         rate = 2.0 * math.pi * np.outer(hz, (1.0, 2.0)) * damping
-        sizes = np.stack(
-            (waves[:, :, 1] / rate, -waves[:, :, 0] / rate), axis=2
-        ).reshape(-1, 4)
+        cosines = waves[:, :, 1] / rate
+        sines = -waves[:, :, 0] / rate
+        sizes = np.stack((cosines, sines), axis=2).reshape(-1, 4)
+        at_s = float(self._time_s[-1])
+        limits = _stds(hz[:, None])[:, 1:2]
         fits = []
-        at_s = float(self.time_s[-1])
-        most = _stds(hz[:, None])[:, 1:2]
-        for scale in (0.5, 1.0, 2.0):
-            limited = np.minimum(np.maximum(scale * sizes, -most), most)
+        for scale in FIRST_SCALES:
+            limited = np.minimum(np.maximum(scale * sizes, -limits), limits)
             beats = np.hstack((hz[:, None], limited))
-            fits.append(Fit(beats, at_s, self.solved(beats, at_s)[2]))
+            fits.append(Fit(beats, at_s, self.solve(beats, at_s).error))
         return turned(min(fits, key=lambda fit: fit.error), time_s)
 
-    def turned_fit(self, fit: Fit, size: float) -> Fit:
-        """A fit with its slow beat of such a size and of any phase, if that leaves
-        less error.
+    def turned_fit(self, fit: Fit, size_mm: float) -> Fit:
+        """Return a fit with its slow beat of such a size and of any phase.
+
+        It is the fit itself where that leaves the least error.
         """
         beats = fit.beats.copy()
         best = fit
         for phase in np.arange(0.0, 2.0 * math.pi, 0.25 * math.pi).tolist():
-            beats[0, 1:] = size * math.cos(phase), size * math.sin(phase), 0.0, 0.0
-            error = self.solved(beats, fit.at_s)[2]
+            cosine = size_mm * math.cos(phase)
+            sine = size_mm * math.sin(phase)
+            beats[0, 1:] = (cosine, sine, 0.0, 0.0)
+            error = self.solve(beats, fit.at_s).error
             if error < best.error:
                 best = Fit(beats.copy(), fit.at_s, error)
         return best
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
-        """One Gauss-Newton step; `is_prior` keeps a motion in use near what it was."""
+        """Return a fit after one Gauss-Newton step.
+
+        Args:
+            fit: Before the step.
+            is_prior: Whether it is in use, and stays near what it was.
+        """
         beats = fit.beats
-        at_s = fit.at_s
-        rows, linear, _, error = self.solved(beats, at_s)
+        solution = self.solve(beats, fit.at_s)
         stds = _stds(beats)
         target = beats.copy()
         if is_prior:
-            stds[:, 1:] = 0.3 * np.abs(beats[:, 1:]) + 0.1 * stds[:, 1:]
-            stds[:, 0] = 0.02
+            sizes = KEPT_SIZE_FRACTION * np.abs(beats[:, 1:])
+            stds[:, 1:] = sizes + KEPT_STD_FRACTION * stds[:, 1:]
+            stds[:, 0] = KEPT_FREQUENCY_STD_HZ
         else:
             target[:, 1:] = 0.0
         pull = ((target - beats) / stds**2).ravel()
-        step = _step(
-            (rows, self._slopes(fit, linear)),
-            error,
-            self.prior[0],
-            stds.ravel(),
-            pull,
-            fit.damping,
+        rows = (solution.rows, self._slopes(fit, solution.linear))
+        information = self._prior.information
+        step = gauss_newton_step(
+            rows, solution.errors, information, stds.ravel(), pull, fit.damping
         )
         change = step.reshape(beats.shape)
-        left = float(error @ error)
-        before = left + float((((beats - target) / stds) ** 2).sum())
-        for _ in range(3):
+        cost = solution.error + _prior_cost(beats, target, stds)
+        for _ in range(MAX_SHORTENINGS):
             tried = beats + change
-            error = self.solved(tried, at_s)[2]
-            if error + float((((tried - target) / stds) ** 2).sum()) < before:
-                return Fit(
-                    tried, at_s, error, self._rms(error), max(0.5 * fit.damping, 1e-3)
-                )
-            change = 0.3 * change
+            error = self.solve(tried, fit.at_s).error
+            if error + _prior_cost(tried, target, stds) < cost:
+                damping = max(0.5 * fit.damping, MIN_DAMPING)
+                return Fit(tried, fit.at_s, error, self._rms_N(error), damping)
+            change = SHORTENING * change
         return fit._replace(
-            error=left, rms_N=self._rms(left), damping=min(3.0 * fit.damping, 1.0)
+            error=solution.error,
+            rms_N=self._rms_N(solution.error),
+            damping=min(3.0 * fit.damping, MAX_DAMPING),
         )
 
-    def _rms(self, error: float) -> float:
-        middle = np.partition(self.one, len(self.one) // 2)[len(self.one) // 2]
+    def _rms_N(self, error: float) -> float:
+        """Return the force that a fit leaves, by its sum of squares."""
+        middle = len(self._weight) // 2
+        median_weight = max(float(np.partition(self._weight, middle)[middle]), 1.0)
         # Of a short window a motion goes on for less long as it was.
-        return (
-            math.sqrt(error / self.count)
-            / max(float(middle), 1.0)
-            * SIZE
-            / max(self.count, 50)
-        )
+        length = max(self.count, MIN_WINDOW_COUNT)
+        return math.sqrt(error / self.count) / median_weight * WINDOW_MEANS / length
 
 
-def _stds(beats: Array) -> Array:
-    """Standard deviations of the five numbers of each beat, whose frequencies come
-    first.
-    """
-    return np.where(beats[:, :1] < SLOWEST_HEART, _BREATH_STD, _HEART_STD)
+def _prior_cost(beats: Array, target: Array, stds: Array) -> float:
+    """Return the sum of squares of beats about their prior means."""
+    return float((((beats - target) / stds) ** 2).sum())

@@ -1,11 +1,11 @@
 """Noise levels of the force, part by part: white, coloured, heartbeat, breathing.
 
-Learnt from second differences of the force at lags of 10 ms to 1.3 s: a straight line
-does not show in them, and each part shows most at lags near its own time scale. A part
-gets what the faster ones leave; motion of the tissue only what they seldom leave by
-chance, or noise would pass for motion.
+They are learnt from second differences of the force at lags of 10 ms to 1.3 s: a
+straight line does not show in them, and each part shows most at lags near its own time
+scale. A part gets what the faster ones leave; motion of the tissue only what they
+seldom leave by chance, or noise would pass for motion.
 
-Over travel the differences show texture, an error of the law: some of it may be
+Over travel the differences show texture, an error of the force model: some of it may be
 friction.
 """
 
@@ -14,258 +14,408 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import (
+    Array,
+    Matrix,
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+)
 from foundation.jit import compiled
-from identification.multilayer.force_model import LAW_ERROR, LAW_MM
+from identification.multilayer.disturbances import (
+    BREATHING_DAMPING,
+    BREATHING_HZ,
+    COLOURED_NOISE_S,
+    HEARTBEAT_DAMPING,
+    HEARTBEAT_HZ,
+    oscillation,
+    smooth_walk,
+)
+from identification.multilayer.force_model import MODEL_ERROR_FRACTION, MODEL_ERROR_MM
 from identification.multilayer.tissue_motion import TissueMotion
 
-STEP_S = 0.01  # time between two forces in the differences
-BEATS = (
-    (1.2, 0.3),
-    (0.3, 0.5),
-)  # Frequency [Hz] and damping of heartbeat and breathing
-COLOUR_S = 0.025  # correlation time of a force sensor's noise behind its filter
-_MEMORY = 400  # differences over which a level is learned: four seconds
-_MOVED_MM = 3.0  # lags with more travel are left out: in them the tissue varies, it does not move
-# travel of a step; steps over which texture is learned
-_TEXTURE_MM = 0.1
-_TEXTURES = 200
-# texture's lags, 2**2 and 2**4 steps; least differences
-_FINE = 2
-_COARSE = 4
-_LEAST_SEEN = 30
-_MEDIAN = 0.455  # Median of a squared standard normal; few of the differences contain a rupture
-_CHANCE = (4.6, 8.0)
-"""About 1.6 standard errors of a median of n squares of such differences of white and
-of coloured noise, relative to its size and times the root of n: motion of the tissue
-must show beyond it."""
+STEP_S = 0.01
+"""Time between two forces in the differences."""
+
+LAGS = 8
+"""Lags of the differences: 1, 2, 4, to 128 steps."""
+
+PAST = 2 * 2 ** (LAGS - 1) + 1
+"""Forces that the longest lag needs."""
+
+MAX_DIFFERENCES = 400
+"""Differences over which a level is learnt: four seconds."""
+
+MAX_LAG_MM = 3.0
+"""Lags with more travel are left out of heartbeat and breathing: in them the tissue
+varies, it does not move."""
+
+MIN_DIFFERENCES = 30
+"""Differences before a level is learnt."""
+
+MIN_FIRST_DIFFERENCES = 10.0
+"""Differences at the shortest lag before any level is learnt."""
+
+STEPS_BETWEEN_LEVELS = 10.0
+"""Steps between two estimates of the levels."""
+
+TEXTURE_MM = 0.1
+"""Travel of a step of texture."""
+
+MAX_TEXTURE_DIFFERENCES = 200
+"""Differences over which texture is learnt."""
+
+STEPS_BETWEEN_TEXTURES = 5.0
+"""Steps between two estimates of the texture."""
+
+FINE_LAG = 2
+"""Exponent of texture's fine lag: four steps."""
+
+COARSE_LAG = 4
+"""Exponent of its coarse lag: sixteen steps."""
+
+ROUNDING = 1e-6
+"""Relative error that sums of time steps may have."""
+
+MAX_CARRIED_FRACTION = 0.9
+"""Part of a step of texture that is carried over to the next one, at most."""
+
+MEDIAN_OF_SQUARE = 0.455
+"""Median of a squared standard normal; few of the differences contain a rupture."""
+
+WHITE_CHANCE = 4.6
+"""About 1.6 standard errors of a median of n squares of differences of white noise,
+relative to its size and times the root of n: motion of the tissue must show beyond
+it."""
+
+COLOURED_CHANCE = 8.0
+"""The same of coloured noise."""
+
+INITIAL_WHITE_N2 = 1e-4
+"""Variance of white noise before it is learnt."""
+
+MOTION_NOISE_FRACTION = 0.1
+"""Part of the variance by heartbeat and breathing that no hypothesis explains within a
+block."""
+
+MIN_NOISE_VARIANCE_N2 = 1e-8
+"""Variance of a block's force, at least."""
+
+WHITE = 0
+"""Index of white noise among the parts."""
+
+COLOURED = 1
+"""Index of coloured noise."""
+
+HEART = 2
+"""Index of the heartbeat."""
+
+BREATH = 3
+"""Index of breathing."""
+
+PARTS = 4
+"""Number of parts."""
 
 
-@compiled
-def oscillation(
-    dt_s: float, hz: float, damping: float
-) -> tuple[float, float, float, float]:
-    """Transition of a damped oscillator's deflection and rate, row by row."""
-    w = 2.0 * math.pi * hz
-    d = w * math.sqrt(1.0 - damping**2)
-    decay = math.exp(-damping * w * dt_s)
-    cosine = math.cos(d * dt_s)
-    sine = math.sin(d * dt_s)
-    return (
-        decay * (cosine + damping * w / d * sine),
-        decay * sine / d,
-        -decay * w * w / d * sine,
-        decay * (cosine - damping * w / d * sine),
-    )
-
-
-@compiled
-def smooth_walk(travel: float, length: float) -> tuple[float, float, float, float]:
-    """Transition of a critically damped value and its slope (Matern 3/2), row by
-    row.
-    """
-    reach = travel / length
-    decay = math.exp(-reach)
-    slope = -decay * reach / length
-    return decay * (1.0 + reach), decay * travel, slope, decay * (1.0 - reach)
-
-
-@compiled
-def transitions(
-    dt_s: float, travel: float, length: float, variances: tuple[float, float, float]
-) -> Array:
-    """How heartbeat, breathing and an error that lasts for a length go on, shape (3,
-    7).
-
-    Of each the transition, row by row, and the covariance of the noise that leaves its
-    stationary variances as they are: of its value, of both, of its rate.
-    """
-    found = np.zeros((3, 7))
-    for part in range(3):
-        a, b, c, d = smooth_walk(travel, length)
-        rate = 1.0 / length
-        level = variances[part]
-        if part < 2:
-            hz, damping = BEATS[part]
-            a, b, c, d = oscillation(dt_s, hz, damping)
-            rate = 2.0 * math.pi * hz
-        fast = level * rate**2
-        row = found[part]
-        row[0] = a
-        row[1] = b
-        row[2] = c
-        row[3] = d
-        row[4] = level - a * a * level - b * b * fast
-        row[5] = -(a * c * level + b * d * fast)
-        row[6] = fast - c * c * level - d * d * fast
-    return found
-
-
-def _difference(part: int, lag_s: float) -> float:
-    """Variance of a second difference of a part (0 to 3), or of the law's error (4),
-    of one.
-    """
-
-    def likeness(lag_s: float) -> float:
-        if part < 2:
-            return math.exp(-lag_s / COLOUR_S) if part else 0.0
-        is_law = part == 4
-        return (
-            smooth_walk(lag_s, LAW_MM)
-            if is_law
-            else oscillation(lag_s, *BEATS[part - 2])
-        )[0]
-
-    return 6.0 - 8.0 * likeness(lag_s) + 2.0 * likeness(2.0 * lag_s)
-
-
-_DESIGN = np.array(
-    [[_difference(part, STEP_S * 2**k) for k in range(8)] for part in range(4)]
-)
-_SHOWN = tuple(_difference(4, _TEXTURE_MM * 2**k) for k in (_FINE, _COARSE))
-
-
-class DisturbanceLevels(NamedTuple):
-    """What is known of the noise.
+class NoiseVariances(NamedTuple):
+    """Variances of the parts of the noise [N²].
 
     Attributes:
-        past: forces, a step apart, newest last.
-        steps: Number of consecutive steps since the last gap.
-        squares: Of the last differences at each lag.
-        seen: Number of differences so far, at each lag.
-        levels: variances: white, colour, heart, breath.
-        force_sum: Integral of the force over the step being filled.
-        filled_s: Length of that step so far.
-        step_s: Length of the last step: longer where samples are rare.
+        white: Of a mean over `STEP_S`.
+        coloured: Of the force sensor's coloured noise.
+        heartbeat: Of the force by the heartbeat.
+        breathing: Of the force by breathing.
     """
 
-    past: Array = np.zeros(257)
-    steps: float = 0.0
-    squares: Array = np.zeros((8, _MEMORY))
-    seen: Array = np.zeros(8)
-    levels: Array = np.array([1e-4, 0.0, 0.0, 0.0])
-    force_sum: float = 0.0
-    filled_s: float = 0.0
-    step_s: float = STEP_S
-    is_texture: bool = (
-        False  # steps of travel [mm]; the level is coarse less fine differences
+    white: float
+    coloured: float
+    heartbeat: float
+    breathing: float
+
+
+def _second_difference(autocorrelation: float, at_twice: float) -> float:
+    """Return the variance of a second difference, for an autocorrelation at its lag."""
+    return 6.0 - 8.0 * autocorrelation + 2.0 * at_twice
+
+
+def _coloured(lag_s: float) -> float:
+    return math.exp(-lag_s / COLOURED_NOISE_S)
+
+
+def _heartbeat(lag_s: float) -> float:
+    return oscillation(lag_s, HEARTBEAT_HZ, HEARTBEAT_DAMPING)[0]
+
+
+def _breathing(lag_s: float) -> float:
+    return oscillation(lag_s, BREATHING_HZ, BREATHING_DAMPING)[0]
+
+
+def _texture(lag_mm: float) -> float:
+    return smooth_walk(lag_mm, MODEL_ERROR_MM)[0]
+
+
+def _shown_by_differences() -> Array:
+    """Return the variance of a second difference of each part, shape (4, 8)."""
+    autocorrelations = (lambda _: 0.0, _coloured, _heartbeat, _breathing)
+    lags_s = [STEP_S * 2**k for k in range(LAGS)]
+    return np.array(
+        [
+            [_second_difference(like(lag_s), like(2.0 * lag_s)) for lag_s in lags_s]
+            for like in autocorrelations
+        ]
     )
 
-    @classmethod
-    def of_texture(cls) -> "DisturbanceLevels":
-        """Differences over travel, nothing known."""
-        return cls(
-            squares=np.zeros((8, _TEXTURES)), levels=np.zeros(1), is_texture=True
+
+def _texture_shown(lag: int) -> float:
+    lag_mm = TEXTURE_MM * 2**lag
+    return _second_difference(_texture(lag_mm), _texture(2.0 * lag_mm))
+
+
+DESIGN = _shown_by_differences()
+"""Variance of a second difference of a part of variance 1, shape (4, 8)."""
+
+FINE_TEXTURE = _texture_shown(FINE_LAG)
+"""The same of the force model's error at the fine lag of texture."""
+
+COARSE_TEXTURE = _texture_shown(COARSE_LAG)
+"""The same at its coarse lag."""
+
+
+class SecondDifferences(NamedTuple):
+    """Second differences of the force, at lags that double; immutable.
+
+    Attributes:
+        past_N: Forces, a step apart, newest last, shape (257,).
+        steps: Number of consecutive steps since the last gap.
+        squares_N2: Of the last differences at each lag, shape (8, n).
+        counts: Number of differences so far, at each lag, shape (8,).
+        force_sum: Integral of the force over the step being filled.
+        filled: Length of that step so far.
+        step: Length of the last step: longer where samples are rare.
+    """
+
+    past_N: Array
+    steps: float
+    squares_N2: Array
+    counts: Array
+    force_sum: float
+    filled: float
+    step: float
+
+    def restarted(self) -> "SecondDifferences":
+        """Return the same after a gap or a rest: no difference reaches across."""
+        return self._replace(steps=0.0, force_sum=0.0, filled=0.0)
+
+    def with_force(self, force_N: float, length: float) -> "SecondDifferences":
+        """Return the same with a force added to the step being filled."""
+        return self._replace(
+            force_sum=self.force_sum + force_N * length, filled=self.filled + length
         )
+
+    def with_step(self, force_sum: float, filled: float) -> "SecondDifferences":
+        """Return the same after a step, whose remaining force and length are given."""
+        squares_N2 = self.squares_N2.copy()
+        counts = self.counts.copy()
+        steps = self.steps + 1.0
+        mean_N = self.force_sum / self.filled
+        past_N = add_force(self.past_N, mean_N, steps, squares_N2, counts)
+        return SecondDifferences(
+            past_N, steps, squares_N2, counts, force_sum, filled, self.filled
+        )
+
+
+def no_differences(size: int, step: float) -> SecondDifferences:
+    """Return differences before the first force, so many of which are kept."""
+    return SecondDifferences(
+        past_N=np.zeros(PAST),
+        steps=0.0,
+        squares_N2=np.zeros((LAGS, size)),
+        counts=np.zeros(LAGS),
+        force_sum=0.0,
+        filled=0.0,
+        step=step,
+    )
+
+
+class NoiseLevels(NamedTuple):
+    """What is known of the noise; immutable.
+
+    Attributes:
+        differences: Of the force over time.
+        variances: Of its parts.
+    """
+
+    differences: SecondDifferences = no_differences(MAX_DIFFERENCES, STEP_S)
+    variances: NoiseVariances = NoiseVariances(INITIAL_WHITE_N2, 0.0, 0.0, 0.0)
 
     @property
-    def noise(self) -> float:
-        """Standard deviation of a block's force that no hypothesis can explain [N]."""
-        white, colour, heart, breath = self.levels.tolist()
-        return math.sqrt(max(white + colour + 0.1 * (heart + breath), 1e-8))
+    def noise_std_N(self) -> float:
+        """Standard deviation of a block's force that no hypothesis can explain."""
+        variances = self.variances
+        motion = MOTION_NOISE_FRACTION * (variances.heartbeat + variances.breathing)
+        noise = variances.white + variances.coloured + motion
+        return math.sqrt(max(noise, MIN_NOISE_VARIANCE_N2))
 
-    def beside(self, tissue: TissueMotion, time_s: float) -> "DisturbanceLevels":
-        """The levels with what remains of heartbeat and breathing once the motion is
-        known.
-        """
+    def beside(self, tissue: TissueMotion, time_s: float) -> "NoiseLevels":
+        """Return the levels that remain once the tissue's motion is known."""
         if not tissue.is_known:
             return self
-        heart, breath, part = tissue.limits(time_s)
+        limits = tissue.limits(time_s)
+        doubt = 1.0 - limits.confidence
+        white, coloured, heartbeat, breathing = self.variances
         # Where tissue overtakes the needle the force is as quick as coloured noise.
-        most = np.array([math.inf, heart + breath, heart, breath])
+        motion = limits.heartbeat_variance + limits.breathing_variance
         return self._replace(
-            levels=np.minimum(self.levels, np.maximum(most, (1.0 - part) * self.levels))
+            variances=NoiseVariances(
+                white,
+                min(coloured, max(motion, doubt * coloured)),
+                min(heartbeat, max(limits.heartbeat_variance, doubt * heartbeat)),
+                min(breathing, max(limits.breathing_variance, doubt * breathing)),
+            )
         )
 
-    def restarted(self) -> "DisturbanceLevels":
-        """After a gap or a rest: no difference reaches across."""
-        return self._replace(steps=0.0, force_sum=0.0, filled_s=0.0)
+    def restarted(self) -> "NoiseLevels":
+        """Return the same after a gap or a rest."""
+        return self._replace(differences=self.differences.restarted())
 
     def with_force(
-        self, force: float, dt_s: float, speed: float
-    ) -> "DisturbanceLevels":
-        """Use a block's mean force, less what changes of speed added [N], at a speed
-        [mm/s].
-        """
-        total = self.force_sum + force * dt_s
-        filled = self.filled_s + dt_s
-        step = _TEXTURE_MM if self.is_texture else STEP_S
-        if filled < step * (1.0 - 1e-6):
-            return self._replace(force_sum=total, filled_s=filled)
-        squares = self.squares.copy()
-        seen = self.seen.copy()
-        count = self.steps + 1.0
-        past = _learn(self.past, total / filled, count, squares, seen)
-        levels = self.levels
-        if self.is_texture and count % 5.0 == 0.0 and seen[_COARSE] >= _LEAST_SEEN:
-            levels = np.array(
-                [_square(squares, seen, _COARSE) - _square(squares, seen, _FINE)]
+        self, force_N: float, duration_s: float, speed_mm_s: float
+    ) -> "NoiseLevels":
+        """Return the levels after a block's force, less what the speed did to it."""
+        differences = self.differences.with_force(force_N, duration_s)
+        if differences.filled < STEP_S * (1.0 - ROUNDING):
+            return self._replace(differences=differences)
+        differences = differences.with_step(0.0, 0.0)
+        variances = self.variances
+        is_due = differences.steps % STEPS_BETWEEN_LEVELS == 0.0
+        if is_due and differences.counts[0] > MIN_FIRST_DIFFERENCES:
+            levels = estimate_levels(
+                differences.squares_N2, differences.counts, DESIGN, speed_mm_s
             )
-        elif count % 10.0 == 0.0 and seen[0] > 10.0 and not self.is_texture:
-            levels = _levels(squares, seen, _DESIGN, speed)
-        over = min(filled - step, 0.9 * step) if self.is_texture else 0.0
-        rest = over * force, over, filled, self.is_texture
-        return DisturbanceLevels(past, count, squares, seen, levels, *rest)
+            variances = NoiseVariances(*levels.tolist())
+        return NoiseLevels(differences, variances)
 
-    def law_error(self, force: float, noise: float) -> float:
-        """Deviation [N] of the law's error that texture shows beyond `LAW_ERROR` and
-        noise.
-        """
-        variance = self.levels[0] / (_SHOWN[1] - _SHOWN[0]) - 6.0 * noise**2 / _SHOWN[1]
+
+class Texture(NamedTuple):
+    """What the tissue's texture shows of the force model's error; immutable.
+
+    Attributes:
+        differences: Of the force over travel.
+        variance_N2: Coarse less fine differences.
+    """
+
+    differences: SecondDifferences = no_differences(MAX_TEXTURE_DIFFERENCES, STEP_S)
+    variance_N2: float = 0.0
+
+    def restarted(self) -> "Texture":
+        """Return the same after a gap or a rest."""
+        return self._replace(differences=self.differences.restarted())
+
+    def with_force(self, force_N: float, travel_mm: float) -> "Texture":
+        """Return the texture after a block's mean force over fresh travel."""
+        differences = self.differences.with_force(force_N, travel_mm)
+        if differences.filled < TEXTURE_MM * (1.0 - ROUNDING):
+            return self._replace(differences=differences)
+        carried_mm = min(
+            differences.filled - TEXTURE_MM, MAX_CARRIED_FRACTION * TEXTURE_MM
+        )
+        differences = differences.with_step(carried_mm * force_N, carried_mm)
+        variance_N2 = self.variance_N2
+        is_due = differences.steps % STEPS_BETWEEN_TEXTURES == 0.0
+        if is_due and differences.counts[COARSE_LAG] >= MIN_DIFFERENCES:
+            squares_N2 = differences.squares_N2
+            counts = differences.counts
+            coarse = difference_variance(squares_N2, counts, COARSE_LAG)
+            fine = difference_variance(squares_N2, counts, FINE_LAG)
+            variance_N2 = float(coarse - fine)
+        return Texture(differences, variance_N2)
+
+    def model_error(self, force_N: float, noise_N: float) -> float:
+        """Return the deviation [N] of the model's error beyond its own and noise."""
+        variance = self.variance_N2 / (COARSE_TEXTURE - FINE_TEXTURE)
+        variance = variance - 6.0 * noise_N**2 / COARSE_TEXTURE
+        expected = (MODEL_ERROR_FRACTION * force_N) ** 2
         # Friction lies between none and all of the force, so no deviation exceeds half
         # of that.
-        return min(
-            math.sqrt(max(variance - (LAW_ERROR * force) ** 2, 0.0)), 0.5 * abs(force)
-        )
+        return min(math.sqrt(max(variance - expected, 0.0)), 0.5 * abs(force_N))
 
 
 @compiled
-def _learn(
+def add_force(
     past: Vector,
     force: float,
-    count: float,
+    steps: float,
     squares: WrittenMatrix,
-    seen: WrittenVector,
+    counts: WrittenVector,
 ) -> Vector:
-    """Keep the newest second differences; returns the forces with the newest one."""
+    """Keep the newest second differences; return the forces with the newest one.
+
+    Args:
+        past: Forces of the last steps, newest last, shape (257,).
+        force: Of the newest step.
+        steps: Consecutive steps, with the newest.
+        squares: Of the differences, which are changed, shape (8, n).
+        counts: Of the differences, which are changed, shape (8,).
+    """
     past = np.append(past[1:], force)
-    for k in range(8):
+    newest = len(past) - 1
+    for k in range(LAGS):
         lag = 2**k
-        if count <= 2 * lag:
+        if steps <= 2 * lag:
             break
-        square = (past[256] - 2.0 * past[256 - lag] + past[256 - 2 * lag]) ** 2
-        squares[k, int(seen[k]) % squares.shape[1]] = square
-        seen[k] += 1.0
+        difference = past[newest] - 2.0 * past[newest - lag] + past[newest - 2 * lag]
+        squares[k, int(counts[k]) % squares.shape[1]] = difference**2
+        counts[k] += 1.0
     return past
 
 
 @compiled
-def _square(squares: Matrix, seen: Vector, k: int) -> float:
-    """Variance of the differences at a lag, by their median."""
-    known = min(int(seen[k]), squares.shape[1])
-    return np.partition(squares[k, :known], known // 2)[known // 2] / _MEDIAN
+def difference_variance(squares: Matrix, counts: Vector, k: int) -> float:
+    """Return the variance of the differences at a lag, by their median."""
+    size = min(int(counts[k]), squares.shape[1])
+    middle = size // 2
+    return np.partition(squares[k, :size], middle)[middle] / MEDIAN_OF_SQUARE
 
 
 @compiled
-def _levels(squares: Matrix, seen: Vector, design: Matrix, speed: float) -> Vector:
-    """Variance of each part, each taking what the faster ones leave."""
-    levels = np.zeros(4)
-    left = np.zeros(8)
-    chance = np.zeros(8)
-    for k in range(8):
-        if seen[k] > min(2 * 2**k, _LEAST_SEEN):
-            left[k] = _square(squares, seen, k)
-    for part in range(4):
+def chance_of_motion(levels: Vector, counts: Vector, design: Matrix) -> Vector:
+    """Return what white and coloured noise show at each lag by chance, shape (8,)."""
+    chance = np.zeros(LAGS)
+    for k in range(LAGS):
+        white = WHITE_CHANCE * levels[WHITE] * design[WHITE, k]
+        coloured = COLOURED_CHANCE * levels[COLOURED] * design[COLOURED, k]
+        count = min(counts[k] + 1.0, MAX_DIFFERENCES)
+        chance[k] = (white + coloured) / math.sqrt(count)
+    return chance
+
+
+@compiled
+def estimate_levels(
+    squares: Matrix, counts: Vector, design: Matrix, speed: float
+) -> Vector:
+    """Return the variance of each part, each taking what the faster ones leave.
+
+    Args:
+        squares: Of the differences, shape (8, n).
+        counts: Of the differences, shape (8,).
+        design: What a part of variance 1 shows in each, shape (4, 8).
+        speed: Of the needle [mm/s].
+    """
+    levels = np.zeros(PARTS)
+    unexplained = np.zeros(LAGS)
+    chance = np.zeros(LAGS)
+    for k in range(LAGS):
+        if counts[k] > min(2 * 2**k, MIN_DIFFERENCES):
+            unexplained[k] = difference_variance(squares, counts, k)
+    for part in range(PARTS):
         for k in (2 * part, 2 * part + 1):
-            is_tissue = part >= 2 and 2**k * STEP_S * speed >= _MOVED_MM
-            if seen[k] > 2 * 2**k and not is_tissue:
-                levels[part] = max(
-                    levels[part], (left[k] - chance[k]) / design[part, k]
-                )
-        left -= levels[part] * design[part]
-        if part == 1:
-            spread = (
-                _CHANCE[0] * levels[0] * design[0] + _CHANCE[1] * levels[1] * design[1]
-            )
-            chance = spread / np.sqrt(np.minimum(seen + 1.0, _MEMORY))
+            is_motion = part in (HEART, BREATH)
+            is_too_far = is_motion and 2**k * STEP_S * speed >= MAX_LAG_MM
+            if counts[k] > 2 * 2**k and not is_too_far:
+                level = (unexplained[k] - chance[k]) / design[part, k]
+                levels[part] = max(levels[part], level)
+        for k in range(LAGS):
+            unexplained[k] -= levels[part] * design[part, k]
+        if part == COLOURED:
+            chance = chance_of_motion(levels, counts, design)
     return levels

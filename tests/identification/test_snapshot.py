@@ -55,7 +55,7 @@ def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
         # Whether the work of a block or the wait for a force drop has begun and not
         # ended.
         is_at_work = (
-            snapshot.state.stage != 0
+            snapshot.state.is_at_work
             if config is MULTILAYER
             else bool(snapshot.state.ruptured)
         )
@@ -95,13 +95,15 @@ def copy_with(state, name, value):
 @pytest.mark.parametrize(
     ("config", "place", "change"),
     [
-        (MULTILAYER, "bank.spreads", np.triu),  # not symmetric
-        (MULTILAYER, "bank.spreads", lambda spreads: spreads[:, :2, :2]),
-        (MULTILAYER, "bank.facts", lambda facts: facts + 7.0),
-        (MULTILAYER, "bank.log_weights", lambda weights: weights.astype(int)),
+        (MULTILAYER, "mixture.covariances", np.triu),  # not symmetric
+        (MULTILAYER, "mixture.covariances", lambda matrices: matrices[:, :2, :2]),
+        (MULTILAYER, "mixture.assumptions", lambda numbers: numbers + 7.0),
+        (MULTILAYER, "mixture.log_weights", lambda weights: weights.astype(int)),
         (MULTILAYER, "levels", lambda _: None),
-        (MULTILAYER, "levels.squares", lambda squares: squares + np.inf),
-        (MULTILAYER, "tissue.unit", lambda _: 10**6),
+        (MULTILAYER, "levels.differences.squares_N2", lambda squares: squares + np.inf),
+        (MULTILAYER, "contact.deepest_m", lambda _: np.nan),
+        (MULTILAYER, "posterior.offset", lambda _: np.inf),
+        (MULTILAYER, "tissue.search.unit", lambda _: 10**6),
         (MULTILAYER, "stage", lambda _: 10**9),
         (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
         (PUBLISHED, "tracker.machine", lambda _: 5),

@@ -9,7 +9,7 @@ import pytest
 from foundation.records import as_record, from_record
 from identification import Identifier, SampleStatus
 from identification.config import CheckConfig, MultilayerConfig
-from identification.multilayer.speed_filter import NO_TREND, follow_speed
+from identification.multilayer.speed_filter import FIRST_SPEED_FILTER, filter_speed
 from identification.travel_filter import (
     DEPTH,
     DEPTH_MEANS,
@@ -213,10 +213,10 @@ def test_the_slow_speed_filter_is_quiet_and_stops():
     measured = speed + noise[1] * rng.standard_normal(1600)
     depth = 0.01 * np.cumsum(speed) + 1.6e-3 * rng.standard_normal(1600)
     filtered_speed = np.zeros(1600)
-    trend = NO_TREND
+    state = FIRST_SPEED_FILTER
     for k in range(1600):
-        filtered_speed[k], trend = follow_speed(
-            trend, depth[k], measured[k], noise, 0.01
+        filtered_speed[k], state = filter_speed(
+            state, depth[k], measured[k], *noise, 0.01
         )
     error = filtered_speed - speed
     assert np.sqrt(np.mean(error[200:1199] ** 2)) < 0.2 * noise[1]

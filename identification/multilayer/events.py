@@ -1,0 +1,433 @@
+"""Events: contact, end of a layer, partial rupture, a membrane met under a layer.
+
+Each is a linear map of the unknowns that leaves the predicted force as it is, with
+noise for what the event leaves open:
+
+    x' = transition x + noise
+
+Lengths are in mm, speeds in mm/s, forces in N.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from foundation.arrays import (
+    Vector,
+    WrittenMatrix,
+    WrittenVector,
+)
+from foundation.jit import compiled
+from identification.multilayer.block import Block
+from identification.multilayer.force_model import (
+    FADING,
+    FRICTION_BEFORE,
+    FRICTION_LAST,
+    HELD,
+    LAYER,
+    LAYER_COULOMB,
+    LAYER_VISCOUS,
+    MEMBRANE,
+    MODEL_ERROR,
+    MODEL_ERROR_FRACTION,
+    MODEL_ERROR_MM,
+    MODEL_ERROR_SLOPE,
+    NO_RELEASE_MM,
+    OFFSET,
+    RELEASE_STRETCH,
+    RELEASED,
+    STIFFNESS,
+    TIP_BEGIN,
+    TIP_END,
+    TRAVERSED_COULOMB,
+    TRAVERSED_ERROR_FRACTION,
+    TRAVERSED_VISCOUS,
+    UNKNOWNS,
+    Assumptions,
+    regressor,
+)
+from identification.multilayer.kalman import map_rows
+from identification.multilayer.priors import (
+    add_friction_prior,
+    add_membrane_prior,
+    add_stiffness_prior,
+)
+
+CONTACT = 0
+"""The tip meets tissue: a layer, or a membrane."""
+
+LAYER_END = 1
+"""The tip leaves a layer or a membrane."""
+
+PARTIAL_RUPTURE = 2
+"""The tissue ruptures further, and keeps pushing at the tip."""
+
+MEMBRANE_MET = 3
+"""The tip meets a membrane under the layer that it is in."""
+
+RELEASE_LENGTH_LOG_STD = 0.12
+"""Prior deviation of a release length's logarithm, between those of the hypotheses."""
+
+FADING_FRACTION = 0.45
+"""Fraction of a tip force that outlasts its rupture: chosen, between the 30 and 60 %
+that partial ruptures in liver suggest."""
+
+FADING_FRACTION_STD = 0.15
+"""Its standard deviation."""
+
+HELD_FRACTION = 0.5
+"""Fraction of a tip force that is held after a partial rupture."""
+
+HELD_FRACTION_STD = 0.25
+"""Its standard deviation."""
+
+MIN_HELD_VARIANCE_N2 = 1e-4
+"""Variance of the held force beside that."""
+
+INITIAL_FRICTION_STD_N = 0.2
+"""Standard deviation of friction already there at the first contact: the recording may
+begin inside tissue."""
+
+
+class Event(NamedTuple):
+    """What may have happened in a block.
+
+    Attributes:
+        kind: `CONTACT`, `LAYER_END`, `PARTIAL_RUPTURE` or `MEMBRANE_MET`.
+        next_medium: What the tip is in afterwards: `AIR`, `LAYER` or `MEMBRANE`.
+        keeps_force: Whether part of the tip force outlasts the rupture and fades.
+        release_lengths_mm: Travels that the release may take, a hypothesis each.
+        probability: Prior probability of each of these hypotheses.
+    """
+
+    kind: int
+    next_medium: float
+    keeps_force: bool
+    release_lengths_mm: WrittenVector
+    probability: float
+
+
+@dataclass(slots=True)
+class History:
+    """What a hypothesis reports of its past.
+
+    All are floats, so that a record of them is a row of numbers.
+
+    Attributes:
+        rupture_s: Time of the last rupture.
+        rupture_mm: Its depth.
+        rupture_speed_mm_s: Its speed.
+        rupture_force_N: Force before it.
+        was_partial: 1 where it was a partial one.
+        section_start_mm: Where the shaft since the rupture reported before begins.
+        section_end_mm: Where it ends.
+        section_friction_N: Its friction.
+        stiffness_N_per_mm: Of the layer before the last event.
+        stiffness_variance: Variance of the stiffness.
+        coulomb_N_per_mm: Coulomb friction per length in that layer.
+        coulomb_variance: Variance of the Coulomb friction.
+        viscous_Ns_per_mm2: Viscous friction per length in that layer.
+        viscous_variance: Variance of the viscous friction.
+        contact_mm: Depth of the first contact.
+        min_force_N: Least force since the last rupture.
+    """
+
+    rupture_s: float = 0.0
+    rupture_mm: float = 0.0
+    rupture_speed_mm_s: float = 0.0
+    rupture_force_N: float = 0.0
+    was_partial: float = 0.0
+    section_start_mm: float = 0.0
+    section_end_mm: float = 0.0
+    section_friction_N: float = 0.0
+    stiffness_N_per_mm: float = 0.0
+    stiffness_variance: float = 0.0
+    coulomb_N_per_mm: float = 0.0
+    coulomb_variance: float = 0.0
+    viscous_Ns_per_mm2: float = 0.0
+    viscous_variance: float = 0.0
+    contact_mm: float = 0.0
+    min_force_N: float = 0.0
+
+
+class LinearMap(NamedTuple):
+    """How an event changes the unknowns: x' = transition x + noise.
+
+    Attributes:
+        transition: Shape (20, 20).
+        variance: Of the noise, shape (20,).
+    """
+
+    transition: WrittenMatrix
+    variance: WrittenVector
+
+
+class Gaussian(NamedTuple):
+    """Mean and covariance of the unknowns.
+
+    Attributes:
+        mean: Shape (20,).
+        covariance: Shape (20, 20).
+    """
+
+    mean: WrittenVector
+    covariance: WrittenMatrix
+
+
+@compiled
+def clear_rows(step: LinearMap, begin: int, end: int) -> None:
+    """Let the unknowns from `begin` to before `end` begin at zero."""
+    for i in range(begin, end):
+        for j in range(UNKNOWNS):
+            step.transition[i, j] = 0.0
+
+
+@compiled
+def begin_contact(step: LinearMap, block: Block) -> None:
+    """Begin a layer without friction; the shaft may have some from before."""
+    clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
+    initial_std = INITIAL_FRICTION_STD_N * (1.0 - block.deflection)
+    step.variance[TRAVERSED_COULOMB] = initial_std**2
+
+
+@compiled
+def release_model_error(
+    step: LinearMap, mean: Vector, tip_row: WrittenVector, block: Block
+) -> None:
+    """End the model's error: it belonged to the tip force and is released with it."""
+    tip_force = np.dot(tip_row, mean)
+    step.variance[RELEASE_STRETCH] = (RELEASE_LENGTH_LOG_STD * tip_force) ** 2
+    tip_row[MODEL_ERROR] = 1.0
+    clear_rows(step, MODEL_ERROR, MODEL_ERROR_SLOPE + 1)
+    shaft_friction = block.force_before_N - mean[OFFSET] - np.dot(tip_row, mean)
+    error_std = MODEL_ERROR_FRACTION * TRAVERSED_ERROR_FRACTION * shaft_friction
+    step.variance[MODEL_ERROR] = error_std**2
+    step.variance[MODEL_ERROR_SLOPE] = step.variance[MODEL_ERROR] / MODEL_ERROR_MM**2
+
+
+@compiled
+def leave_friction_on_shaft(
+    step: LinearMap, assumption: Assumptions, block: Block
+) -> None:
+    """Add the layer's friction to that of the layers traversed; the next has none."""
+    clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
+    if assumption.medium == LAYER:
+        length = max(block.depth_mm - assumption.layer_start_mm, 0.0)
+        step.transition[TRAVERSED_COULOMB, LAYER_COULOMB] = length
+        step.transition[TRAVERSED_VISCOUS, LAYER_VISCOUS] = length
+
+
+@compiled
+def hold_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
+    """Release the tip force and hold about half of it, as a partial rupture does."""
+    tip_force = np.dot(tip_row, mean)
+    step.transition[RELEASED] = tip_row
+    step.transition[HELD] = HELD_FRACTION * tip_row
+    step.variance[HELD] = (HELD_FRACTION_STD * tip_force) ** 2 + MIN_HELD_VARIANCE_N2
+
+
+@compiled
+def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
+    """Let part of the tip force outlast the rupture, until it fades with travel."""
+    step.transition[FADING] = FADING_FRACTION * tip_row
+    step.variance[FADING] = (FADING_FRACTION_STD * np.dot(tip_row, mean)) ** 2
+
+
+@compiled
+def ends_reported_layer(assumption: Assumptions, kind: int, reported: int) -> bool:
+    """Return whether an event ends a layer whose beginning was reported.
+
+    The puncture of a membrane met under a layer ends none: that layer ended where the
+    membrane was met. Nor does anything after a rupture that was not reported.
+    """
+    if assumption.ruptures > reported:
+        return False
+    is_cutting_through = kind == LAYER_END and assumption.holds_force == 0.0
+    return assumption.medium == LAYER or is_cutting_through
+
+
+@compiled
+def start_friction_record(step: LinearMap) -> None:
+    """Let the last layer's friction become that of the one before, and begin anew."""
+    clear_rows(step, FRICTION_LAST, FRICTION_BEFORE + 1)
+    step.transition[FRICTION_BEFORE, FRICTION_LAST] = 1.0
+
+
+@compiled
+def add_to_friction_record(
+    step: LinearMap, mean: Vector, block: Block, length: float, tissue_speed_std: float
+) -> None:
+    """Add the friction of a length of shaft in the layer to the last layer's."""
+    step.transition[FRICTION_LAST, LAYER_COULOMB] = length * block.deflection
+    step.transition[FRICTION_LAST, LAYER_VISCOUS] = length * block.speed_mm_s
+    unseen_friction = length * mean[LAYER_VISCOUS] * tissue_speed_std
+    step.variance[FRICTION_LAST] = unseen_friction**2
+
+
+@compiled
+def map_event(
+    mean: Vector, assumption: Assumptions, event: Event, block: Block
+) -> LinearMap:
+    """Return what an event does to the force, the friction record not included.
+
+    The predicted force stays as it is.
+    """
+    step = LinearMap(np.eye(UNKNOWNS), np.zeros(UNKNOWNS))
+    tip_row = np.zeros(UNKNOWNS)  # the tip force is tip_row @ mean
+    tip_row[TIP_BEGIN:TIP_END] = regressor(assumption, block)[TIP_BEGIN:TIP_END]
+    clear_rows(step, TIP_BEGIN, TIP_END)
+    if event.kind == CONTACT:
+        begin_contact(step, block)
+    elif event.kind == LAYER_END:
+        release_model_error(step, mean, tip_row, block)
+        leave_friction_on_shaft(step, assumption, block)
+        step.transition[RELEASED] = tip_row
+    elif event.kind == PARTIAL_RUPTURE:
+        release_model_error(step, mean, tip_row, block)
+        hold_part_of_tip_force(step, mean, tip_row)
+    elif event.kind == MEMBRANE_MET:
+        leave_friction_on_shaft(step, assumption, block)
+        step.transition[HELD] = tip_row
+    if event.keeps_force:
+        keep_part_of_tip_force(step, mean, tip_row)
+    return step
+
+
+@compiled
+def add_prior(gaussian: Gaussian, event: Event, speed: float) -> None:
+    """Add the prior of what the tip is in after an event."""
+    if event.next_medium == MEMBRANE:
+        add_membrane_prior(gaussian.mean, gaussian.covariance)
+    elif event.next_medium == LAYER:
+        add_stiffness_prior(gaussian.mean, gaussian.covariance, speed)
+        if event.kind != PARTIAL_RUPTURE:  # which keeps the layer's friction
+            add_friction_prior(gaussian.mean, gaussian.covariance, speed)
+
+
+@compiled
+def apply_event(
+    gaussian: Gaussian,
+    assumption: Assumptions,
+    event: Event,
+    block: Block,
+    new_length: float,
+    reported: int,
+    tissue_speed_std: float,
+) -> Gaussian:
+    """Return the unknowns after an event; the predicted force stays as it is.
+
+    Args:
+        gaussian: Unknowns of the hypothesis before the event.
+        assumption: What it takes for granted.
+        event: What happens.
+        block: Where and how it happens.
+        new_length: Shaft that entered the layer since the last event [mm].
+        reported: Ruptures reported so far.
+        tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
+    """
+    mean = gaussian.mean
+    step = map_event(mean, assumption, event, block)
+    if ends_reported_layer(assumption, event.kind, reported):
+        start_friction_record(step)
+    if assumption.medium == LAYER:
+        add_to_friction_record(step, mean, block, new_length, tissue_speed_std)
+    mean_after = np.dot(step.transition, mean)
+    covariance = map_rows(step.transition, gaussian.covariance)
+    covariance = map_rows(step.transition, covariance)
+    for i in range(UNKNOWNS):
+        covariance[i, i] += step.variance[i]
+    after = Gaussian(mean_after, covariance)
+    add_prior(after, event, block.speed_mm_s)
+    return after
+
+
+@compiled
+def update_assumption(
+    child: Assumptions, parent: Assumptions, event: Event, block: Block, reported: int
+) -> None:
+    """Change what a hypothesis takes for granted, by an event.
+
+    Args:
+        child: A copy of the parent's assumptions, which is changed, but for the
+            length of the release.
+        parent: Assumptions before the event.
+        event: What happens.
+        block: Where it happens.
+        reported: Ruptures reported so far.
+    """
+    is_rupture = event.kind in (LAYER_END, PARTIAL_RUPTURE)
+    is_puncture = event.kind == LAYER_END and parent.medium == MEMBRANE
+    child.release_start_mm = NO_RELEASE_MM
+    if is_rupture:
+        child.ruptures = min(parent.ruptures, reported) + 1.0
+        child.release_start_mm = block.depth_mm
+    if event.kind != PARTIAL_RUPTURE:
+        # The layer behind a membrane has rubbed since the membrane was met.
+        start = parent.tip_start_mm if is_puncture else block.depth_mm
+        child.layer_start_mm = start
+        child.is_fraction_used = 0.0 if event.next_medium == LAYER else 1.0
+    child.tip_start_mm = block.depth_mm
+    child.medium = event.next_medium
+    holds_force = event.kind in (PARTIAL_RUPTURE, MEMBRANE_MET)
+    child.holds_force = 1.0 if holds_force else 0.0
+    child.is_punctured = 1.0 if is_puncture else 0.0
+
+
+@compiled
+def record_rupture(history: History, kind: int, block: Block) -> None:
+    """Record a rupture at the beginning of a block.
+
+    A release can be over within a block, so the force it fell from is that of the block
+    before.
+    """
+    history.rupture_s = block.time_s - 0.5 * block.duration_s
+    history.rupture_mm = block.depth_mm
+    history.rupture_speed_mm_s = block.speed_mm_s
+    history.rupture_force_N = block.force_before_N
+    history.was_partial = 1.0 if kind == PARTIAL_RUPTURE else 0.0
+    history.min_force_N = block.force_before_N
+
+
+@compiled
+def record_section(
+    history: History,
+    before: Gaussian,
+    start_mm: float,
+    end_mm: float,
+    friction: float,
+) -> None:
+    """Record the section of shaft that an event ends, and what its layer was like.
+
+    Args:
+        history: Record that is changed.
+        before: Unknowns before the event.
+        start_mm: Depth at which the section begins.
+        end_mm: Depth at which it ends.
+        friction: Its friction [N].
+    """
+    history.section_start_mm = start_mm
+    history.section_end_mm = end_mm
+    history.section_friction_N = friction
+    history.stiffness_N_per_mm = before.mean[STIFFNESS]
+    history.stiffness_variance = before.covariance[STIFFNESS, STIFFNESS]
+    history.coulomb_N_per_mm = before.mean[LAYER_COULOMB]
+    history.coulomb_variance = before.covariance[LAYER_COULOMB, LAYER_COULOMB]
+    history.viscous_Ns_per_mm2 = before.mean[LAYER_VISCOUS]
+    history.viscous_variance = before.covariance[LAYER_VISCOUS, LAYER_VISCOUS]
+
+
+@compiled
+def record_contact(history: History, depth_mm: float, is_first: bool) -> None:
+    """Record that tissue begins here, and nothing of it is known."""
+    history.section_start_mm = depth_mm
+    history.section_end_mm = depth_mm
+    history.section_friction_N = 0.0
+    history.stiffness_N_per_mm = 0.0
+    history.stiffness_variance = 0.0
+    history.coulomb_N_per_mm = 0.0
+    history.coulomb_variance = 0.0
+    history.viscous_Ns_per_mm2 = 0.0
+    history.viscous_variance = 0.0
+    if is_first:
+        history.contact_mm = depth_mm

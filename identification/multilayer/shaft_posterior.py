@@ -1,0 +1,289 @@
+"""What the mixture knows of the shaft at the depth of a block, all components together.
+
+Its mean is the mean of the components; where they differ its variance is larger than
+that of each. Lengths are in mm, speeds in mm/s, forces in N.
+"""
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled
+from identification.multilayer.block import Block
+from identification.multilayer.events import Gaussian
+from identification.multilayer.evidence import MM_PER_M, Evidence
+from identification.multilayer.force_model import (
+    AIR,
+    LAYER_COULOMB,
+    LAYER_VISCOUS,
+    OFFSET,
+    STIFFENING,
+    STIFFNESS,
+    TIP_BEGIN,
+    TIP_END,
+    TRAVERSED_COULOMB,
+    TRAVERSED_VISCOUS,
+    UNKNOWNS,
+    Assumptions,
+    regressor,
+)
+from identification.multilayer.mixture import Mixture
+
+MIN_WEIGHT = 1e-3
+"""Components that are less likely than this are left out."""
+
+MIN_TRUSTED_PROBABILITY = 1e-6
+"""Probability of all components that the mean may rest on: else it rests on all."""
+
+STEADY_FRACTION = 0.9
+"""Part of the usual speed; where the needle is slower, friction's dependence on the
+speed may look like a fall of the force."""
+
+MET_PROBABILITY = 0.5
+"""Probability of a contact from which on the needle counts as in contact."""
+
+# The quantities that are summarised, in this order.
+AT_OFFSET = 0
+AT_TRAVERSED_COULOMB = 1
+AT_TRAVERSED_VISCOUS = 2
+AT_SHAFT_COULOMB = 3
+AT_SHAFT_VISCOUS = 4
+AT_LAYER_COULOMB = 5
+AT_LAYER_VISCOUS = 6
+AT_STIFFNESS = 7
+QUANTITIES = 8
+
+
+@dataclass(slots=True)
+class Friction:
+    """Coulomb and viscous friction of a length of shaft, with their joint covariance.
+
+    Attributes:
+        coulomb: Coulomb friction [N].
+        viscous: Viscous friction [N/(mm/s)].
+        coulomb_variance: Variance of the Coulomb friction.
+        covariance: Covariance of the two.
+        viscous_variance: Variance of the viscous friction.
+        offset_coulomb: Covariance of the offset and the Coulomb friction.
+        offset_viscous: Covariance of the offset and the viscous friction.
+    """
+
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    coulomb_variance: float = 0.0
+    covariance: float = 0.0
+    viscous_variance: float = 0.0
+    offset_coulomb: float = 0.0
+    offset_viscous: float = 0.0
+
+
+@dataclass(slots=True)
+class ShaftPosterior:
+    """What the mixture knows of the shaft at one depth.
+
+    Attributes:
+        in_contact: Whether tissue has been met.
+        layer: Number of the layer that the tip is in, from 1; 0 before the contact.
+        contact_depth_m: Depth at which the first was met.
+        depth_mm: Depth that all this is of.
+        noise_variance: Of a sample's force [N²].
+        tip_force: At that depth [N].
+        rupture_speed_mm_s: Speed of the last rupture, 0 before the first.
+        model_error_variance: Of the force model [N²].
+        offset: Force in free air [N].
+        offset_variance: Variance of the offset.
+        stiffness: Of the tip's force [N/mm].
+        stiffness_variance: Variance of the stiffness.
+        traversed: Friction of the layers traversed.
+        shaft: Friction of the whole shaft.
+        layer_friction: Friction per length of shaft in the layer [1/mm].
+    """
+
+    in_contact: bool = False
+    layer: int = 0
+    contact_depth_m: float = 0.0
+    depth_mm: float = 0.0
+    noise_variance: float = 0.0
+    tip_force: float = 0.0
+    rupture_speed_mm_s: float = 0.0
+    model_error_variance: float = 0.0
+    offset: float = 0.0
+    offset_variance: float = 0.0
+    stiffness: float = 0.0
+    stiffness_variance: float = 0.0
+    traversed: Friction = field(default_factory=Friction)
+    shaft: Friction = field(default_factory=Friction)
+    layer_friction: Friction = field(default_factory=Friction)
+
+
+class ShaftMixture(NamedTuple):
+    """Mixture of what the components say of the shaft.
+
+    Attributes:
+        mean: Of the quantities `AT_OFFSET` to `AT_STIFFNESS`, shape (8,).
+        covariance: Theirs, shape (8, 8).
+        met_probability: That tissue has been met.
+        contact_mm: Depth of the first contact.
+        tip_force: Of the likeliest component [N].
+    """
+
+    mean: WrittenVector
+    covariance: WrittenMatrix
+    met_probability: float
+    contact_mm: float
+    tip_force: float
+
+
+@compiled
+def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenMatrix:
+    """Return the map of a component's unknowns to the quantities, shape (8, 20).
+
+    `met` is 1 where it has met tissue, else 0.
+    """
+    rows = np.zeros((QUANTITIES, UNKNOWNS))
+    length = max(depth_mm - assumption.layer_start_mm, 0.0)
+    rows[AT_OFFSET, OFFSET] = 1.0
+    rows[AT_TRAVERSED_COULOMB, TRAVERSED_COULOMB] = met
+    rows[AT_TRAVERSED_VISCOUS, TRAVERSED_VISCOUS] = met
+    rows[AT_SHAFT_COULOMB, TRAVERSED_COULOMB] = met
+    rows[AT_SHAFT_VISCOUS, TRAVERSED_VISCOUS] = met
+    rows[AT_SHAFT_COULOMB, LAYER_COULOMB] = met * length
+    rows[AT_SHAFT_VISCOUS, LAYER_VISCOUS] = met * length
+    rows[AT_LAYER_COULOMB, LAYER_COULOMB] = met
+    rows[AT_LAYER_VISCOUS, LAYER_VISCOUS] = met
+    if assumption.medium != AIR:
+        rows[AT_STIFFNESS, STIFFNESS] = 1.0
+        travel = max(depth_mm - assumption.tip_start_mm, 0.0)
+        rows[AT_STIFFNESS, STIFFENING] = 2.0 * travel
+    return rows
+
+
+@compiled
+def predict_tip_force(mixture: Mixture, component: int, block: Block) -> float:
+    """Return the tip force of a component [N]."""
+    tip = slice(TIP_BEGIN, TIP_END)
+    row = regressor(mixture.assumptions[component], block)
+    return np.dot(row[tip], mixture.means[component, tip])
+
+
+@compiled
+def mix_components(
+    mixture: Mixture, trusted: Vector, weights: Vector, block: Block
+) -> ShaftMixture:
+    """Mix what the components say of the shaft, the least likely left out.
+
+    Args:
+        mixture: Of n components.
+        trusted: Weights for the means, shape (n,).
+        weights: Weights for the covariance around those means, shape (n,).
+        block: Place of the tip.
+    """
+    trusted = np.where(trusted > MIN_WEIGHT * trusted.sum(), trusted, 0.0)
+    weights = np.where((weights > MIN_WEIGHT) | (trusted > 0.0), weights, 0.0)
+    trusted = trusted / trusted.sum()
+    weights = weights / weights.sum()
+    values = np.zeros((len(weights), QUANTITIES))
+    mean = np.zeros(QUANTITIES)
+    covariance = np.zeros((QUANTITIES, QUANTITIES))
+    met_probability = 0.0
+    contact_mm = 0.0
+    components = np.flatnonzero(weights)
+    for k in components:
+        assumption = mixture.assumptions[k]
+        has_met = assumption.medium != AIR or assumption.ruptures > 0.0
+        if has_met and met_probability == 0.0:
+            contact_mm = mixture.history[k].contact_mm
+        if has_met:
+            met_probability += trusted[k]
+        rows = shaft_rows(assumption, block.depth_mm, 1.0 if has_met else 0.0)
+        values[k] = np.dot(rows, mixture.means[k])
+        mean += trusted[k] * values[k]
+        columns = np.ascontiguousarray(rows.T)
+        covariance += weights[k] * np.dot(np.dot(rows, mixture.covariances[k]), columns)
+    for k in components:
+        deviation = values[k] - mean
+        covariance += weights[k] * np.outer(deviation, deviation)
+    for i in range(QUANTITIES):
+        covariance[i, i] = max(covariance[i, i], 0.0)
+    tip_force = predict_tip_force(mixture, int(np.argmax(trusted)), block)
+    return ShaftMixture(mean, covariance, met_probability, contact_mm, tip_force)
+
+
+@compiled
+def trust_components(evidence: Evidence, block: Block, reported: int) -> WrittenVector:
+    """Return weights for the means: of the components that ruptures reported support.
+
+    A rupture that is not reported and may be a needle that slowed down does not count:
+    a hand that feels the tip's force vanish for it pushes.
+    """
+    trusted = np.zeros(len(evidence.weights))
+    steady_speed = STEADY_FRACTION * block.usual_speed_mm_s
+    for k in range(len(trusted)):
+        rupture_speed = evidence.mixture.history[k].rupture_speed_mm_s
+        is_slow = min(rupture_speed, block.speed_mm_s) < steady_speed
+        if evidence.ruptures[k] <= reported or not is_slow:
+            trusted[k] = evidence.weights[k]
+    return trusted
+
+
+@compiled
+def set_friction(friction: Friction, shaft: Gaussian, first: int) -> None:
+    """Set a friction to the quantities `first` (Coulomb) and the next (viscous)."""
+    second = first + 1
+    friction.coulomb = shaft.mean[first]
+    friction.viscous = shaft.mean[second]
+    friction.coulomb_variance = shaft.covariance[first, first]
+    friction.covariance = shaft.covariance[first, second]
+    friction.viscous_variance = shaft.covariance[second, second]
+    friction.offset_coulomb = shaft.covariance[AT_OFFSET, first]
+    friction.offset_viscous = shaft.covariance[AT_OFFSET, second]
+
+
+@compiled
+def update_posterior(
+    posteriors: list[ShaftPosterior],
+    evidence: Evidence,
+    block: Block,
+    reported: int,
+    traversed: int,
+    rupture_speed: float,
+) -> None:
+    """Set the posterior to what the mixture knows at a block's place.
+
+    Args:
+        posteriors: The one that is set, shape (1,).
+        evidence: The mixture, after the ruptures reported.
+        block: Where the tip is.
+        reported: Ruptures reported so far.
+        traversed: Layers traversed so far.
+        rupture_speed: Speed of the last rupture, 0 before the first [mm/s].
+    """
+    posterior = posteriors[0]
+    trusted = trust_components(evidence, block, reported)
+    if trusted.sum() <= MIN_TRUSTED_PROBABILITY:
+        trusted = evidence.weights
+    shaft = mix_components(evidence.mixture, trusted, evidence.weights, block)
+    is_met = shaft.met_probability > MET_PROBABILITY
+    posterior.in_contact = is_met
+    posterior.layer = traversed + 1 if is_met else 0
+    posterior.contact_depth_m = shaft.contact_mm / MM_PER_M if is_met else 0.0
+    posterior.depth_mm = block.depth_mm
+    posterior.noise_variance = block.noise_std_N**2
+    posterior.tip_force = shaft.tip_force
+    posterior.rupture_speed_mm_s = rupture_speed
+    posterior.offset = shaft.mean[AT_OFFSET]
+    posterior.offset_variance = shaft.covariance[AT_OFFSET, AT_OFFSET]
+    posterior.stiffness = shaft.mean[AT_STIFFNESS]
+    posterior.stiffness_variance = shaft.covariance[AT_STIFFNESS, AT_STIFFNESS]
+    quantities = Gaussian(shaft.mean, shaft.covariance)
+    set_friction(posterior.traversed, quantities, AT_TRAVERSED_COULOMB)
+    set_friction(posterior.shaft, quantities, AT_SHAFT_COULOMB)
+    set_friction(posterior.layer_friction, quantities, AT_LAYER_COULOMB)
+    # Friction is known no better than the force model is, whose error the tissue's
+    # texture shows.
+    model_error_variance = shaft.met_probability * block.model_error_N**2
+    posterior.model_error_variance = model_error_variance
+    posterior.traversed.coulomb_variance += model_error_variance
+    posterior.shaft.coulomb_variance += model_error_variance

@@ -1,0 +1,64 @@
+"""Noise of the force, learnt part by part, and the texture of the tissue."""
+
+import numpy as np
+import pytest
+
+from identification.multilayer.disturbances import smooth_walk_step
+from identification.multilayer.force_model import MODEL_ERROR_MM
+from identification.multilayer.noise_levels import NoiseLevels, Texture
+
+
+def test_noise_is_learned_part_by_part():
+    levels = NoiseLevels()
+    noise_N = 0.01 * np.random.default_rng(9).standard_normal(2000)
+    for k, white_N in enumerate(noise_N.tolist()):
+        beat_N = 0.05 * np.sin(2.0 * np.pi * 1.2 * 0.01 * k)
+        levels = levels.with_force(beat_N + white_N, 0.01, 2.0)
+    assert np.sqrt(levels.variances.white) == pytest.approx(0.01, rel=0.15)
+    assert np.sqrt(levels.variances.coloured) < 0.008
+    assert 0.02 < np.sqrt(levels.variances.heartbeat) < 0.08
+    assert levels.restarted().with_force(1.0, 0.01, 2.0).differences.steps == 1.0
+
+
+def test_a_ramp_is_no_noise():
+    levels = NoiseLevels()
+    for k in range(2000):
+        levels = levels.with_force(0.001 * k, 0.01, 2.0)
+    assert np.sqrt(levels.variances).max() < 1e-6
+
+
+def test_chance_is_seldom_a_motion():
+    levels = NoiseLevels()
+    has_motion = []
+    for white_N in (0.01 * np.random.default_rng(9).standard_normal(2000)).tolist():
+        levels = levels.with_force(white_N, 0.01, 2.0)
+        variances = levels.variances
+        has_motion.append(variances.heartbeat > 0.0 or variances.breathing > 0.0)
+    assert np.mean(has_motion) < 0.1
+
+
+def test_texture_shows_an_error_but_no_noise_and_no_bend():
+    smooth = Texture()
+    rough = Texture()
+    rng = np.random.default_rng(2)
+    state = np.zeros(2)  # the error of the force model and its slope
+    step = smooth_walk_step(0.05, MODEL_ERROR_MM, 0.2**2)
+    transition = np.reshape(step.transition, (2, 2))
+    covariance = np.array(
+        [
+            [step.value_variance, step.covariance],
+            [step.covariance, step.rate_variance],
+        ]
+    )
+    smooth_errors_N = []
+    rough_errors_N = []
+    for k, white_N in enumerate((0.005 * rng.standard_normal(4000)).tolist()):
+        state = transition @ state + rng.multivariate_normal((0.0, 0.0), covariance)
+        bend_N = 0.03 * 0.05 * k + 1e-5 * (0.05 * k) ** 2
+        smooth = smooth.with_force(white_N + bend_N, 0.05)
+        rough = rough.with_force(white_N + float(state[0]), 0.05)
+        smooth_errors_N.append(smooth.model_error(1.0, 0.0))
+        rough_errors_N.append(rough.model_error(1.0, 0.0))
+    assert max(smooth_errors_N) < 0.03
+    assert np.mean(rough_errors_N) == pytest.approx(0.2, rel=0.25)
+    assert rough.model_error(1.0, 0.3) == 0.0
