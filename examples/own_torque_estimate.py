@@ -1,4 +1,4 @@
-"""A robot that estimates the external torque itself: tare, wrench and layers from it."""
+"""A robot that estimates the external torque itself: wrench and layers from it."""
 
 import numpy as np
 
@@ -28,5 +28,5 @@ for t_s, q, torque in zip(
     if estimate.identification.identified_layer is not None:
         break
 
-(gel,) = session.layers
+gel = session.layers[0]
 print(f"at most {max(forces_N):.2f} N; the gel is {1e3 * gel.thickness_m:.1f} mm thick")

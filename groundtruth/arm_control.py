@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from foundation.arrays import Array
 from groundtruth.arm_motion import JointMotion
 from groundtruth.arm_plant import ArmPlant
-from groundtruth.errors import Array, PlantError
+from groundtruth.errors import PlantError
 from groundtruth.plant_model import TICK_s
 from groundtruth.tissue import TissueForce
 

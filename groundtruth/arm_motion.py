@@ -6,7 +6,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.interpolate import BSpline, make_interp_spline
 
-from groundtruth.errors import Array, MotionError
+from foundation.arrays import Array
+from groundtruth.errors import MotionError
 from groundtruth.motion import Stroke
 from groundtruth.plant_model import TICK_s
 from groundtruth.scenarios import Scenario

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from groundtruth.errors import Array, PlantError, PlantModelError, require_fraction
+from foundation.arrays import Array
+from groundtruth.errors import PlantError, PlantModelError, require_fraction
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from groundtruth.rig_contacts import Contact, TouchedPoint, Vector3
 from groundtruth.scenarios import ElbowPush, LateralForce, Scenario, TissueMotion

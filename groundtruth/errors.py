@@ -6,11 +6,6 @@ All have one base; each is also a builtin error, so that both can be caught.
 import math
 from collections.abc import Callable
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-
 
 class GroundTruthError(Exception):
     """Base of every error this package raises on purpose."""

@@ -11,7 +11,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundtruth.errors import Array, MotionError, require_positive
+from foundation.arrays import Array
+from groundtruth.errors import MotionError, require_positive
 
 Profile = Literal["rest", "quintic", "cruise", "cosine"]
 """`quintic`: minimum jerk; `cruise`: constant speed between smooth ramps; `cosine`:

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from groundtruth.errors import Array, PlantModelError, require_non_negative
+from foundation.arrays import Array
+from groundtruth.errors import PlantModelError, require_non_negative
 
 TICK_s = 1e-3  # period of controller and sensors
 

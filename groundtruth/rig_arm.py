@@ -20,6 +20,7 @@ import pinocchio as pin
 import scipy.linalg
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from groundtruth import sensors
 from groundtruth.arm_control import MASS_TICKS, BANDWIDTH_rad_s
 from groundtruth.arm_motion import LWR_POSTURE_rad, needle_down
@@ -30,7 +31,7 @@ from groundtruth.arm_plant import (
     lwr_bodies,
     tissue_before,
 )
-from groundtruth.errors import Array, PlantError
+from groundtruth.errors import PlantError
 from groundtruth.plant_model import PlantModel, TICK_s, plant_named
 from groundtruth.rig_contacts import Contact, HandOnArm, distance_to_axis_m
 from groundtruth.scenarios import Scenario

@@ -17,7 +17,8 @@ from typing import Any, Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundtruth.errors import Array, PlantError, require_non_negative, require_positive
+from foundation.arrays import Array
+from groundtruth.errors import PlantError, require_non_negative, require_positive
 
 try:
     import mujoco

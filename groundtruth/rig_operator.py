@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from groundtruth.errors import Array, PlantError, require_non_negative, require_positive
+from foundation.arrays import Array
+from groundtruth.errors import PlantError, require_non_negative, require_positive
 from groundtruth.plant_model import TICK_s
 
 

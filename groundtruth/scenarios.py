@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from groundtruth.errors import Array, ScenarioError
+from foundation.arrays import Array
+from groundtruth.errors import ScenarioError
 from groundtruth.layers import Layer, Membrane, ShaftFriction
 from groundtruth.materials import ABDOMEN, BOVINE_LIVER, GLOVE, TABLE_I_SPEED_M_S, gel
 from groundtruth.motion import (

@@ -11,7 +11,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.errors import Array
+from foundation.arrays import Array
 from groundtruth.plant_model import PlantModel, TICK_s, coloured, drawn_factors
 from urdf import LWR_GEAR_RATIO
 

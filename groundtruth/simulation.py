@@ -13,11 +13,12 @@ import numpy as np
 from numpy.random import SeedSequence
 from numpy.typing import NDArray
 
+from foundation.arrays import Array
 from groundtruth import sensors
 from groundtruth.arm_control import ArmTrace, drive
 from groundtruth.arm_motion import scenario_motion, scenario_path
 from groundtruth.arm_plant import ArmPlant, bearings, lwr_bodies, tissue_before
-from groundtruth.errors import Array, MotionError, require_positive
+from groundtruth.errors import MotionError, require_positive
 from groundtruth.plant_model import MINI45, ForceNoise, PlantModel, TICK_s, plant_named
 from groundtruth.scenarios import Scenario
 from groundtruth.scenarios import scenario as scenario_named

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth.errors import Array, TissueError
+from foundation.arrays import Array
+from groundtruth.errors import TissueError
 from groundtruth.layers import Layer, interfaces
 
 RELAXATION_S = 10.0

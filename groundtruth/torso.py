@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from foundation.arrays import Array
+
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
@@ -28,9 +30,9 @@ class Ellipsoid:
     """
 
     name: str
-    centre_m: NDArray[np.float64]
-    radii_m: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    centre_m: Array
+    radii_m: Array
+    axes: Array
 
     @property
     def volume_m3(self) -> float:
@@ -38,15 +40,15 @@ class Ellipsoid:
         return float(4.0 / 3.0 * np.pi * np.prod(self.radii_m))
 
     @property
-    def reach_m(self) -> NDArray[np.float64]:
+    def reach_m(self) -> Array:
         """Half the edges of the box around it along x, y, z, (3,)."""
         return np.linalg.norm(self.axes * self.radii_m, axis=1)
 
-    def scaled(self, points_m: ArrayLike) -> NDArray[np.float64]:
+    def scaled(self, points_m: ArrayLike) -> Array:
         """Return points (..., 3) in the axes in which it is the unit ball."""
         return (np.asarray(points_m, float) - self.centre_m) @ self.axes / self.radii_m
 
-    def distance_m(self, points_m: ArrayLike) -> NDArray[np.float64]:
+    def distance_m(self, points_m: ArrayLike) -> Array:
         """Return the signed distance of points close to the surface, to first order.
 
         It is positive outside.
@@ -149,8 +151,8 @@ def _label_inside(
     labels: NDArray[np.uint8],
     number: int,
     body: Ellipsoid,
-    origin_m: NDArray[np.float64],
-    axes_m: NDArray[np.float64],
+    origin_m: Array,
+    axes_m: Array,
 ) -> None:
     """Write a number into all voxels whose centres an ellipsoid holds."""
     inverse = np.linalg.inv(axes_m)

@@ -3,8 +3,8 @@
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from foundation.arrays import Array
 from identification import Estimate, Identifier
 
 if TYPE_CHECKING:
@@ -93,18 +93,14 @@ class PlanFollower:
         state: Result of the last evaluation; None without a plan, or before the first.
     """
 
-    def __init__(
-        self, plan: Plan | None, entry_in_base_m: NDArray[np.float64] | None
-    ) -> None:
+    def __init__(self, plan: Plan | None, entry_in_base_m: Array | None) -> None:
         self._plan = plan
         self._entry_m = entry_in_base_m
         entry = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
         self.memory = PlanMemory("" if plan is None else plan.fingerprint + entry)
         self.state: PlanState | None = None
 
-    def begin(
-        self, start_in_base_m: NDArray[np.float64], axis: NDArray[np.float64]
-    ) -> None:
+    def begin(self, start_in_base_m: Array, axis: Array) -> None:
         """Begin an insertion: count depth from a point along an axis, without ruptures.
 
         Args:

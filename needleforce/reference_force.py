@@ -5,8 +5,9 @@ from collections import deque
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from residual import Status, WrenchEstimate
 from residual.tool_kinematics import unit_axis
 
@@ -19,7 +20,7 @@ MAX_SILENT_TICKS = 100
 class ForceSensor(Protocol):
     """A sensor between flange and tool, as `needleforce.devices.NetFT`."""
 
-    def read(self) -> NDArray[np.float64] | None:
+    def read(self) -> Array | None:
         """Return the newest force [N] and torque [Nm], shape (6,), in its axes.
 
         None if nothing came.

@@ -1,9 +1,9 @@
 """Errors of the robot package, and the checks of array arguments that raise them."""
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from foundation.arrays import Array
 
 
 class UrdfError(Exception):

@@ -14,15 +14,10 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.advice import Message
+from foundation.arrays import Array
 from urdf.advice import RobotAdvice
 from urdf.description import build_model, check_description, read_description
-from urdf.errors import (
-    Array,
-    InputError,
-    MissingPackageError,
-    UnknownNameError,
-    finite_array,
-)
+from urdf.errors import InputError, MissingPackageError, UnknownNameError, finite_array
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import (
     STANDARD_GRAVITY_M_S2,

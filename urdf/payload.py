@@ -19,7 +19,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from urdf.errors import Array, InertiaError, InputError, finite_array, read_only
+from foundation.arrays import Array
+from urdf.errors import InertiaError, InputError, finite_array, read_only
 
 # A thin rod in a table of a few digits may miss the boundary by this fraction.
 _ROUNDING = 1e-6

@@ -17,7 +17,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from urdf.errors import Array, InputError, finite_array, read_only
+from foundation.arrays import Array
+from urdf.errors import InputError, finite_array, read_only
 from urdf.payload import Payload
 from urdf.robot import Robot
 

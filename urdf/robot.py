@@ -7,8 +7,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from urdf.errors import (
-    Array,
     InertiaError,
     InputError,
     UnknownNameError,
