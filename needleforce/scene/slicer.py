@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from needleforce.scene.state_ring import Closing, SceneError
 
 PORT = 18944
-"""Where Slicer connects, unless it is told otherwise."""
+"""Where Slicer connects, unless another port is given."""
 
 MAX_RATE_HZ = 50.0
 """So many updates are sent a second, at most."""

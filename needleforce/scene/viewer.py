@@ -1,8 +1,8 @@
 """The page: the scene, forces over time and depth, the tip force as a bar, a time line.
 
-Rows come in any number at a time. While `live` is set the page shows the newest; moving
-the time line back takes back what had not happened yet: the arm, the forces, the marks
-of ruptures.
+Rows come in any number at a time. While `live` is set the page shows the newest. When
+the time line is moved back, the page hides what had not happened yet: the arm, the
+forces and the marks of ruptures are those of that time.
 """
 
 import errno
