@@ -8,19 +8,19 @@ fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import astuple, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
-from foundation.arrays import Array
 from foundation.records import (
     as_record,
     from_record,
     read_column,
     read_element,
     read_field,
+    record_array,
 )
 from identification.config import MultilayerConfig
 from identification.estimate import (
@@ -212,6 +212,10 @@ class Stage(Enum):
     FIND_MOTION = "look for motion of the tissue"
 
 
+DONE = Stage.DONE
+"""The stage of most samples: its own name is found in a fourth of the time."""
+
+
 class MultilayerState(NamedTuple):
     """All that the method remembers; immutable.
 
@@ -274,10 +278,25 @@ def first_state() -> MultilayerState:
     return MultilayerState(first_mixture().state, NeedleContact(), ShaftPosterior())
 
 
+class Likeliest(NamedTuple):
+    """What the likeliest component says.
+
+    Attributes:
+        mean: Of its unknowns, 20 numbers.
+        assumptions: What it takes for granted.
+    """
+
+    mean: list[float]
+    assumptions: Assumptions
+
+    def damping(self, depth_mm: float) -> float:
+        """Return viscous friction of the whole shaft [N/(mm/s)]."""
+        length_mm = max(depth_mm - self.assumptions.layer_start_mm, 0.0)
+        return self.mean[TRAVERSED_VISCOUS] + self.mean[LAYER_VISCOUS] * length_mm
+
+
 class MultilayerMethod:
     """The multi-layer method, sample by sample."""
-
-    takes_filtered_travel = True
 
     def __init__(self, config: MultilayerConfig) -> None:
         self._config = config
@@ -289,7 +308,7 @@ class MultilayerMethod:
         """All that it remembers."""
         return MultilayerState(
             mixture=self._memory.mixture.state,
-            contact=from_record(NeedleContact, self._contact),
+            contact=read_element(NeedleContact, self._contact, 0),
             posterior=from_record(ShaftPosterior, self._posterior),
             levels=self._levels,
             tissue=self._tissue,
@@ -312,8 +331,9 @@ class MultilayerMethod:
     @property
     def contact_depth_m(self) -> float | None:
         """Depth at which tissue was met first, as known now; None before."""
-        posterior = from_record(ShaftPosterior, self._posterior)
-        return posterior.contact_depth_m if posterior.in_contact else None
+        if not read_field(self._posterior, "in_contact"):
+            return None
+        return float(read_field(self._posterior, "contact_depth_m"))
 
     @property
     def rupture_state(self) -> RuptureState:
@@ -329,7 +349,8 @@ class MultilayerMethod:
         """Go on from a state."""
         mean, covariance, innovation = state.speed_filter
         self._memory = MixtureMemory(state.mixture.mixture)
-        self._contact = as_record(state.contact)
+        self._contact = record_array(NeedleContact, 1)
+        cast(Any, self._contact)[0] = astuple(state.contact)
         self._posterior = as_record(state.posterior)
         self._events = NO_EVENTS
         self._levels = state.levels
@@ -386,7 +407,12 @@ class MultilayerMethod:
             sample.dt_s,
         )
         self._events = NO_EVENTS
-        if not is_full and not self._is_at_work:
+        if not (
+            is_full
+            or self._is_report_due
+            or self._is_layer_due
+            or self._stage is not DONE
+        ):
             return outputs
         self._work(sample, is_full=is_full)
         return self._estimate(sample)
@@ -494,16 +520,16 @@ class MultilayerMethod:
         if self._deepest_mm > -FAR_MM:
             fresh_mm = max(filtered.depth_mm - self._deepest_mm, 0.0)
         levels = self._levels.beside(self._tissue, clock_s)
-        block = self._with_own_speed(filtered, is_gap=is_gap)
-        block = block._replace(noise_std_N=levels.noise_std_N)
+        likeliest = self._likeliest()
+        block = self._with_own_speed(filtered, levels, likeliest, is_gap=is_gap)
         self._deepest_mm = max(self._deepest_mm, block.depth_mm)
-        self._predict(block, fresh_mm, levels)
+        self._predict(block, fresh_mm, levels, likeliest)
         self._stage = self._stage_after_pruning(clock_s)
         if (is_advancing or not is_met) and not is_gap:
             self._resumed *= math.exp(-fresh_mm / RESUMED_MM)
             levels = self._learn_noise(block, filtered.speed_mm_s, clock_s)
             block = block._replace(noise_std_N=levels.noise_std_N)
-            self._correct(block, levels)
+            self._correct(block, levels, likeliest.assumptions)
             store = self._memory.store
             penalise_implausible(store, self._memory.size, block, is_advancing)
             self._is_report_due = True
@@ -523,7 +549,7 @@ class MultilayerMethod:
 
     def _take_block(self, since_reset_s: float, last: Block) -> Block:
         """Return means of the block that is full, and begin the next one."""
-        contact = from_record(NeedleContact, self._contact)
+        contact = read_element(NeedleContact, self._contact, 0)
         begin_block(self._contact)
         duration_s = contact.block_s
         depth_std_mm = MM_PER_M * contact.depth_std_m
@@ -556,14 +582,23 @@ class MultilayerMethod:
         channel_mm = self._deepest_mm - CHANNEL_MM - CHANNEL_SIGMAS * block.depth_std_mm
         return block.speed_mm_s > min_speed and block.depth_mm > channel_mm
 
-    def _with_own_speed(self, block: Block, *, is_gap: bool) -> Block:
-        """Return a block with the needle's own speed, and the friction it has added."""
+    def _with_own_speed(
+        self,
+        block: Block,
+        levels: NoiseLevels,
+        likeliest: Likeliest,
+        *,
+        is_gap: bool,
+    ) -> Block:
+        """Return a block with the needle's own speed, and the noise of its force."""
         last = self._block
         own_speed = self._own_speed(block, is_gap=is_gap)
         speed_change = own_speed - last.speed_mm_s
-        added_N = self._damping(block.depth_mm) * speed_change
+        added_N = likeliest.damping(block.depth_mm) * speed_change
         return block._replace(
-            speed_mm_s=own_speed, force_by_speed_N=last.force_by_speed_N + added_N
+            speed_mm_s=own_speed,
+            noise_std_N=levels.noise_std_N,
+            force_by_speed_N=last.force_by_speed_N + added_N,
         )
 
     def _own_speed(self, block: Block, *, is_gap: bool) -> float:
@@ -590,25 +625,25 @@ class MultilayerMethod:
             max(self._block.speed_mm_s, relative - deadband), relative + deadband
         )
 
-    def _likeliest(self) -> tuple[Array, Assumptions]:
-        """Return means and assumptions of the likeliest component."""
+    def _likeliest(self) -> Likeliest:
+        """Return what the likeliest component says."""
         store = self._memory.store
-        return store.means[0], read_element(Assumptions, store.assumptions, 0)
+        assumptions = read_element(Assumptions, store.assumptions, 0)
+        return Likeliest(store.means[0].tolist(), assumptions)
 
-    def _damping(self, depth_mm: float) -> float:
-        """Return viscous friction of the whole shaft [N/(mm/s)]."""
-        mean, assumptions = self._likeliest()
-        length_mm = max(depth_mm - assumptions.layer_start_mm, 0.0)
-        return float(mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm)
-
-    def _predict(self, block: Block, fresh_mm: float, levels: NoiseLevels) -> None:
+    def _predict(
+        self,
+        block: Block,
+        fresh_mm: float,
+        levels: NoiseLevels,
+        likeliest: Likeliest,
+    ) -> None:
         """Move the mixture on to a block.
 
         Errors of the force model are the same for all components: one that claimed less
         would be believed more.
         """
-        means, assumptions = self._likeliest()
-        mean = means.tolist()
+        mean = likeliest.mean
         slope = mean[STIFFNESS] + mean[LAYER_COULOMB]
         slope = slope + mean[LAYER_VISCOUS] * block.speed_mm_s
         slope = max(slope, MIN_SLOPE_N_PER_MM)
@@ -621,7 +656,7 @@ class MultilayerMethod:
             tip_N + TRAVERSED_ERROR_FRACTION * abs(traversed_N)
         )
         heartbeat_N2 = levels.variances.heartbeat
-        if assumptions.medium != AIR and not self._tissue.is_known:
+        if likeliest.assumptions.medium != AIR and not self._tissue.is_known:
             # Before a few beats have been seen nobody knows whether the tissue moves.
             heartbeat_N2 = max(heartbeat_N2, (UNKNOWN_MOTION_MM * slope) ** 2)
         noise = ProcessNoise(
@@ -652,21 +687,24 @@ class MultilayerMethod:
             )
         return self._levels.beside(self._tissue, since_reset_s)
 
-    def _correct(self, block: Block, levels: NoiseLevels) -> None:
+    def _correct(
+        self, block: Block, levels: NoiseLevels, assumptions: Assumptions
+    ) -> None:
         """Update the mixture with a block's force."""
-        mean, assumptions = self._likeliest()
+        mean = self._memory.store.means[0].tolist()  # those that the block predicts
+        likeliest = Likeliest(mean, assumptions)
         # A speed is as late as its filter: where it changes it is off by a block's
         # change.
         speed_change = block.speed_mm_s - self._block.speed_mm_s
         speed_std = math.hypot(2.0 * block.speed_std_mm_s, speed_change)
-        damping = self._damping(block.depth_mm)
+        damping = likeliest.damping(block.depth_mm)
         step_s = levels.differences.step
         white_N2 = levels.variances.white * step_s / block.duration_s
         variance_N2 = max(white_N2, MIN_WHITE_VARIANCE_N2) + (damping * speed_std) ** 2
         variance_N2 = variance_N2 + block.motion_variance_N2
         if assumptions.medium != AIR:
             unsettled = max(1.0 - block.deflection, self._resumed)
-            net_N = block.force_N - float(mean[OFFSET])
+            net_N = block.force_N - mean[OFFSET]
             variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
         correct(self._memory.store, self._memory.size, block, variance_N2)
 
@@ -719,17 +757,17 @@ class MultilayerMethod:
 
         The force that is seen of it says so.
         """
-        means, assumptions = self._likeliest()
-        mean = means.tolist()
+        likeliest = self._likeliest()
+        mean = likeliest.mean
+        assumptions = likeliest.assumptions
         travel_mm = max(block.depth_mm - assumptions.tip_start_mm, 0.0)
-        length_mm = max(block.depth_mm - assumptions.layer_start_mm, 0.0)
         slope = mean[STIFFNESS] + 2.0 * mean[STIFFENING] * travel_mm
         slope += (
             mean[LAYER_COULOMB] * block.deflection
             + mean[LAYER_VISCOUS] * block.speed_mm_s
         )
         slope = max(slope, 0.0)
-        damping = max(mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm, 0.0)
+        damping = max(likeliest.damping(block.depth_mm), 0.0)
         variance = 0.0
         for force_N2, frequency_hz, max_mm2 in (
             (levels.variances.heartbeat, HEARTBEAT_HZ, MAX_HEARTBEAT_MM2),
