@@ -57,7 +57,7 @@ TIME_LABEL = "time [s]"
 DEPTH_LABEL = "depth [mm]"
 
 
-class Curve(NamedTuple):
+class ForceCurve(NamedTuple):
     """A force in the plots.
 
     Attributes:
@@ -74,8 +74,8 @@ class Curve(NamedTuple):
 
 
 CURVES = (
-    Curve("force", "force_N", "force_std_N", "42, 157, 111"),
-    Curve("tip force", "tip_N", "tip_std_N", "138, 58, 185"),
+    ForceCurve("force", "force_N", "force_std_N", "42, 157, 111"),
+    ForceCurve("tip force", "tip_N", "tip_std_N", "138, 58, 185"),
 )
 
 LINE_WIDTH = 2.0  # pixels
