@@ -130,8 +130,8 @@ def write_velocity_bounds(
     has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
 
     Args:
-        limits: q_min, q_max, v and a: rows as the fields of `JointLimits`, shape (4, n).
-            One array passes into compiled code in 0.4 us less than four.
+        limits: q_min, q_max, v and a: rows as the fields of `JointLimits`, shape
+            (4, n). One array passes into compiled code in 0.4 us less than four.
         q_rad: q, shape (n,).
         last_rad_s: dq_last, the velocity commanded last, shape (n,).
         step_s: T.
