@@ -70,7 +70,7 @@ LANDMARK_STD_m = 1e-3
 """Error of the landmarks along each axis [m]."""
 
 LANDMARK_STATED_STD_m = 1.5e-3
-"""Error of the landmarks that the registration is told [m]."""
+"""Error of the landmarks that the registration assumes [m]."""
 
 BACK_QUANTILE = 0.4
 """Fraction of the skin, from behind, that no landmark or touch can reach."""
