@@ -6,10 +6,8 @@ The methods stand in `identification.multilayer` and `identification.published`.
 import math
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import is_dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
-
-import numpy as np
 
 from foundation.records import as_record, from_record, read_field
 from foundation.state import StateError, check_state
@@ -265,10 +263,12 @@ class Identifier:
                 f"expected a Snapshot taken with {self._config}, got "
                 f"{type(snapshot).__name__}"
             )
+        reference = Identifier(self._config).snapshot()
         try:
-            check_method_state(snapshot.state, make_method(self._config).state)
-            check_state(snapshot.check, CheckState(), "check")
-            check_state(snapshot.travel, TravelState(), "travel")
+            check_state(snapshot.check, reference.check, "check")
+            check_state(snapshot.travel, reference.travel, "travel")
+            check_state(snapshot.state, reference.state)
+            check_state(snapshot.last, reference.last, "last")
         except StateError as error:
             raise InvalidSnapshotError(f"the snapshot is damaged: {error}") from error
         self.resume(snapshot)
@@ -383,53 +383,3 @@ def move_events(events: Events, by_m: float) -> Events:
         identified_layer=None if layer is None else move_layer(layer, by_m),
         retracted=move_rupture(events.retracted, by_m),
     )
-
-
-def check_method_state(state: Any, initial: Any, place: str = "state") -> None:
-    """Refuse a damaged state, before compiled code reads beyond its arrays.
-
-    `initial` is the state before the first sample, or None where it has no such part.
-
-    Raises:
-        InvalidSnapshotError: A part is of another type, an array of another kind or
-            shape, a number not finite, or the covariance of a recursive least squares
-            not positive semi-definite.
-        StateError: A record of compiled code is damaged.
-    """
-    if isinstance(state, np.ndarray) or isinstance(initial, np.ndarray):
-        check_array(state, initial, place)
-    elif hasattr(initial, "_fields") and type(state) is not type(initial):
-        raise InvalidSnapshotError(
-            f"{place} is {state!r:.80}, expected {type(initial).__name__}"
-        )
-    elif is_dataclass(initial):
-        check_state(state, initial, place)
-    elif isinstance(state, tuple):
-        names = getattr(state, "_fields", None) or [f"[{k}]" for k in range(len(state))]
-        for name, value in zip(names, state, strict=True):
-            check_method_state(value, getattr(initial, name, None), f"{place}.{name}")
-        if damage := getattr(state, "damage", ""):  # it checks itself
-            raise InvalidSnapshotError(f"the snapshot is damaged: {place}: {damage}")
-
-
-def check_array(array: Any, initial: Any, place: str) -> None:
-    """Refuse what is no array of finite floats in the shape of the initial one.
-
-    Raises:
-        InvalidSnapshotError: It is none.
-    """
-    is_of_floats = isinstance(array, np.ndarray) and array.dtype == np.float64
-    if not is_of_floats or not array.flags.c_contiguous:
-        raise InvalidSnapshotError(
-            f"{place} is {array!r:.80}, expected an array of floats"
-        )
-    if not np.isfinite(array).all():
-        raise InvalidSnapshotError(
-            f"{place} has numbers that are not finite: {array!r:.80}"
-        )
-    # Of a history that is empty at first the rows are free, and so are hypotheses.
-    free = initial is None or not len(initial) or ".mixture." in place
-    if initial is not None and array.shape[free:] != initial.shape[free:]:
-        raise InvalidSnapshotError(
-            f"{place} has shape {array.shape}, expected {initial.shape}"
-        )

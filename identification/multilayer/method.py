@@ -262,12 +262,6 @@ class MultilayerState(NamedTuple):
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
 
     @property
-    def damage(self) -> str:
-        """What is wrong with a restored one, if anything."""
-        is_stage = isinstance(self.stage, Stage)
-        return "" if is_stage else f"there is no stage {self.stage!r:.80}"
-
-    @property
     def is_at_work(self) -> bool:
         """Whether something is left to do for the last block."""
         return self.is_report_due or self.is_layer_due or self.stage is not Stage.DONE

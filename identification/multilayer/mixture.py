@@ -352,6 +352,8 @@ class MixtureState(NamedTuple):
     assumptions: Array
     history: Array
 
+    GROWING = ("means", "covariances", "log_weights", "assumptions", "history")
+
     @property
     def mixture(self) -> Mixture:
         """The mixture, in memory of its own."""
@@ -363,9 +365,8 @@ class MixtureState(NamedTuple):
             records_of(History, self.history),
         )
 
-    @property
-    def damage(self) -> str:
-        """What is wrong with the arrays, if anything.
+    def find_damage(self) -> str:
+        """Return what is wrong with the arrays, if anything.
 
         It is asked before compiled code reads them.
         """

@@ -209,6 +209,8 @@ class Fit(NamedTuple):
     rms_N: float = 0.0
     damping: float = 0.01
 
+    GROWING = ("beats",)
+
 
 @compiled
 def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:

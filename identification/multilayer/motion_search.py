@@ -121,9 +121,8 @@ class MotionSearch(NamedTuple):
     best: Fit = Fit()
     best_start: Fit = Fit()
 
-    @property
-    def damage(self) -> str:
-        """What is wrong with a restored one, if anything."""
+    def find_damage(self) -> str:
+        """Return what is wrong with a restored state, if anything."""
         is_unit = self.unit in range(NO_SEARCH, len(SEARCH))
         return "" if is_unit else f"there is no unit {self.unit!r:.80}"
 

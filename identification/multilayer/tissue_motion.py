@@ -151,6 +151,8 @@ class TissueMotion(NamedTuple):
     likely: Fit = Fit()
     likely_steps: int = 0
 
+    GROWING = ("window",)
+
     @property
     def is_known(self) -> bool:
         """Whether a motion is in use."""

@@ -226,6 +226,14 @@ class Tracker:
     machine: int = NO_RUPTURE
 
 
+def find_window_damage(windows: Array) -> str:
+    """Return what keeps compiled code from reading an array of windows, if anything."""
+    shape = windows.shape
+    if shape[1:] == NO_WINDOWS.shape[1:] and windows.flags.c_contiguous:
+        return ""
+    return f"its windows have the shape {shape} or another order in memory"
+
+
 class RupturedLayer(NamedTuple):
     """A layer that has ruptured, while its force drop is being measured.
 
@@ -241,13 +249,9 @@ class RupturedLayer(NamedTuple):
     mean_speed_m_s: float
     rupture: Rupture
 
-    @property
-    def damage(self) -> str:
-        """What is wrong with a restored one, if anything."""
-        shape = np.shape(self.windows)
-        if shape[1:] == NO_WINDOWS.shape[1:]:
-            return ""
-        return f"its windows have the shape {shape}"
+    def find_damage(self) -> str:
+        """Return what is wrong with a restored state, if anything."""
+        return find_window_damage(self.windows)
 
 
 class PublishedState(NamedTuple):
@@ -269,16 +273,17 @@ class PublishedState(NamedTuple):
     ruptured: RupturedLayer | None = None
     layers: tuple[LayerEstimate, ...] = ()
 
-    @property
-    def damage(self) -> str:
-        """What is wrong with a restored one, if anything."""
+    GROWING = ("windows",)
+
+    def find_damage(self) -> str:
+        """Return what is wrong with a restored state, if anything."""
         if self.tracker.machine not in range(len(STATES)):
             return f"its tracker is in no state {self.tracker.machine!r:.80}"
         smaller = min(self.rls.stiffness_variance, self.rls.friction_variance)
         product = self.rls.stiffness_variance * self.rls.friction_variance
         if smaller < 0.0 or self.rls.covariance**2 > MAX_CORRELATION * product:
             return "the covariance of its rls is not positive semi-definite"
-        return ""
+        return find_window_damage(self.windows)
 
 
 @compiled
