@@ -113,7 +113,7 @@ class ClosedLoop:
         stack: Callable[[float], Sequence[Task]],
         error: Callable[[], float],
     ) -> Array:
-        """Return errors at all samples of some time under a stack that depends on it."""
+        """Return the errors at all samples of some time, under a stack of tasks."""
         start_s = self.rig.time_s
         errors = []
         for sample in self.rig:

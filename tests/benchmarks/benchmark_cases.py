@@ -20,10 +20,24 @@ TEMPLATE = {
 
 
 def make_row(**changes):
+    """A row of an insertion on the degraded arm, with changes."""
     return Row(**(TEMPLATE | changes))
 
 
+def by_head(table):
+    """The lines of a table, each as cells by head.
+
+    A head without text is "mark of" the head before it.
+    """
+    names = []
+    for head in table.heads:
+        name = head.replace("\n", " ")
+        names.append(name or f"mark of {names[-1]}")
+    return [dict(zip(names, line, strict=True)) for line in table.lines]
+
+
 def silent(fraction):
+    """A progress that is not shown."""
     assert 0.0 <= fraction <= 1.0
 
 

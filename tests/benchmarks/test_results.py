@@ -41,7 +41,7 @@ from benchmarks.targets import (
     compare_rows,
     evaluate,
 )
-from tests.benchmarks.benchmark_cases import TEMPLATE, make_row
+from tests.benchmarks.benchmark_cases import TEMPLATE, by_head, make_row
 
 
 def test_rows_survive_a_file_of_the_documented_schema(tmp_path):
@@ -124,11 +124,12 @@ def test_fractions_show_mean_and_least_or_a_dash():
             make_row(metric=name, unit="1", seed=k, value=v)
             for k, v in enumerate(values)
         ]
-        return table_of("ruptures", rows).lines[0][column]
+        (line,) = by_head(table_of("ruptures", rows))
+        return line[column]
 
-    assert cell(4, "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
-    assert cell(5, "rupture_precision", math.nan) == "–"
-    assert cell(5, "rupture_precision", math.nan, 0.5) == "0.50"
+    assert cell("recall", "rupture_recall", 1.0, 1.0, 0.4) == "0.80 [0.40, 1.00] (0.40)"
+    assert cell("precision", "rupture_precision", math.nan) == "–"
+    assert cell("precision", "rupture_precision", math.nan, 0.5) == "0.50"
     assert result_tables([]) == []
 
 
@@ -141,16 +142,27 @@ def test_the_force_table_shows_missed_targets_first():
         make_row(scenario="stack-constant", plant="clean", value=math.nan),
         make_row(scenario="free-motion", plant="clean", value=0.01),
     ]
-    bad, *good = table_of("force", rows).lines
-    assert (bad[0], bad[5], bad[-1]) == ("stack-constant", "not finite", "missed")
-    assert good[0][:4] == ("gel-70-constant", "clean", "–", "0.100")
-    assert good[0][4:9] == ("–", "0.020", "0.20", "–", "0.2444")
-    assert [line[-1] for line in good] == ["met", "–"]
+    bad, good, without_target = by_head(table_of("force", rows))
+    assert bad["scenario"] == "stack-constant"
+    assert bad["ours RMSE, N"] == "not finite"
+    assert bad["target"] == "missed"
+    assert good["scenario"] == "gel-70-constant"
+    assert good["plant"] == "clean"
+    assert good["F/T RMSE, N"] == "–"
+    assert good["published RMSE, N"] == "0.100"
+    assert good["best K RMSE, N"] == "–"
+    assert good["ours RMSE, N"] == "0.020"
+    assert good["ours / published"] == "0.20"
+    assert good["ours / best K"] == "–"
+    assert good["real arm N"] == "0.2444"
+    assert good["target"] == "met"
+    assert without_target["target"] == "–"
     with (console := new_console()).capture() as printed:
         console.print(table_of("force", rows).rich())
     assert "median [its 95 % interval" in " ".join(printed.get().split())
     rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
-    assert [line[4] for line in target_table(rows).lines] == ["missed", "met"]
+    marks = [line["mark of runs"] for line in by_head(target_table(rows))]
+    assert marks == ["missed", "met"]
 
 
 def clean_rows():
@@ -167,21 +179,30 @@ def clean_rows():
 def test_the_summary_has_eight_lines_bad_ones_first():
     assert len(HEADLINES) <= 8
     table = summary_table(clean_rows())
-    degraded, recall, force = sorted(table.lines[:2]) + list(table.lines[2:])
-    expected = (
-        "ruptures found, fraction",
-        "tissue, fri",
-        "–",
-        "–",
-        "0.40",
-        "",
-        "1",
-        "missed",
-    )
-    assert recall == expected
-    assert degraded[1:] == ("tissue, degraded", "–", "–", "0.300", "", "1", "missed")
-    ours = ("0.021 [0.012, 0.030]", "0.030", "2", "met")
-    assert force[1:] == ("tissue, clean", "0.151", "0.080", *ours)
+    lines = {line["runs of"]: line for line in by_head(table)}
+    assert set(list(lines)[:2]) == {"tissue, degraded", "tissue, fri"}
+    nothing = {"published method": "–", "as run, best K": "–", "worst of ours": ""}
+    missed = nothing | {"runs": "1", "targets": "missed"}
+    assert lines["tissue, fri"] == missed | {
+        "what": "ruptures found, fraction",
+        "runs of": "tissue, fri",
+        "ours": "0.40",
+    }
+    assert lines["tissue, degraded"] == missed | {
+        "what": "axial force, rms error, N",
+        "runs of": "tissue, degraded",
+        "ours": "0.300",
+    }
+    assert lines["tissue, clean"] == {
+        "what": "axial force, rms error, N",
+        "runs of": "tissue, clean",
+        "published method": "0.151",
+        "as run, best K": "0.080",
+        "ours": "0.021 [0.012, 0.030]",
+        "worst of ours": "0.030",
+        "runs": "2",
+        "targets": "met",
+    }
 
 
 def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):

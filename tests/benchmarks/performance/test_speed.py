@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks.cli import main
 from benchmarks.performance import long_runs, speed
+from tests.benchmarks.benchmark_cases import by_head
 
 
 def timing(*medians):
@@ -29,9 +30,13 @@ def test_ratios_compare_neighbours_and_events_stand_apart():
     assert speed.cost_ratio(
         timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
     ) == pytest.approx(2.0)
-    raised, identified = speed.event_table(report()).lines
-    assert (raised[0], raised[4:]) == ("rupture raised", ("80", "40"))
-    assert (identified[0], identified[4:]) == ("layer identified", ("40", "20"))
+    raised, identified = by_head(speed.event_table(report()))
+    assert raised["what"] == "rupture raised"
+    assert raised["worst us"] == "80"
+    assert raised["worst, ratio"] == "40"
+    assert identified["what"] == "layer identified"
+    assert identified["worst us"] == "40"
+    assert identified["worst, ratio"] == "20"
 
 
 @pytest.mark.parametrize(("compiler", "sensor"), [("numba", "missed"), ("", "met")])
@@ -41,9 +46,11 @@ def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
     medians |= {"dynamics of the sensor": 1.0, "sensor": 3.1}
     medians["chain"] = 4.5
     timings = {name: timing(median) for name, median in medians.items()}
-    lines = speed.speed_table(report(times=timings)).lines
-    assert [line[8] for line in lines] == ["", "met", "", sensor, "met"]
-    assert [line[6] for line in lines] == ["", "1.90", "", "3.10", "4.50"]
+    lines = by_head(speed.speed_table(report(times=timings)))
+    marks = [line["mark of target"] for line in lines]
+    assert marks == ["", "met", "", sensor, "met"]
+    ratios = [line["ratio"] for line in lines]
+    assert ratios == ["", "1.90", "", "3.10", "4.50"]
 
 
 def soaked(**changes):
