@@ -164,8 +164,8 @@ def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
             except RegistrationError as error:
                 hits += bool(word) and word in str(error)
         percent = 100.0 * hits / REFUSAL_DRAWS
-        what = "accepted" if name == "good" else "refused"
-        yield our_measurement(f"landmarks_{what}_pct", percent, name)
+        outcome = "accepted" if name == "good" else "refused"
+        yield our_measurement(f"landmarks_{outcome}_pct", percent, name)
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
@@ -224,8 +224,8 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
             except RegistrationError:
                 refused += 1
         percent = 100.0 * refused / SYMMETRIC_FITS
-        what = "wrongly_refused" if "corner" in name else "refused"
-        yield our_measurement(f"touches_{what}_pct", percent, name)
+        outcome = "wrongly_refused" if "corner" in name else "refused"
+        yield our_measurement(f"touches_{outcome}_pct", percent, name)
 
 
 def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measurement]:

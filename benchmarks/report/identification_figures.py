@@ -104,7 +104,7 @@ def add_offline(
             ("multi-layer", "offline_rmse_ml_N"),
         )
     )
-    what = f"`{scenario}`: RMSE of the insertion [N]"
+    quantity = f"`{scenario}`: RMSE of the insertion [N]"
     figures.add(
         offline_chart("both models, fitted offline", on_ft.signal, truth),
         "offline",
@@ -115,7 +115,7 @@ def add_offline(
         "fitted to the insertion with true layers and ruptures given; below, measured "
         "minus modelled force. Triangles mark where a curve leaves its panel. RMSE "
         "from first contact to the deepest point.",
-        facts=(Fact(what=what, published="ML below KV", here=here),),
+        facts=(Fact(what=quantity, published="ML below KV", here=here),),
         is_alone=not panel[1],
     )
 
@@ -215,8 +215,12 @@ def enhanced_facts(
         ),
     )
     return tuple(
-        Fact(what=what, published=published, here=tuple(zip(heads, texts, strict=True)))
-        for what, published, texts in lines
+        Fact(
+            what=quantity,
+            published=published,
+            here=tuple(zip(heads, texts, strict=True)),
+        )
+        for quantity, published, texts in lines
     )
 
 

@@ -304,10 +304,10 @@ def count_runs(group: Frame) -> str:
 
 def published_change(group: Frame) -> str:
     """Return the change from offline to online friction in the published Table I."""
-    kind, *rest = group["scenario"].iloc[0].split("-")
+    kind, *words = group["scenario"].iloc[0].split("-")
     if kind != "gel":  # a drawn stack of one layer
         return NOTHING
-    known = TABLE_ONE_Ns_per_m[int(rest[0])]
+    known = TABLE_ONE_Ns_per_m[int(words[0])]
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 

@@ -422,8 +422,8 @@ def test_a_missing_row_fails_a_new_passes():
     assert (gone.change, gone.is_failure) == (Change.MISSING, True)
     assert (come.change, come.is_failure) == (Change.NEW, False)
     for field in ("scenario", "plant", "source", "method", "metric"):
-        found = compare_rows([make_row()], [make_row(**{field: "other"})])
-        assert [item.change for item in found] == [Change.MISSING, Change.NEW]
+        changes = compare_rows([make_row()], [make_row(**{field: "other"})])
+        assert [item.change for item in changes] == [Change.MISSING, Change.NEW]
 
 
 def test_a_metric_has_its_names_unit_and_tolerance():

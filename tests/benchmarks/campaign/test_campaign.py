@@ -95,11 +95,11 @@ def test_a_killed_cluster_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
 def jobs_done(monkeypatch):
     """Benchmarks that take no time; the seeds that were done. Seed 3 is interrupted
     once."""
-    done = []
+    seeds_done = []
 
     def pretend(job, progress):
-        done.append(job.seed)
-        if job.seed == 3 and done.count(3) == 1:
+        seeds_done.append(job.seed)
+        if job.seed == 3 and seeds_done.count(3) == 1:
             raise KeyboardInterrupt
         if job.seed == 4:
             raise ZeroDivisionError
@@ -109,7 +109,7 @@ def jobs_done(monkeypatch):
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(catalogue, "BENCHMARKS", items)
-    return done
+    return seeds_done
 
 
 def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsys):

@@ -140,7 +140,10 @@ def test_only_sudden_drops_before_the_end_are_found():
     assert at_drops([0.019, 0.03], [drop]) == (0, 0)
     assert at_drops([0.019, 0.0201, 0.0205, 0.03], [drop]) == (2, 1)
     assert at_drops([0.0205], []) == at_drops([], [drop]) == (0, 0)
-    assert [len(force_drops(depth, force, least)) for least in (0.3, 0.5)] == [1, 0]
+    assert [len(force_drops(depth, force, smallest)) for smallest in (0.3, 0.5)] == [
+        1,
+        0,
+    ]
 
 
 def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):

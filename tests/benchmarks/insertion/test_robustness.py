@@ -55,23 +55,23 @@ def test_every_size_has_a_source_mixtures_three_groups():
 
 
 def test_truth_is_relative_to_the_moving_tissue():
-    (still, before), (moved, after) = (
-        perturbed_needle(name, BRIEF, 3) for name in ("none", "breathing")
-    )
-    assert np.allclose(still.depth_m, moved.depth_m, atol=1e-4)
-    assert 0.5e-3 < np.abs(after.depth_m - before.depth_m).max() < 3e-3
-    (rupture,) = after.ruptures
-    at = float(np.interp(rupture.onset_s, after.t_s, after.depth_m))
-    assert at == pytest.approx(rupture.onset_m, abs=5e-5)
+    still_signal, still_truth = perturbed_needle("none", BRIEF, 3)
+    moved_signal, moved_truth = perturbed_needle("breathing", BRIEF, 3)
+    assert np.allclose(still_signal.depth_m, moved_signal.depth_m, atol=1e-4)
+    difference_m = np.abs(moved_truth.depth_m - still_truth.depth_m)
+    assert 0.5e-3 < difference_m.max() < 3e-3
+    (rupture,) = moved_truth.ruptures
+    onset_m = np.interp(rupture.onset_s, moved_truth.t_s, moved_truth.depth_m)
+    assert onset_m == pytest.approx(rupture.onset_m, abs=5e-5)
 
 
 def test_force_sensor_robustness_needs_no_arm():
     assert FT_ONLY.isdisjoint(ARM_ONLY)
     job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
-    found = run_robustness(job, silent).measurements
-    assert {item.source for item in found} == {"ft"}
-    assert {item.method for item in found} == {"ours", "published-as-run"}
-    assert {"rupture_recall", "false_alarms"} <= {item.metric for item in found}
+    numbers = run_robustness(job, silent).measurements
+    assert {item.source for item in numbers} == {"ft"}
+    assert {item.method for item in numbers} == {"ours", "published-as-run"}
+    assert {"rupture_recall", "false_alarms"} <= {item.metric for item in numbers}
 
 
 def test_robustness_runs_every_perturbation_from_the_first_seed():

@@ -49,12 +49,12 @@ def test_both_libraries_see_the_same_robot():
     signals, force_N = pushed(robot)
     kdl = KdlEstimator(library, robot, signals, GAIN_per_s)
     ours = PlainEstimator(robot, signals, GAIN_per_s)
-    found = []
+    chain = []
     for k in range(len(force_N)):
         kdl(k)
         ours(k)
-        found.append((kdl.axial_N, ours.axial_N))
-    late = np.array(found)[300:]
+        chain.append((kdl.axial_N, ours.axial_N))
+    late = np.array(chain)[300:]
     assert late[:, 1] == pytest.approx(force_N[300:], abs=0.02)
     assert late[:, 0] == pytest.approx(force_N[300:], abs=0.1)
 

@@ -41,14 +41,14 @@ def rows(plant="clean", scenarios=GELS, seeds=(0,)):
     values = {"true": 100.0, "offline": 110.0, "online": 104.0}
     keys = ("scenario", "plant", "seed", "source", "method")
     offsets = {"published": 0.0, "published-as-run": -2.0, "ours": 0.0}
-    found = []
+    all_rows = []
     for names in product(scenarios, [plant], seeds, ("ft", "virtual"), offsets):
         key = dict(zip(keys, names, strict=True))
         for kind, value in values.items():
             metric = f"cumulative_friction_{kind}_Ns_per_m"
             value += key["seed"] + offsets[key["method"]]
-            found.append(make_row(**key, metric=metric, value=value, unit="Ns/m"))
-    return found
+            all_rows.append(make_row(**key, metric=metric, value=value, unit="Ns/m"))
+    return all_rows
 
 
 def test_all_runs_give_all_figures(dot, tmp_path):
