@@ -243,6 +243,14 @@ class SampleStream:
         self.memory.probe = None
 
     @property
+    def seems_stale(self) -> bool:
+        """Whether there is a `warning` or a `question`."""
+        if self._guard is None:
+            return False
+        memory = self._guard.memory
+        return bool(memory.warning or memory.question)
+
+    @property
     def warning(self) -> str:
         """Which accepted signals seem frozen, in words; empty if none."""
         return "" if self._guard is None else self._guard.memory.warning

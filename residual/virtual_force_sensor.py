@@ -31,8 +31,6 @@ from residual.snapshot import check_sensor_state, robot_digest, settings_text
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import (
     COMPONENTS,
-    NO_LAGS,
-    StepLags,
     WrenchEstimator,
     WrenchFilterState,
 )
@@ -50,8 +48,8 @@ class DueWork(StrEnum):
     """The consistency check, and after it the gain."""
     GAIN = "gain"
     """The gain."""
-    NONE = "none"
-    """Nothing until the bias is renewed."""
+    NONE = ""
+    """Nothing until the bias is renewed; it counts as false."""
 
 
 AFTER = {
@@ -430,7 +428,9 @@ class VirtualForceSensor:
     ) -> WrenchEstimate:
         """Estimate the wrench of a sample, or repeat the last one with the reason."""
         try:
-            stream = self._stream_of(is_external, has_velocity=dq is not None)
+            stream = self._stream
+            if stream is None or stream.is_external != is_external:
+                stream = self._new_stream(is_external, has_velocity=dq is not None)
             is_first = self._last_estimate is None
             elapsed_s = 0.0 if is_first else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
@@ -441,12 +441,9 @@ class VirtualForceSensor:
             self._restart()
         return self._process(sample, stream, elapsed_s)
 
-    def _stream_of(self, is_external: bool, *, has_velocity: bool) -> SampleStream:
-        """Return the stream that a sample belongs to, a new one where there is none."""
-        stream = self._stream
-        if stream is not None and stream.is_external == is_external:
-            return stream
-        if stream is not None and not self._offset.is_fresh:
+    def _new_stream(self, is_external: bool, *, has_velocity: bool) -> SampleStream:
+        """Return a stream of another kind of torque; refuse one where a tare stands."""
+        if self._stream is not None and not self._offset.is_fresh:
             raise SampleError(
                 "update() and update_external_torque() were mixed; a tare is of one "
                 "kind of torque: keep to one of the two, or start_tare_recording() "
@@ -467,25 +464,34 @@ class VirtualForceSensor:
         self.elapsed_s = elapsed_s
         self.lag_s = stream.lag_s
         self._unchecked_s += elapsed_s
+        q, dq, tau, total_residual, is_settled = sample
         offset = self._offset
         wrench = self._wrench
-        is_renewed = offset.update(sample.q, sample.dq, sample.tau, elapsed_s)
-        if sample.settled and not offset.memory.tared:
-            offset.record(sample.residual, elapsed_s)
+        is_renewed = offset.update(q, dq, tau, elapsed_s)
+        bias = offset.memory
+        if is_settled and not bias.tared:
+            offset.record(total_residual, elapsed_s)
         due = self._due
-        if is_renewed or due is not DueWork.NONE:
+        if is_renewed or due:
             self._do_gain_if_due(is_renewed=is_renewed)
-        wrench.kinematics.update(sample.q)
-        wrench.renew_gain(sample.q)
-        residual = sample.residual - offset.memory.bias
+        wrench.kinematics.update(q)
+        wrench.renew_gain(q)
+        residual = total_residual - bias.bias
         if due is DueWork.CHECK:
             self._check(sample, stream, residual)
-        lags = NO_LAGS
+        smoothing_lag = 0.0
+        observer_lag = 0.0
         if self._is_smoothing:
-            lags = StepLags(self._smoothing_s / elapsed_s, stream.lag_s / elapsed_s)
+            smoothing_lag = self._smoothing_s / elapsed_s
+            observer_lag = stream.lag_s / elapsed_s
         self._is_smoothing = True
-        assessment = self._assess(stream, is_settled=sample.settled)
-        estimate = wrench.solve(residual, self._wrench_filter, lags, assessment)
+        assessment = self._monitor.assessment
+        is_good = is_settled and bias.tared and not bias.leapt_s
+        if not is_good or stream.seems_stale:
+            assessment = self._assess(stream, is_settled=is_settled)
+        estimate = wrench.solve(
+            residual, self._wrench_filter, smoothing_lag, observer_lag, assessment
+        )
         self._estimate_before = self._last_estimate
         self._last_estimate = estimate
         return estimate
@@ -516,14 +522,9 @@ class VirtualForceSensor:
         self._unchecked_s = 0.0
 
     def _assess(self, stream: SampleStream, *, is_settled: bool) -> Assessment:
-        """Return what an estimate says of itself."""
+        """Return what an estimate says of itself that is not simply a good one."""
         monitor = self._monitor
         offset = self._offset
-        stale = stream.warning or stream.question
-        if is_settled and offset.memory.tared and not (stale or offset.memory.leapt_s):
-            return Assessment(
-                Status.OK, monitor.message, monitor.mismatch, monitor.warnings
-            )
         warnings = monitor.warnings
         if stream.warning:
             warnings |= SensorWarning.FROZEN
@@ -539,6 +540,7 @@ class VirtualForceSensor:
             texts = (reason, stream.warning, self.question or monitor.limit)
         else:
             status = Status.OK
+            stale = stream.warning or stream.question
             texts = (stale, offset.warning, monitor.message)
         message = "; ".join(filter(None, texts))
         return Assessment(status, message, monitor.mismatch, warnings)

@@ -27,7 +27,6 @@ from groundtruth import Run, simulate
 from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
 from residual.wrench_estimator import (
-    NO_LAGS,
     WrenchEstimator,
     WrenchFilterState,
 )
@@ -193,7 +192,7 @@ class PlainEstimator:
         assert dq is not None
         residual = self._observer.update(q, dq, tau, dt_s)
         self._wrench.renew_gain(q)
-        estimate = self._wrench.solve(residual, self._filter, NO_LAGS)
+        estimate = self._wrench.solve(residual, self._filter)
         self.axial_N = estimate.axial
 
 

@@ -179,7 +179,9 @@ def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -
         SampleError: As of `check_joint_vector`, where numpy cannot read them so.
     """
     if all_fit(values, joints):  # almost every sample
-        rows = np.array(values)
+        rows = np.empty((len(values), joints))
+        for k, value in enumerate(values):
+            rows[k] = value  # pyright: ignore
     else:
         vectors = zip(names, values, strict=True)
         rows = np.stack(

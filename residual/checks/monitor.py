@@ -25,7 +25,7 @@ from residual.checks.velocity import (
     velocity_match_step,
 )
 from residual.errors import named_joints
-from residual.estimate import SensorWarning, WrenchEstimate
+from residual.estimate import Assessment, SensorWarning, Status, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
@@ -86,6 +86,7 @@ class ConsistencyMonitor:
             are none.
         warnings: Warnings of the last check.
         message: The same in words.
+        assessment: All of this for an estimate of which nothing else is wrong.
     """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
@@ -278,6 +279,9 @@ class ConsistencyMonitor:
             position = self.question or self.limit
             texts = (velocity_fault, position, *_reasons(self.warnings))
             self.message = "; ".join(filter(None, texts))
+        self.assessment = Assessment(
+            Status.OK, self.message, self.mismatch, self.warnings
+        )
 
 
 _REASONS = {

@@ -295,8 +295,10 @@ class FaultDetector:
         """
         if self.memory.is_loaded:
             self._check_saturated(signals)
-        self._repeats = self._find_repeats(signals)
-        self._check_frozen(self._repeats, dt_s)
+        repeats = self._find_repeats(signals)
+        self._repeats = repeats
+        if repeats is not NO_REPEATS:
+            self._check_frozen(repeats, dt_s)
         return self.memory.noise is not None and self._check_jump(signals, dt_s)
 
     def _find_repeats(self, signals: Array) -> Repeats:

@@ -10,7 +10,7 @@ from residual import PUBLISHED, ConfigurationError, SensorConfig, WrenchEstimato
 from residual.checks.pushed_arm import unusual_change
 from residual.estimate import UNSEEN_STD
 from residual.tool_kinematics import ToolKinematics
-from residual.wrench_estimator import NO_LAGS, StepLags, WrenchFilterState
+from residual.wrench_estimator import WrenchFilterState
 from tests.residual.residual_signals import (
     MIDDLE,
     external_torque_of,
@@ -21,7 +21,7 @@ from urdf import UrdfError, load_lwr
 
 POINTING_DOWN = np.array([0.0, 0.6, 0.0, -1.4, 0.0, 1.14159265, 0.0])
 MODES = ["axial", "point", "full"]
-SMOOTHING = StepLags(smoothing=100.0 / 3.0, observer=0.0)
+SMOOTHING_LAG = 100.0 / 3.0
 """Lag of 30 1/s in ticks of 1 ms."""
 
 
@@ -181,8 +181,8 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     torques[2000:] += external_torque_of(lwr, MIDDLE, -2.0 * tip_axis(lwr, MIDDLE))
     estimates = []
     for k, torque in enumerate(torques):
-        lags = SMOOTHING if k else NO_LAGS
-        estimates.append(estimator.solve(torque, state, lags))
+        lag = SMOOTHING_LAG if k else 0.0
+        estimates.append(estimator.solve(torque, state, lag))
     axial = np.array([estimate.axial for estimate in estimates])
     unsmoothed = np.array([estimate.axial_unsmoothed for estimate in estimates])
     std = estimates[-1].axial_std
@@ -200,13 +200,13 @@ def test_deviation_covers_what_a_lag_hides(lwr):
     estimator.compute_gain(MIDDLE)
     state = WrenchFilterState.at_zero(estimator.size)
     unit = external_torque_of(lwr, MIDDLE, -tip_axis(lwr, MIDDLE))
-    lags = SMOOTHING._replace(observer=40)
+    lag = 40
     errors = []
     felt_N = 0.0
     # A heart's 1.3 Hz, in ticks of 1 ms.
     for true_N in np.sin(2.0 * np.pi * 1.3e-3 * np.arange(3000)):
-        felt_N += (true_N - felt_N) / (1.0 + lags.observer)
-        estimate = estimator.solve(felt_N * unit, state, lags)
+        felt_N += (true_N - felt_N) / (1.0 + lag)
+        estimate = estimator.solve(felt_N * unit, state, SMOOTHING_LAG, lag)
         errors.append(abs(estimate.axial - true_N) / estimate.axial_std)
     assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
 
