@@ -4,20 +4,20 @@ import hashlib
 import math
 from copy import deepcopy
 from dataclasses import fields, is_dataclass
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from foundation.state import check_state
 from residual.config import SensorConfig
 from residual.errors import SnapshotError
+from residual.estimate import WrenchEstimate
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import joint_axis
+from residual.sensor_state import SensorState
 from urdf import Robot
-
-if TYPE_CHECKING:
-    from residual.virtual_force_sensor import SensorState, VirtualForceSensor
 
 FRICTION_SPEEDS_RAD_S = np.array(
     [0.0, 1e-4, 1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0]
@@ -34,6 +34,34 @@ TRIED_SAMPLES = 3
 TRIED_STEP_S = 0.03
 """Time step of these samples, so long that everything which changes slowly is
 renewed."""
+
+
+class TrialSensor(Protocol):
+    """What a snapshot is tried out on: a `VirtualForceSensor` of its own."""
+
+    def update(
+        self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
+    ) -> WrenchEstimate:
+        """See `VirtualForceSensor.update`."""
+        ...
+
+    def update_external_torque(
+        self,
+        q: ArrayLike,
+        dq: ArrayLike | None,
+        external_torque: ArrayLike,
+        dt_s: float,
+    ) -> WrenchEstimate:
+        """See `VirtualForceSensor.update_external_torque`."""
+        ...
+
+    def snapshot(self) -> SensorState:
+        """See `VirtualForceSensor.snapshot`."""
+        ...
+
+    def restore_unchecked(self, state: SensorState) -> None:
+        """See `VirtualForceSensor.restore_unchecked`."""
+        ...
 
 
 def settings_text(config: SensorConfig, joints: int) -> str:
@@ -104,7 +132,7 @@ def robot_digest(robot: Robot) -> str:
     return digest.hexdigest()
 
 
-def check_sensor_state(twin: "VirtualForceSensor", state: "SensorState") -> None:
+def check_sensor_state(twin: TrialSensor, state: SensorState) -> None:
     """Refuse a damaged state now, so that no later update fails.
 
     Its types, numbers and shapes are compared with those of a twin that has taken a few
@@ -129,7 +157,7 @@ def check_sensor_state(twin: "VirtualForceSensor", state: "SensorState") -> None
 
 
 def _try_samples(
-    twin: "VirtualForceSensor", state: "SensorState", q: Array, dq: Array, torque: Array
+    twin: TrialSensor, state: SensorState, q: Array, dq: Array, torque: Array
 ) -> None:
     """Give the twin a few equal samples of the kind that the state is of."""
     stream = state.stream

@@ -3,8 +3,6 @@
 import math
 from copy import deepcopy
 from dataclasses import replace
-from enum import StrEnum
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,7 +10,7 @@ from numpy.typing import ArrayLike
 from foundation.advice import Message
 from foundation.arrays import Array
 from residual.advice import TareAdvice
-from residual.bias.estimator import BiasEstimator, BiasState
+from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
@@ -26,7 +24,8 @@ from residual.estimate import (
     Status,
     WrenchEstimate,
 )
-from residual.sample_stream import SampleStream, StreamState, TorqueSample
+from residual.sample_stream import SampleStream, TorqueSample
+from residual.sensor_state import DueWork, SensorState
 from residual.snapshot import check_sensor_state, robot_digest, settings_text
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import (
@@ -35,22 +34,6 @@ from residual.wrench_estimator import (
     WrenchFilterState,
 )
 from urdf import Robot
-
-
-class DueWork(StrEnum):
-    """Slow work that waits for its tick, so that no tick does all of it.
-
-    After the bias was renewed the next tick checks consistency, the one after that
-    computes the gain anew.
-    """
-
-    CHECK = "check"
-    """The consistency check, and after it the gain."""
-    GAIN = "gain"
-    """The gain."""
-    NONE = ""
-    """Nothing until the bias is renewed; it counts as false."""
-
 
 AFTER = {
     DueWork.CHECK: DueWork.GAIN,
@@ -64,47 +47,6 @@ DAMPING_FORCE_N = 100.0
 
 SMOOTHED_NOISE_RATIO = 3.0
 """Noise that lasts for t keeps a part 3 t / L of its variance in the mean over L."""
-
-
-class SensorState(NamedTuple):
-    """State of a `VirtualForceSensor`, with the robot and settings that it is of.
-
-    Attributes:
-        robot: `robot_digest` of its robot.
-        config: Its settings in words; they must be the same to go on.
-        stream: Of the stream of samples; None before the first.
-        is_external: Whether it is one of the robot's own external torques.
-        lag_s: Of the stream that the last sample came by.
-        offset: Of the offset removal.
-        torque_covariance: Covariance of the residual's error, as last renewed [Nm^2],
-            shape (n, n).
-        gain_configuration: Where the gain was computed last [rad], shape (n,).
-        monitor: Of the consistency checks.
-        wrench_filter: Of the smoothing of the wrench.
-        is_smoothing: Whether that is of a sample.
-        unchecked_s: Time since the last consistency check.
-        due: Slow work that waits for its tick.
-        last: Last estimate; None before the first.
-        missed_s: Time of samples rejected since then.
-        rejected: Number of bad samples so far.
-    """
-
-    robot: str
-    config: str
-    stream: StreamState | None
-    is_external: bool
-    lag_s: float
-    offset: BiasState
-    torque_covariance: Array
-    gain_configuration: Array
-    monitor: MonitorState
-    wrench_filter: WrenchFilterState
-    is_smoothing: bool
-    unchecked_s: float
-    due: DueWork
-    last: WrenchEstimate | None
-    missed_s: float
-    rejected: int
 
 
 class VirtualForceSensor:

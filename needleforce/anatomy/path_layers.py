@@ -10,16 +10,15 @@ grant.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import VolumeError, require_deviation
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
+from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.volume import Grid
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
@@ -46,6 +45,25 @@ MIN_FALL = 1e-9
 
 NORMAL_STEP_VOXELS = 0.5
 """Distance at which the votes around a boundary show its normal."""
+
+
+class Segmentation(Protocol):
+    """What a path crosses: see `Labels`."""
+
+    @property
+    def volumes(self) -> Sequence[NDArray[np.integer]]:
+        """Label volumes, each (i, j, k)."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """Where the voxels lie."""
+        ...
+
+    @property
+    def structures(self) -> tuple[Structure, ...]:
+        """Structures with voxels."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -118,7 +136,7 @@ class _Boundaries(NamedTuple):
 
 
 def find_layers(
-    labels: "Labels",
+    labels: Segmentation,
     entry_m: ArrayLike,
     target_m: ArrayLike,
     boundary_std_m: float = 0.0,
@@ -160,7 +178,9 @@ def _stack_layers(
     ]
 
 
-def _checked_path(labels: "Labels", entry_m: ArrayLike, target_m: ArrayLike) -> _Path:
+def _checked_path(
+    labels: Segmentation, entry_m: ArrayLike, target_m: ArrayLike
+) -> _Path:
     """Return the path between two points that lie where a needle's can."""
     entry = np.asarray(entry_m, float)
     target = np.asarray(target_m, float)
@@ -200,7 +220,7 @@ def _find_boundaries(
 
 
 def _boundary_std_m(
-    labels: "Labels", path: _Path, boundaries: _Boundaries, boundary_std_m: float
+    labels: Segmentation, path: _Path, boundaries: _Boundaries, boundary_std_m: float
 ) -> Array:
     """Return the standard deviations of boundaries along the path, shape (n,)."""
     votes_per_m: Array | float = 0.0
@@ -211,7 +231,9 @@ def _boundary_std_m(
     return vote_std * boundaries.step_m / boundaries.fall
 
 
-def _count_votes(labels: "Labels", indices: Array) -> tuple[Array, list[_Candidate]]:
+def _count_votes(
+    labels: Segmentation, indices: Array
+) -> tuple[Array, list[_Candidate]]:
     """Count the votes of the voxels around points.
 
     Where structures overlap the last, which is the smallest, holds the voxel. The
@@ -248,7 +270,7 @@ def _count_votes(labels: "Labels", indices: Array) -> tuple[Array, list[_Candida
     return votes.reshape(count, size).astype(float, copy=False), candidates
 
 
-def _ranks_of_voxels(labels: "Labels", voxels: NDArray[Any]) -> NDArray[np.intp]:
+def _ranks_of_voxels(labels: Segmentation, voxels: NDArray[Any]) -> NDArray[np.intp]:
     """Return the rank of the structure in each voxel of cubes, (n, m, m, m).
 
     Args:
@@ -273,7 +295,9 @@ def _ranks_of_voxels(labels: "Labels", voxels: NDArray[Any]) -> NDArray[np.intp]
     return ranks
 
 
-def _votes_per_m(labels: "Labels", indices: Array, boundaries: _Boundaries) -> Array:
+def _votes_per_m(
+    labels: Segmentation, indices: Array, boundaries: _Boundaries
+) -> Array:
     """Return by how many votes the lead falls per metre along the boundaries' normals.
 
     Across a flat boundary it falls by 2 k(0) a voxel, k the kernel in one dimension;
