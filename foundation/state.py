@@ -21,17 +21,16 @@ read: a file cannot name a type, and nothing in it is executed.
 import hashlib
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-
-State = TypeVar("State")
 
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
@@ -92,7 +91,7 @@ def check_state(state: Any, reference: Any = None, place: str = "state") -> None
             check_state(part, like, f"{place}[{number}]")
 
 
-def _is_alike(state: tuple[Any, ...], reference: Any) -> bool:
+def _is_alike(state: Sequence[Any], reference: Any) -> bool:
     return isinstance(reference, tuple) and len(reference) == len(state)
 
 

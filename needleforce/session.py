@@ -58,7 +58,7 @@ class InsertionError(Exception):
     """
 
 
-class SettingError(InsertionError, ValueError):
+class SessionSettingError(InsertionError, ValueError):
     """A setting that cannot work: the message names it, what came and what is valid."""
 
 
@@ -187,7 +187,7 @@ class InsertionSession:
             on an arm.
 
     Raises:
-        SettingError: For a negative or infinite lag.
+        SessionSettingError: For a negative or infinite lag.
         residual.ConfigurationError: For settings of the sensor that cannot work.
         identification.IdentificationError: For settings of another kind of identifier.
     """
@@ -301,10 +301,10 @@ class InsertionSession:
                 from where the session's do.
 
         Raises:
-            SettingError: For anything but a plan, or an entry that is no point.
+            SessionSettingError: For anything but a plan, or an entry that is no point.
         """
         if plan is not None and not hasattr(plan, "fingerprint"):
-            raise SettingError(
+            raise SessionSettingError(
                 f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy"
             )
         entry_m = (
@@ -313,7 +313,7 @@ class InsertionSession:
         if entry_m is not None and not (
             entry_m.shape == (3,) and np.isfinite(entry_m).all()
         ):
-            raise SettingError(
+            raise SessionSettingError(
                 f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers"
             )
         self._plan = PlanFollower(plan, entry_m)
@@ -574,20 +574,20 @@ class InsertionSession:
 
 
 def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -> None:
-    """Raise `SettingError` for arguments of `InsertionSession` that cannot work."""
+    """Raise `SessionSettingError` for arguments of `InsertionSession` that cannot work."""
     if not isinstance(robot, Robot):
-        raise SettingError(
+        raise SessionSettingError(
             f"robot is a {type(robot).__name__}, expected a Robot; load_lwr() or "
             "load_urdf(path) of urdf makes one"
         )
     if not isinstance(sensor_config, SensorConfig):
-        raise SettingError(
+        raise SessionSettingError(
             f"sensor_config is a {type(sensor_config).__name__}, expected a "
             "SensorConfig; SensorConfig() is the default"
         )
     is_number = isinstance(speed_lag_s, numbers.Real)
     if not (is_number and 0.0 <= float(speed_lag_s) < math.inf):
-        raise SettingError(
+        raise SessionSettingError(
             f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
         )
 

@@ -277,7 +277,7 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     return places, speeds
 
 
-class LeastSquares(NamedTuple):
+class LinearFit(NamedTuple):
     """Least squares beside prior information.
 
     Attributes:
@@ -292,7 +292,7 @@ class LeastSquares(NamedTuple):
 @compiled
 def solve_least_squares(
     rows: Matrix, values: Vector, information: Matrix, pull: Vector
-) -> LeastSquares:
+) -> LinearFit:
     """Solve rows @ unknowns = values, beside prior information.
 
     Args:
@@ -304,7 +304,7 @@ def solve_least_squares(
     square = np.dot(rows.T, rows) + information
     square += np.diag(REGULARISATION * np.diag(square) + TINY)
     unknowns = np.linalg.solve(square, np.dot(rows.T, values) + pull)
-    return LeastSquares(unknowns, values - np.dot(rows, unknowns))
+    return LinearFit(unknowns, values - np.dot(rows, unknowns))
 
 
 class Waves(NamedTuple):

@@ -78,7 +78,7 @@ UNEXPLAINED_FACTOR = 2.0
 """Force that a known motion leaves unexplained, in deviations of its fit's errors."""
 
 
-class WindowSums(NamedTuple):
+class BlockSums(NamedTuple):
     """The mean being filled.
 
     Attributes:
@@ -140,7 +140,7 @@ class TissueMotion(NamedTuple):
     """
 
     window: Array = np.zeros((0, 4))
-    sums: WindowSums = WindowSums()
+    sums: BlockSums = BlockSums()
     until_s: float = 0.0
     from_s: float = 0.0
     fit: Fit = Fit()
@@ -211,7 +211,7 @@ class TissueMotion(NamedTuple):
         duration_s = block.duration_s
         depth_mm = block.depth_mm + motion.place_mm
         speed_mm_s = block.speed_mm_s + motion.speed_mm_s
-        sums = WindowSums(
+        sums = BlockSums(
             self.sums.duration_s + duration_s,
             self.sums.time + duration_s * block.time_s,
             self.sums.depth + duration_s * depth_mm,
@@ -222,7 +222,7 @@ class TissueMotion(NamedTuple):
             return self._replace(sums=sums)
         means = np.array(sums[1:]) / sums.duration_s
         window = np.vstack((self.window[-WINDOW_MEANS + 1 :], means))
-        return self._replace(window=window, sums=WindowSums())
+        return self._replace(window=window, sums=BlockSums())
 
     def is_due(self, time_s: float) -> bool:
         """Return whether there is work to do, and the window is long enough for it."""

@@ -124,7 +124,7 @@ class Registrations(NamedTuple):
     fine: Registration
 
 
-class MatchedRupture(NamedTuple):
+class RuptureOfPlan(NamedTuple):
     """A rupture, and the plan after it.
 
     Attributes:
@@ -153,7 +153,7 @@ class FollowedInsertion(NamedTuple):
     depth_m: Array
     force_N: Array
     tip_N: Array
-    ruptures: list[MatchedRupture]
+    ruptures: list[RuptureOfPlan]
     stop_m: float
     rows: Array
     entry_in_base_m: Array
@@ -377,7 +377,7 @@ class _Follower:
 
     def __init__(self, run: Run, match: PlanMatch, shift_m: float) -> None:
         self.session = InsertionSession(run.robot)
-        self.ruptures: list[MatchedRupture] = []
+        self.ruptures: list[RuptureOfPlan] = []
         self.entry_m = 0.0
         self.entry_in_base_m = np.zeros(3)
         self.axis = np.zeros(3)
@@ -424,7 +424,7 @@ class _Follower:
         identification = estimate.identification
         if identification.rupture is not None and estimate.plan is not None:
             depth_m = identification.rupture.depth_m - self.entry_m
-            self.ruptures.append(MatchedRupture(depth_m, estimate.plan))
+            self.ruptures.append(RuptureOfPlan(depth_m, estimate.plan))
         if identification.retracted is not None:
             depth_m = identification.retracted.depth_m - self.entry_m
             self.ruptures = [
